@@ -1,0 +1,21 @@
+"""Errors and warnings. Each message names the file, field or parameter, the offending value and what to do."""
+
+
+class JaxfilterError(Exception):
+    """Base of every error that jaxfilter raises on purpose."""
+
+
+class ParameterError(JaxfilterError, ValueError):
+    """A filter or function parameter is out of range, unknown or contradictory."""
+
+
+class InputError(JaxfilterError, ValueError):
+    """A file or an array cannot be used as a point cloud."""
+
+
+class OutputError(JaxfilterError, OSError):
+    """An output cannot be written: it exists, cannot hold the values, or the disk refused."""
+
+
+class JaxfilterWarning(UserWarning):
+    """Something unusual was met and handled as the message says."""

@@ -1,0 +1,168 @@
+"""The part of a ground filter that all methods share: candidates in, degenerate clouds, labels out in input order."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from .cloud import PointCloud, as_cloud
+from .errors import JaxfilterWarning, ParameterError
+from .params import check_fields
+from .points import Points, canonical_points
+from .result import Decision, FilterResult, Progress, Status
+
+
+@dataclasses.dataclass
+class Labels:
+    """What a method's ``classify`` gives back, per canonical point (length m); absent quantities stay None."""
+
+    ground: np.ndarray
+    height: np.ndarray | None = None
+    slope: np.ndarray | None = None
+    angle: np.ndarray | None = None
+    elevation: np.ndarray | None = None
+    margin: np.ndarray | None = None
+    decision: np.ndarray | None = None
+    barred: np.ndarray | None = None
+    status: Status = Status.CONVERGED
+    info: dict[str, Any] = dataclasses.field(default_factory=dict)
+    trace: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+
+
+class Filter:
+    """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
+
+    ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
+    """
+
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
+
+    def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Validate the fields and their combination. Raises ParameterError."""
+        check_fields(self)
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> Self:
+        """The filter with a named set of parameters, and with ``changes`` on top. Raises ParameterError."""
+        if name not in cls.PRESETS:
+            raise ParameterError(f"{cls.__name__} has no preset {name!r}; it has {', '.join(cls.PRESETS)}")
+        return cls(**{**cls.PRESETS[name], **changes})
+
+    @classmethod
+    def for_cloud(cls, cloud: Any, largest_building: float = 60.0, **changes: Any) -> Self:
+        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud."""
+        if not largest_building > 0:
+            raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
+        points = canonical_points(as_cloud(cloud))
+        return cls(**{**cls.from_spacing(points.spacing(), largest_building), **changes})
+
+    @classmethod
+    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+        """Field values for a mean point spacing and a largest building, both in metres."""
+        return {}
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def halo(self) -> float:
+        """Metres beyond a region that can change labels inside it."""
+        raise TypeError(f"{type(self).__name__} does not define halo()")
+
+    def classify(
+        self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool
+    ) -> Labels:
+        """Classify distinct candidate points in canonical order; at least three positions, not on a line, not flat."""
+        raise TypeError(f"{type(self).__name__} does not define classify()")
+
+    def __call__(
+        self,
+        cloud: Any,
+        *,
+        key: Any = None,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        trace: bool = False,
+    ) -> FilterResult:
+        """Classify a cloud.
+
+        Args:
+            cloud: a PointCloud, or coordinates f64[n, 3] in metres.
+            key: a JAX random key; only methods that draw samples use it.
+            workers: threads for triangulation; by default one per core.
+            progress: called with the fraction done and the name of the step.
+            trace: keep the labels after every round in ``result.trace``.
+
+        Returns: FilterResult of length n, in input order.
+        Raises: ParameterError, InputError.
+        """
+        self.check()
+        if workers is not None and workers < 1:
+            raise ParameterError(f"workers={workers!r}: must be at least 1")
+        cloud = as_cloud(cloud)
+        points = canonical_points(cloud)
+        labels = degenerate(cloud, points)
+        if labels is None:
+            labels = self.classify(
+                points, key=key, workers=workers, progress=progress or (lambda fraction, step: None), trace=trace
+            )
+        else:
+            warnings.warn(f"{type(self).__name__}: {labels.status.message}", JaxfilterWarning, stacklevel=2)
+        return expand(cloud, points, labels)
+
+
+def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
+    """Labels for clouds in which there is nothing to filter, else None."""
+    m = len(points)
+    if len(cloud) == 0:
+        return Labels(np.zeros(0, bool), status=Status.NO_POINTS)
+    if m == 0:
+        return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
+    xy, z = points.xyz[:, :2].astype(np.float64), points.xyz[:, 2]
+    if not points.has_area():
+        order = np.lexsort((z, xy[:, 1], xy[:, 0]))
+        first = np.ones(m, bool)
+        first[1:] = (np.diff(xy[order], axis=0) != 0).any(axis=1)
+        ground = np.zeros(m, bool)
+        ground[order[first]] = True
+        return Labels(ground, status=Status.TOO_FEW_POINTS)
+    if np.ptp(z) == 0:
+        return Labels(np.ones(m, bool), height=np.zeros(m, np.float32), slope=np.zeros(m, np.float32), status=Status.FLAT)
+    return None
+
+
+def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
+    """From canonical points back to all points of the cloud, in input order."""
+
+    def spread(values: np.ndarray | None, empty: Any, dtype: Any) -> np.ndarray:
+        out = np.full(len(cloud), empty, dtype)
+        if values is not None:
+            out[points.index] = values[points.member]
+        return out
+
+    decision = labels.decision
+    if decision is None:
+        decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE)
+    trace = [
+        {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
+    ]
+    nan = np.nan
+    return FilterResult(
+        ground=spread(labels.ground, False, bool),
+        height=spread(labels.height, nan, np.float32),
+        slope=spread(labels.slope, nan, np.float32),
+        angle=spread(labels.angle, nan, np.float32),
+        elevation=spread(labels.elevation, nan, np.float32),
+        margin=spread(labels.margin, nan, np.float32),
+        decision=spread(decision, Decision.SET_ASIDE, np.uint8),
+        barred=spread(labels.barred, False, bool),
+        status=labels.status,
+        info={"points": len(cloud), "candidates": len(points.index), **labels.info},
+        trace=trace,
+    )

@@ -1,0 +1,114 @@
+"""Candidate points in an order that only their coordinates decide, so that labels do not depend on file order."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from .cloud import QUANTUM, PointCloud
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Points:
+    """The distinct candidate points of a cloud.
+
+    Attributes:
+        cloud: where they come from.
+        xyz: f32[m, 3], local metres, in canonical order. Points with equal x, y and z are one row.
+        index: i64[c], the cloud's candidates.
+        member: i64[c], which row of ``xyz`` each candidate is.
+        weight: i32[m], how many candidates each row stands for.
+    """
+
+    cloud: PointCloud
+    xyz: np.ndarray
+    index: np.ndarray
+    member: np.ndarray
+    weight: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def offset(self, cell: float) -> tuple[float, float]:
+        """Local corner of the grid with cells of this size, metres."""
+        return self.cloud.grid_offset(cell)
+
+    def has_area(self) -> bool:
+        """Whether there are three positions that do not lie on one line (to the quantum of the coordinates)."""
+        if len(self.xyz) < 3:
+            return False
+        xy = self.xyz[:, :2].astype(np.float64)
+        a = xy[0]
+        far = xy[np.argmax(((xy - a) ** 2).sum(axis=1))]
+        along = far - a
+        length = float(np.hypot(*along))
+        if length == 0:
+            return False
+        off = np.abs((xy[:, 0] - a[0]) * along[1] - (xy[:, 1] - a[1]) * along[0]) / length
+        return bool(off.max() > 2 * QUANTUM)
+
+    def spacing(self) -> float:
+        """Mean point spacing in metres: square root of occupied area per point.
+
+        The occupied area is counted in cells that hold about eight points each, so that voids do not count.
+        """
+        return self._spacing
+
+    @functools.cached_property
+    def _spacing(self) -> float:
+        m = len(self.xyz)
+        if m < 2:
+            return 1.0
+        extent = np.maximum(np.ptp(self.xyz[:, :2], axis=0).astype(np.float64), QUANTUM)
+        spacing = float(np.sqrt(extent.prod() / m))
+        for _ in range(3):
+            cell = max(3 * spacing, float(extent.max()) / 2**15)
+            i = np.floor(self.xyz[:, :2] / np.float32(cell)).astype(np.int64)
+            occupied = len(np.unique(i[:, 0] * (int(i[:, 1].max()) + 1) + i[:, 1]))
+            spacing = float(np.sqrt(min(occupied * cell**2, extent.prod()) / m))
+        return spacing
+
+
+def morton(xy: np.ndarray) -> np.ndarray:
+    """u64[n] Z-order code of local points [n, >=2]; neighbours in the plane are mostly neighbours in this order."""
+    code = np.zeros(len(xy), np.uint64)
+    for axis in range(2):
+        v = (xy[:, axis].astype(np.float64) / QUANTUM).astype(np.uint64)
+        for shift, mask in (
+            (16, 0x0000FFFF0000FFFF),
+            (8, 0x00FF00FF00FF00FF),
+            (4, 0x0F0F0F0F0F0F0F0F),
+            (2, 0x3333333333333333),
+            (1, 0x5555555555555555),
+        ):
+            v = (v | (v << np.uint64(shift))) & np.uint64(mask)
+        code |= v << np.uint64(axis)
+    return code
+
+
+def canonical_points(cloud: PointCloud) -> Points:
+    """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays."""
+    index = np.flatnonzero(cloud.candidate)
+    xyz = cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
+    code = morton(xyz)
+    order = np.argsort(code, kind="stable")
+    code, z = code[order], xyz[order, 2]
+    tied = np.zeros(len(code), bool)
+    if len(code) > 1:
+        same_xy = code[1:] == code[:-1]
+        tied[1:] |= same_xy
+        tied[:-1] |= same_xy
+        rows = np.flatnonzero(tied)
+        order[rows] = order[rows[np.lexsort((z[rows], code[rows]))]]
+        z = xyz[order, 2]
+        first = np.ones(len(code), bool)
+        first[1:] = ~same_xy | (z[1:] != z[:-1])
+    else:
+        first = np.ones(len(code), bool)
+    group = np.cumsum(first) - 1
+    member = np.empty(len(order), np.int64)
+    member[order] = group
+    weight = np.bincount(group, minlength=int(first.sum())).astype(np.int32) if len(group) else np.zeros(0, np.int32)
+    return Points(cloud, np.ascontiguousarray(xyz[order[first]]), index, member, weight)
