@@ -1,0 +1,341 @@
+"""Triangulated irregular networks that grow: Delaunay triangulations updated where new vertices fall.
+
+A batch of new vertices changes a Delaunay triangulation only inside their cavities: the triangles whose circumcircle
+contains a new vertex. Three facts make an exact update out of ordinary Delaunay calls on small point sets, which run in
+a thread pool and never look at the rest of the network:
+
+* the cavity of one vertex is connected, holds no other vertex inside, and is found by walking over neighbours from the
+  triangle that contains it;
+* an edge from a new vertex p to an old one stays within the cavity of p, and an edge to another new vertex q crosses only
+  triangles that belong to the cavity of p or of q (an empty circle through p and q and the circumcircle of a triangle
+  that their segment crosses would otherwise meet in four points). So the Delaunay triangulation of "vertices of the cavity
+  of p, and new vertices whose cavities touch it" contains every new triangle at p;
+* triangles with old vertices only are either untouched or gone.
+
+The triangulation is made unique by moving every node, for triangulation and location only, by less than half a quantum
+of the coordinates in a direction that its own coordinates decide (lidar coordinates are decimal, so that squares, which
+have two Delaunay triangulations, are everywhere). So it does not depend on the order of the points, on threads or on the
+history of the network.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, Delaunay
+
+from ..core.cloud import QUANTUM
+
+CHUNK = 8192
+"""New vertices per Delaunay call: small sets are triangulated fastest, large ones repeat less along their seams."""
+_ROOT = 4096
+
+
+def perturbed(xy: np.ndarray) -> np.ndarray:
+    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position."""
+    lattice = np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int64).view(np.uint64)
+    h = lattice[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ lattice[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
+    out = np.empty((len(xy), 2))
+    for axis in range(2):  # finaliser of splitmix64: every input bit reaches every output bit
+        h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        h ^= h >> np.uint64(31)
+        out[:, axis] = xy[:, axis] + ((h >> np.uint64(11)) * 2.0**-53 - 0.5) * QUANTUM
+    return out
+
+
+def delaunay(xy: np.ndarray) -> Delaunay:
+    """Delaunay triangulation of f64[n, 2], centred first, with the tables that ``find_simplex`` needs already made."""
+    local = xy - xy.mean(axis=0)
+    tri = Delaunay(local)
+    corner = local[tri.simplices]
+    u, v = corner[:, 0] - corner[:, 2], corner[:, 1] - corner[:, 2]
+    det = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(det == 0, np.nan, 1.0 / det)
+        table = np.empty((len(det), 3, 2))
+        table[:, 0, 0], table[:, 0, 1] = v[:, 1] * inverse, -v[:, 0] * inverse
+        table[:, 1, 0], table[:, 1, 1] = -u[:, 1] * inverse, u[:, 0] * inverse
+    table[:, 2] = corner[:, 2]
+    tri._transform = table  # the same as SciPy would make, without a LAPACK call for each triangle
+    return tri
+
+
+def _in_circle(xy: np.ndarray, triangles: np.ndarray, tri: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """bool[n]: node ``p`` lies strictly inside the circumcircle of the counter-clockwise triangle ``tri``."""
+    px, py = xy[p].T
+    (ax, ay), (bx, by), (cx, cy) = ((x - px, y - py) for x, y in (xy[corner].T for corner in triangles[tri].T))
+    a, b, c = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+    return a * (bx * cy - by * cx) - b * (ax * cy - ay * cx) + c * (ax * by - ay * bx) > 0
+
+
+def _distinct(*parts: np.ndarray) -> np.ndarray:
+    """Sorted distinct values of integer arrays that span a moderate range: a mask is faster than a sort."""
+    low = min(int(p.min()) for p in parts if p.size)
+    mask = np.zeros(max(int(p.max()) for p in parts if p.size) - low + 1, bool)
+    for p in parts:
+        mask[p - low] = True
+    return np.flatnonzero(mask) + low
+
+
+def _ranges(starts: np.ndarray, stops: np.ndarray) -> np.ndarray:
+    """Concatenation of ``arange(start, stop)`` for every pair."""
+    length = stops - starts
+    total = int(length.sum())
+    if total == 0:
+        return np.zeros(0, np.int64)
+    first = np.cumsum(length) - length
+    return np.arange(total) + np.repeat(starts - first, length)
+
+
+@dataclasses.dataclass
+class _Patch:
+    """New triangles of one chunk: kept triangles, their neighbours (-2 = elsewhere), and points located in them."""
+
+    triangles: np.ndarray
+    neighbours: np.ndarray
+    located: np.ndarray
+    inside: np.ndarray
+
+
+class Tin:
+    """Triangulations of one or several separate sheets over one pool of nodes.
+
+    Attributes:
+        xyz: f32[k, 3] local metres, all nodes that are or may become vertices, sheet by sheet, each sheet in canonical order
+            (nodes that are near in this order should be near in the plane).
+        sheet: i32[k], ascending.
+        triangles: i32[t, 3] nodes, counter-clockwise; neighbours: i32[t, 3], the triangle opposite each vertex, -1 outside.
+        vertex: bool[k], nodes that are vertices.
+        where: i32[k], the triangle that contains each node that is not a vertex; -1 outside its sheet's hull.
+    """
+
+    def __init__(self, xyz: np.ndarray, sheet: np.ndarray, vertices: np.ndarray, pool: Executor) -> None:
+        """Triangulate ``vertices`` (i64, ascending; every sheet has three or more, not on a line) and locate the rest."""
+        self.xyz = xyz
+        self.sheet = sheet
+        self.xy = perturbed(xyz)
+        self.pool = pool
+        self.rebuilt = 0
+        self.vertex = np.zeros(len(xyz), bool)
+        self.where = np.full(len(xyz), -1, np.int32)
+        self._stamp = np.full(len(xyz), np.iinfo(np.int32).max, np.int32)
+        self._build(np.asarray(vertices))
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+    def _build(self, vertices: np.ndarray, root: int = _ROOT) -> None:
+        """Triangulate from scratch: sheets with many vertices from a sparse root, into which the others are inserted."""
+        self.vertex[:] = False
+        bounds = np.searchsorted(self.sheet, np.arange(int(self.sheet[-1]) + 2))
+        of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
+        step = [max(1, len(v) // root) for v in of_sheet]
+        roots = [np.union1d(v[::s], self._hull(v)) if s > 1 else v for v, s in zip(of_sheet, step, strict=True)]
+
+        def one(job: tuple[np.ndarray, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            root, low, high = job
+            mesh = delaunay(self.xy[root])
+            inside = mesh.find_simplex(self.xy[low:high] - self.xy[root].mean(axis=0)).astype(np.int32)
+            return root[mesh.simplices].astype(np.int32), mesh.neighbors, inside
+
+        parts = list(self.pool.map(one, zip(roots, bounds[:-1], bounds[1:], strict=True)))
+        shift = np.cumsum([0] + [len(p[0]) for p in parts])
+        self.triangles = np.concatenate([p[0] for p in parts])
+        self.neighbours = np.concatenate(
+            [np.where(p[1] < 0, -1, p[1] + s) for p, s in zip(parts, shift[:-1], strict=True)]
+        ).astype(np.int32)
+        self.where[:] = np.concatenate([np.where(p[2] < 0, -1, p[2] + s) for p, s in zip(parts, shift[:-1], strict=True)])
+        self.vertex[np.concatenate(roots)] = True
+        rest = vertices[~self.vertex[vertices]]
+        if len(rest):
+            self.insert(rest)
+
+    def _hull(self, vertices: np.ndarray) -> np.ndarray:
+        """The vertices on the convex hull, so that a root triangulation covers all that is to come."""
+        xy = self.xy[vertices]
+        return vertices[ConvexHull(xy - xy.mean(axis=0)).vertices]
+
+    def insert(self, nodes: np.ndarray) -> np.ndarray:
+        """Make nodes (i64, ascending, not vertices, at positions of their own, inside the hull) vertices.
+
+        Returns bool[t]: the triangles that are new. ``where`` is up to date afterwards.
+        """
+        if len(nodes) == 0:
+            return np.zeros(len(self.triangles), bool)
+        nodes = np.asarray(nodes)
+        cuts = np.flatnonzero(np.diff(self.sheet[nodes]) != 0) + 1
+        edges = np.unique(np.concatenate([[0, len(nodes)], cuts, np.arange(0, len(nodes), CHUNK)]))
+        chunks = list(zip(edges[:-1], edges[1:], strict=True))
+        self._stamp[nodes] = np.arange(len(nodes), dtype=np.int32)
+
+        cavities = list(self.pool.map(lambda c: self._cavities(nodes[c[0] : c[1]]), chunks))
+        gone = np.zeros(len(self.triangles), bool)
+        for _, tri in cavities:
+            gone[tri] = True
+        removed = np.flatnonzero(gone)
+        self.vertex[nodes] = True
+        moved = np.flatnonzero((self.where >= 0) & ~self.vertex)
+        moved = moved[gone[self.where[moved]]]
+        slot = np.cumsum(gone) - 1
+        points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
+        hit = np.concatenate([tri for _, tri in cavities])
+        new_at = _by_cell(slot[hit], np.concatenate([p for p, _ in cavities]), len(removed))
+
+        def patch(job: tuple[tuple[int, int], tuple[np.ndarray, np.ndarray]]) -> _Patch:
+            (low, high), (_, tri) = job
+            rows = _distinct(tri)
+            ring = self.neighbours[rows].ravel()
+            ring = slot[_distinct(rows, ring[(ring >= 0) & gone[ring]])]
+            return self._patch(rows, low, high, points_in(ring), new_at(ring))
+
+        patches = list(self.pool.map(patch, zip(chunks, cavities, strict=True)))
+        self._stamp[nodes] = np.iinfo(np.int32).max
+        changed = self._stitch(removed, gone, patches)
+        if changed is None:  # Qhull saw a tie where there is none: start again, from all vertices
+            self.rebuilt += 1
+            vertices = np.flatnonzero(self.vertex)
+            self._build(vertices, root=len(vertices))
+            return np.ones(len(self.triangles), bool)
+        self.where[nodes] = -1
+        before = self.where[moved]
+        self.where[moved] = -1
+        for p in patches:
+            self.where[p.located] = p.inside
+        lost = self.where[moved] < 0
+        if lost.any():  # in a triangle that reaches beyond the cavities of its own chunk
+            rest = moved[lost]
+            self.where[rest] = self.walk(self.xy[rest], before[lost], self.sheet[rest])
+        return changed
+
+    def _cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """All pairs of a node and a triangle whose circumcircle contains it."""
+        p, tri = nodes, self.where[nodes]
+        parent = np.full(len(nodes), -1, np.int32)
+        pairs = [(p, tri)]
+        while len(p):
+            step = self.neighbours[tri]
+            row, edge = np.nonzero((step >= 0) & (step != parent[:, None]))
+            reached = step[row, edge]
+            inside = _in_circle(self.xy, self.triangles, reached, p[row])
+            row = row[inside]
+            parent, p, tri = tri[row], p[row], reached[inside]
+            pairs.append((p, tri))
+        return np.concatenate([p for p, _ in pairs]), np.concatenate([t for _, t in pairs])
+
+    def _patch(self, rows: np.ndarray, low: int, high: int, points: np.ndarray, new: np.ndarray) -> _Patch:
+        """Triangulate the vertices of cavities ``rows`` with the new nodes; keep the triangles that belong to this chunk.
+
+        A triangle belongs to the chunk that holds its first new vertex.
+        """
+        nodes = _distinct(self.triangles[rows].ravel(), new)
+        xy = self.xy[nodes]
+        mesh = delaunay(xy)
+        simplices = nodes[mesh.simplices]
+        stamp = self._stamp[simplices]
+        first = np.minimum(np.minimum(stamp[:, 0], stamp[:, 1]), stamp[:, 2])
+        keep = (first >= low) & (first < high)
+        rank = np.where(keep, np.cumsum(keep) - 1, -2).astype(np.int32)
+        neighbours = np.where(mesh.neighbors < 0, -2, rank[mesh.neighbors])[keep]
+        points = np.sort(points)
+        cell = mesh.find_simplex(self.xy[points] - xy.mean(axis=0))
+        cell = np.where(cell < 0, -2, rank[cell])
+        mine = cell >= 0
+        return _Patch(simplices[keep].astype(np.int32), neighbours, points[mine], cell[mine])
+
+    def _stitch(self, removed: np.ndarray, gone: np.ndarray, patches: Sequence[_Patch]) -> np.ndarray | None:
+        """Put the patches in the place of the removed triangles. None if they do not fit, with nothing changed."""
+        old_count = len(self.triangles)
+        count = sum(len(p.triangles) for p in patches)
+        added = np.concatenate([p.triangles for p in patches])
+        if count < len(removed):
+            return None
+        rows = np.concatenate([removed, np.arange(old_count, old_count + count - len(removed))]).astype(np.int32)
+        shift = np.cumsum([0] + [len(p.triangles) for p in patches])
+        links = np.concatenate(
+            [np.where(p.neighbours < 0, -2, p.neighbours + s) for p, s in zip(patches, shift[:-1], strict=True)]
+        )
+        links = np.where(links < 0, -2, rows[links])
+
+        # Open edges: of new triangles without a neighbour yet, and of old triangles that bordered a removed one.
+        new_row, new_edge = np.nonzero(links == -2)
+        beyond = self.neighbours[removed]
+        hull_edges = int((beyond == -1).sum())
+        rim = np.unique(beyond[(beyond >= 0) & ~gone[beyond]])
+        rim_row, rim_edge = np.nonzero((self.neighbours[rim] >= 0) & gone[self.neighbours[rim]])
+        tri = np.concatenate([rows[new_row], rim[rim_row]]).astype(np.int32)
+        edge = np.concatenate([new_edge, rim_edge])
+        corner = np.concatenate([added[new_row], self.triangles[rim[rim_row]]])
+        pick = np.arange(len(edge))
+        one, two = corner[pick, (edge + 1) % 3].astype(np.int64), corner[pick, (edge + 2) % 3].astype(np.int64)
+        key = np.minimum(one, two) * len(self.xy) + np.maximum(one, two)
+        order = np.argsort(key, kind="stable")
+        key = key[order]
+        pair = np.flatnonzero(key[1:] == key[:-1])
+        if len(key) - 2 * len(pair) != hull_edges or (len(pair) > 1 and (np.diff(pair) < 2).any()):
+            return None
+
+        self.triangles = np.concatenate([self.triangles, np.empty((count - len(removed), 3), np.int32)])
+        self.neighbours = np.concatenate([self.neighbours, np.empty((count - len(removed), 3), np.int32)])
+        self.triangles[rows] = added
+        self.neighbours[rows] = np.where(links == -2, -1, links)
+        left, right = order[pair], order[pair + 1]
+        self.neighbours[tri[left], edge[left]] = tri[right]
+        self.neighbours[tri[right], edge[right]] = tri[left]
+        for p, s in zip(patches, shift[:-1], strict=True):
+            p.inside = rows[p.inside + s]
+        changed = np.zeros(len(self.triangles), bool)
+        changed[rows] = True
+        return changed
+
+    def walk(self, xy: np.ndarray, start: np.ndarray, sheet: np.ndarray) -> np.ndarray:
+        """i32[n]: the triangle that contains each position f64[n, 2], walking from triangles ``start``; -1 outside."""
+        tri = np.array(start, np.int32)
+        wrong = self.sheet[self.triangles[tri, 0]] != sheet
+        if wrong.any():
+            by_sheet = self.sheet[self.triangles[:, 0]]
+            order = np.argsort(by_sheet, kind="stable")
+            tri[wrong] = order[np.searchsorted(by_sheet[order], sheet[wrong])]
+        active = np.arange(len(tri))
+        for _ in range(len(self.triangles)):
+            here = tri[active]
+            corner = self.xy[self.triangles[here]] - xy[active][:, None, :]
+            ahead = np.roll(corner, -1, axis=1)
+            turn = corner[:, :, 0] * ahead[:, :, 1] - corner[:, :, 1] * ahead[:, :, 0]  # edge k -> k+1
+            worst = turn.argmin(axis=1)
+            out = turn[np.arange(len(active)), worst] < -1e-9
+            if not out.any():
+                break
+            step = self.neighbours[here[out], (worst[out] + 2) % 3]
+            active = active[out]
+            tri[active] = step
+            active = active[step >= 0]
+            if len(active) == 0:
+                break
+        return tri
+
+    def corners(self, tri: np.ndarray) -> np.ndarray:
+        """f32[n, 3, 3]: the vertices of triangles, local metres."""
+        return self.xyz[self.triangles[tri]]
+
+    def triangle_of_vertices(self) -> np.ndarray:
+        """i32[k]: for each vertex one of its triangles; for other nodes the triangle that contains them."""
+        out = self.where.copy()
+        out[self.triangles.ravel()[::-1]] = np.repeat(np.arange(len(self.triangles), dtype=np.int32), 3)[::-1]
+        return out
+
+
+def _by_cell(cell: np.ndarray, values: np.ndarray, count: int) -> Any:
+    """A function from cell numbers to all values in these cells."""
+    order = np.argsort(cell, kind="stable")
+    sorted_values = values[order]
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=count))])
+
+    def pick(cells: np.ndarray) -> np.ndarray:
+        return sorted_values[_ranges(start[cells], start[cells + 1])]
+
+    return pick

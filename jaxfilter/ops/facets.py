@@ -1,0 +1,132 @@
+"""Tests of points against the facets of a triangulation: the kernel that all TIN methods share.
+
+For a point p in a facet with vertices A, B, C: n is the unit normal, turned so that it points up; the signed distance is
+d = (p - A) . n, positive above; l is the 3-D distance to the nearest vertex and the angle is arcsin(d / l). That angle to
+the nearest vertex (Zhang & Lin 2013; Li et al. 2021, eq. 3) is also the largest of the three angles to the vertices
+(Axelsson 2000), since d is the same for all. The elevation is that of p over the highest vertex (Li et al. 2021, eq. 2).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..core.result import Decision
+
+_FLAT_AREA = 1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
+
+
+class Rule(NamedTuple):
+    """Thresholds of one densification; f32 scalars (or, under vmap, arrays). Infinity switches a test off.
+
+    Attributes:
+        max_angle: degrees, angle between facet and the line to its nearest vertex.
+        max_elevation: metres over the highest vertex of the facet.
+        max_distance: metres from the plane of the facet.
+        max_below: metres below the plane, measured vertically, at which a point is too low.
+        noise_floor: metres; a point this close to the plane, measured vertically, is accepted whatever its angle. Negative = off.
+        signed: 1 = points below the facet pass the tests of angle and distance; 0 = both sides are limited.
+    """
+
+    max_angle: float | jax.Array = jnp.inf
+    max_elevation: float | jax.Array = jnp.inf
+    max_distance: float | jax.Array = jnp.inf
+    max_below: float | jax.Array = jnp.inf
+    noise_floor: float | jax.Array = -1.0
+    signed: float | jax.Array = 0.0
+
+
+class FacetScore(NamedTuple):
+    """Quantities of points over their facets, each of the shape of the points without the last axis; metres and degrees."""
+
+    distance: jax.Array  # d: signed, perpendicular
+    height: jax.Array  # signed, vertical
+    angle: jax.Array  # theta: signed
+    elevation: jax.Array  # v: over the highest vertex
+    slope: jax.Array  # of the facet, 0..90
+    planar: jax.Array  # bool: the facet has a plane that is not vertical
+
+
+class Verdict(NamedTuple):
+    """Outcome of the tests per point: whether it passed, which test decided (Decision) and by how much (margin)."""
+
+    accepted: jax.Array
+    decision: jax.Array
+    margin: jax.Array
+    score: FacetScore
+
+
+def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
+    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres."""
+    a, b, c = corners[0] - p, corners[1] - p, corners[2] - p  # exact in float32 for quantised coordinates
+    u, v = b - a, c - a
+    n = jnp.cross(u, v)
+    n = jnp.where(n[2] < 0, -n, n)
+    size = jnp.sqrt(jnp.dot(n, n))
+    longest = jnp.maximum(jnp.maximum(jnp.dot(u, u), jnp.dot(v, v)), jnp.dot(v - u, v - u))
+    planar = (size * size > _FLAT_AREA * longest * longest) & (n[2] > 1e-6 * size)
+    n = n / jnp.where(planar, size, 1.0)
+    nearest = jnp.sqrt(jnp.minimum(jnp.minimum(jnp.dot(a, a), jnp.dot(b, b)), jnp.dot(c, c)))
+    distance = -jnp.dot(a, n)
+    sine = jnp.where(nearest > 0, distance / jnp.where(nearest > 0, nearest, 1.0), 0.0)
+    return FacetScore(
+        distance=distance,
+        height=distance / jnp.where(planar, n[2], 1.0),
+        angle=jnp.degrees(jnp.arcsin(jnp.clip(sine, -1.0, 1.0))),
+        elevation=-jnp.maximum(jnp.maximum(a[2], b[2]), c[2]),
+        slope=jnp.degrees(jnp.arctan2(jnp.hypot(n[0], n[1]), n[2])),
+        planar=planar,
+    )
+
+
+def judge_one(rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
+    """Apply a rule to one point f32[3] over one facet f32[3, 3].
+
+    ``two_sided`` (bool) tests the point on both sides of the facet whatever the rule says, and holds its distance to the
+    limit of elevation as well: for points that were kept out of the seeds as suspected low outliers.
+    """
+    s = facet_score(p, corners)
+    one_sided = (jnp.asarray(rule.signed) > 0) & ~two_sided
+    angle = jnp.where(one_sided, s.angle, jnp.abs(s.angle))
+    distance = jnp.where(one_sided, s.distance, jnp.abs(s.distance))
+    over_angle = angle - rule.max_angle
+    over_height = jnp.maximum(s.elevation - rule.max_elevation, distance - rule.max_distance)
+    over_height = jnp.where(two_sided, jnp.maximum(over_height, distance - rule.max_elevation), over_height)
+    too_low = -s.height - rule.max_below
+    near = jnp.abs(s.height) <= rule.noise_floor
+    passed = (over_angle <= 0) & (over_height <= 0) & (too_low <= 0)
+    accepted = s.planar & (passed | near)
+    decision = jnp.where(
+        accepted,
+        jnp.where(passed, Decision.ACCEPTED, Decision.NOISE_FLOOR),
+        jnp.where(too_low > 0, Decision.LOW, jnp.where(over_height > 0, Decision.ELEVATION, Decision.ANGLE)),
+    ).astype(jnp.uint8)
+    margin = jnp.where(
+        near & ~passed,
+        jnp.abs(s.height) - rule.noise_floor,
+        jnp.where(too_low > 0, too_low, jnp.where(over_height > 0, over_height, over_angle)),
+    )
+    return Verdict(accepted, decision, margin, s)
+
+
+@jax.jit
+def judge(rule: Rule, two_sided: jax.Array, points: jax.Array, corners: jax.Array) -> Verdict:
+    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; ``two_sided``: bool[N]. Arrays of N come back."""
+    return jax.vmap(judge_one, in_axes=(None, 0, 0, 0))(rule, two_sided, points, corners)
+
+
+@jax.jit
+def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
+    """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3] in the plane; the elevation stays.
+
+    ``about_highest`` (bool scalar): about the highest vertex (Zhang & Lin 2013), else about the nearest in 3-D (Axelsson 2000).
+    """
+
+    def one(p: jax.Array, facet: jax.Array) -> jax.Array:
+        near = jnp.argmin(jnp.sum((facet - p) ** 2, axis=1))
+        v = facet[jnp.where(about_highest, jnp.argmax(facet[:, 2]), near)]
+        return jnp.stack([2 * v[0] - p[0], 2 * v[1] - p[1], p[2]])
+
+    return jax.vmap(one)(points, corners)

@@ -1,0 +1,183 @@
+"""Densification against a plain loop that triangulates everything anew in every round."""
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay, cKDTree
+
+from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.points import canonical_points
+from jaxfilter.core.result import Decision
+from jaxfilter.host.tin import perturbed
+from jaxfilter.ops.facets import Rule
+from jaxfilter.stages.densify import Mirror, densify
+from jaxfilter.stages.network import block_networks, border_positions, one_network
+
+
+def scene(seed=0, n=4000, side=90.0):
+    """A slope with a scarp, houses and bushes; rounded to decimetres so that positions coincide and are cocircular."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, side, (n, 2)).round(1)
+    z = 0.1 * xy[:, 0] + np.sin(xy[:, 1] / 12) + np.where(xy[:, 0] > 60, 3.0, 0.0) + rng.normal(0, 0.03, n)
+    house = (np.abs(xy[:, 0] - 30) < 8) & (np.abs(xy[:, 1] - 40) < 10)
+    bush = rng.random(n) < 0.2
+    z = z + np.where(house, 6.0, 0.0) + np.where(bush & ~house, rng.uniform(0, 2, n), 0.0)
+    return canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
+
+
+def seeds_of(points, barred=None, cell=15.0):
+    """Lowest point of each cell that is not barred."""
+    key = np.floor(points.xyz[:, 0] / cell) * 1000 + np.floor(points.xyz[:, 1] / cell)
+    order = np.lexsort((np.arange(len(points)), points.xyz[:, 2], key))
+    if barred is not None:
+        order = order[~barred[order]]
+    return np.sort(order[np.append(True, np.diff(key[order]) != 0)])
+
+
+def network_of(points, late=None):
+    late = np.zeros(len(points), bool) if late is None else late
+    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
+    return one_network(points, seeds_of(points, late), border, late)
+
+
+def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refresh=True, mirror=None):
+    """The same method without any of the machinery: float64, one triangulation and all open points in every round."""
+    xyz = net.xyz.astype(np.float64)
+    xy = perturbed(net.xyz)
+    ground = net.seed.copy()
+    virtual = np.flatnonzero(net.row < 0)
+    while True:
+        rows = np.flatnonzero(ground)
+        _, at = np.unique(net.xyz[rows, :2], axis=0, return_index=True)  # canonical order: the lowest at each position
+        vertices = rows[np.sort(at)]
+        if refresh:
+            real = vertices[net.row[vertices] >= 0]
+            xyz[virtual, 2] = xyz[real[cKDTree(xy[real]).query(xy[virtual])[1]], 2]
+        mesh = Delaunay(xy[vertices])
+        open_ = np.flatnonzero(net.open & ~ground)
+
+        def judge(p, where, mesh=mesh, vertices=vertices):
+            f = xyz[vertices[mesh.simplices[where]]]
+            n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
+            n *= (np.sign(n[:, 2]) / np.linalg.norm(n, axis=1))[:, None]
+            d = ((p - f[:, 0]) * n).sum(1)
+            gap = np.linalg.norm(f - p[:, None], axis=2)
+            sine = np.divide(d, gap.min(1), out=np.zeros_like(d), where=gap.min(1) > 0)
+            angle, v = np.degrees(np.arcsin(np.clip(sine, -1, 1))), p[:, 2] - f[:, :, 2].max(1)
+            if not signed:
+                d, angle = np.abs(d), np.abs(angle)
+            return (angle <= max_angle) & (v <= max_elevation) & (d <= max_distance), f, n
+
+        where = mesh.find_simplex(xy[open_])
+        ok, f, n = judge(xyz[open_], where)
+        if mirror is not None:
+            steep = np.flatnonzero(np.degrees(np.arccos(n[:, 2])) > mirror.slope)
+            top = f[steep, f[steep, :, 2].argmax(1)]
+            image = np.column_stack([2 * top[:, :2] - xyz[open_[steep], :2], xyz[open_[steep], 2]])
+            there = mesh.find_simplex(image[:, :2])
+            steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
+            second = judge(image, there)[0]
+            ok[steep] = (ok[steep] | second) if mirror.mode == "or" else second
+        if not ok.any():
+            return ground
+        ground[open_[ok]] = True
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("refresh", [False, True])
+def test_signed_rule_equals_plain_loop(seed, refresh):
+    net = network_of(scene(seed))
+    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1), refresh_border=refresh)
+    assert out.converged
+    expected = plain(net, 15, 0.9, refresh=refresh)
+    assert 0.4 < expected[net.row >= 0].mean() < 0.95
+    assert (out.ground != expected).sum() <= 2  # float32 against float64 at a threshold
+
+
+@pytest.mark.parametrize("mode", ["replace", "or"])
+def test_two_sided_rule_with_mirroring_equals_plain_loop(mode):
+    net = network_of(scene(2))
+    mirror = Mirror(20.0, "highest", mode)
+    out = densify(net, Rule(max_angle=12, max_distance=0.8), mirror=mirror)
+    expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
+    assert (out.ground != expected).sum() <= 4
+    without = densify(net, Rule(max_angle=12, max_distance=0.8))
+    assert (out.ground != without.ground).sum() > 10
+
+
+def test_blocks_are_independent_and_equal_a_plain_loop_on_each():
+    points = scene(3)
+    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
+    net = block_networks(
+        points, seeds_of(points), border, np.zeros(len(points), bool), size=30.0, overlap=5.0, reach=63.6
+    )
+    assert int(net.sheet[-1]) == 8
+    opened = np.bincount(net.row[net.open], minlength=len(points))
+    assert opened.min() == 1 and opened.max() == 4
+    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1), refresh_border=True)
+    for sheet in (0, 4, 8):
+        part = net.sheet == sheet
+        single = type(net)(*(getattr(net, f)[part] for f in ("xyz", "sheet", "row", "seed", "open", "late")))
+        assert (out.ground[part] != plain(single, 15, 0.9)).sum() <= 1
+
+
+def test_threads_and_trace_do_not_change_labels():
+    net = network_of(scene(4))
+    rule = Rule(max_angle=15, max_elevation=0.9, signed=1)
+    one = densify(net, rule, workers=1)
+    two = densify(net, rule, workers=3, keep_labels=True)
+    assert (one.ground == two.ground).all()
+    counts = [step["ground"].sum() for step in two.trace]
+    assert counts == sorted(counts) and (two.trace[-1]["ground"] == two.ground).all()
+    assert sum(step["accepted"] for step in one.trace) == (one.ground & ~net.seed).sum()
+
+
+def test_heights_are_over_the_final_surface():
+    net = network_of(scene(5))
+    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1))
+    lowest = np.flatnonzero(out.ground)
+    _, at = np.unique(net.xyz[lowest, :2], axis=0, return_index=True)
+    vertices = lowest[np.sort(at)]
+    mesh = Delaunay(perturbed(net.xyz)[vertices])
+    others = np.flatnonzero(~out.ground)
+    where = mesh.find_simplex(perturbed(net.xyz)[others])
+    f = net.xyz[vertices[mesh.simplices[where]]].astype(float)
+    n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
+    height = ((net.xyz[others] - f[:, 0]) * n).sum(1) / n[:, 2]
+    np.testing.assert_allclose(out.height[others], height, atol=2e-3)
+    assert np.abs(out.height[vertices]).max() == 0
+
+
+def test_vertex_spacing_keeps_one_vertex_per_square_and_nearly_the_labels():
+    points = scene(6, n=20000)
+    net = network_of(points)
+    rule = Rule(max_angle=15, max_elevation=0.9, noise_floor=0.1, signed=1)
+    dense, thin = densify(net, rule), densify(net, rule, vertex_spacing=1.5)
+    assert thin.vertices <= 60 * 60 + 100 < dense.vertices
+    assert (thin.ground != dense.ground).mean() < 0.03
+
+
+def test_late_points_wait_and_must_lie_near_the_surface():
+    points = scene(7)
+    pit = np.flatnonzero((np.abs(points.xyz[:, 0] - 15) < 4) & (np.abs(points.xyz[:, 1] - 70) < 4))[:6]
+    points.xyz[pit[:3], 2] -= 6.0  # suspected, rightly
+    late = np.zeros(len(points), bool)
+    late[pit] = True
+    out = densify(network_of(points, late), Rule(max_angle=15, max_elevation=0.9, signed=1))
+    assert not out.ground[pit[:3]].any()
+    assert out.ground[pit[3:]].any()
+    assert out.decision[pit[0]] in (Decision.ANGLE, Decision.ELEVATION)
+
+
+def test_the_lowest_of_coinciding_points_is_the_vertex():
+    points = scene(8)
+    twin = np.flatnonzero((np.diff(points.xyz[:, 0]) == 0) & (np.diff(points.xyz[:, 1]) == 0))
+    assert len(twin) > 5
+    out = densify(network_of(points), Rule(max_angle=15, max_elevation=0.9, signed=1, noise_floor=0.05))
+    both = twin[out.ground[twin] & out.ground[twin + 1]]
+    assert len(both)
+    assert (out.height[both] == 0).all() and (out.height[both + 1] > 0).all()
+
+
+def test_round_limit_is_reported():
+    out = densify(network_of(scene(9)), Rule(max_angle=15, max_elevation=0.9, signed=1), max_rounds=2)
+    assert not out.converged and len(out.trace) == 2
