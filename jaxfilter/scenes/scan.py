@@ -1,0 +1,190 @@
+"""The flight: where pulses meet the ground, strip by strip, and the echoes that come back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .lattice import Layer, uniform
+from .layouts import Kind
+from .objects import Town, Woods, bridge_deck
+from .terrain import Patch
+
+_LINE_RATIO = 1.25  # distance of scan lines over distance of pulses within a line
+_HEADING = math.radians(8)  # flight direction, clockwise from north
+_CHUNK_PULSES = 400_000
+_CHUNK_LENGTH = 800.0
+_FOOTPRINT = 0.2  # metres; radius of the beam on the ground
+_CLUSTER_CELL = 50.0
+_CLUSTER_SHARE = 0.8  # of the pulses inside a low cluster
+_CLUSTER_REACH = 12.0
+DEPTH = (2.0, 30.0)
+"""Metres below the terrain between which low outliers lie."""
+
+
+class Pulses(NamedTuple):
+    """Pulses of a stretch of a strip in the order of time: x and y f64[n] in the scene's frame, and their generator."""
+
+    x: np.ndarray
+    y: np.ndarray
+    rng: np.random.Generator
+
+
+class Echoes(NamedTuple):
+    """Echoes [n] in the order of time, of each pulse from the first to the last."""
+
+    xyz: np.ndarray
+    kind: np.ndarray
+    number: np.ndarray
+    total: np.ndarray
+
+
+def pulses(
+    size: tuple[float, float], density: float, seed: int, pattern: str, swath: float, overlap: float, step: float
+) -> Iterator[Pulses]:
+    """All pulses over a scene in chunks. Positions are multiples of ``step`` metres; parameters as for ``make``."""
+    forward, right = (math.sin(_HEADING), math.cos(_HEADING)), (math.cos(_HEADING), -math.sin(_HEADING))
+    corners = np.array([(0, 0), (size[0], 0), (0, size[1]), size])
+    across, along = corners @ np.array(right), corners @ np.array(forward)
+    pitch = swath * (1 - overlap)
+    per_line = max(2, round(swath * math.sqrt(density * (1 - overlap) * _LINE_RATIO)))
+    spacing = swath / per_line
+    line_spacing = 1 / (density * (1 - overlap) * spacing)
+    lines_per_chunk = max(1, min(_CHUNK_PULSES // per_line, int(_CHUNK_LENGTH / line_spacing)))
+    first_line, last_line = (math.floor(v / line_spacing) + o for v, o in ((along.min(), -1), (along.max(), 1)))
+    sweep = (np.arange(per_line) + 0.5) / per_line
+    for strip in range(math.floor((across.min() - swath) / pitch), math.ceil(across.max() / pitch) + 1):
+        for start in range(first_line, last_line + 1, lines_per_chunk):
+            line = np.arange(start, min(start + lines_per_chunk, last_line + 1))
+            rng = np.random.default_rng((seed, Layer.PULSES, strip & 0xFFFFFFFF, start & 0xFFFFFFFF))
+            position = np.broadcast_to(sweep, (len(line), per_line))
+            if pattern == "zigzag":
+                position = np.where((line % 2 == 1)[:, None], position[:, ::-1], position)
+            jitter = rng.standard_normal((2, len(line), per_line)) * (0.1 * spacing)
+            a = strip * pitch + swath * position + jitter[0]
+            b = (line[:, None] + sweep) * line_spacing + jitter[1]
+            x = np.rint((a * right[0] + b * forward[0]) / step) * step
+            y = np.rint((a * right[1] + b * forward[1]) / step) * step
+            inside = (x >= 0) & (x <= size[0]) & (y >= 0) & (y <= size[1])
+            if inside.any():
+                yield Pulses(x[inside], y[inside], rng)
+
+
+def echoes(patch: Patch, shot: Pulses, noise: float, density: float) -> Echoes:
+    """The echoes of pulses over a patch.
+
+    A pulse passes crowns, and at a roof's edge half of it passes the roof; the first solid thing below ends it. Ranging
+    noise is one draw per pulse, so the echoes of a pulse stay in order.
+    """
+    layout, (x, y, rng) = patch.layout, shot
+    n = len(x)
+    surface = patch(x, y)
+    town = Town(patch)
+    plot = town.locate(x, y)
+    woods = Woods(patch, town)
+    z, kind = surface.z.copy(), np.full(n, Kind.GROUND, np.uint8)
+
+    def stand(height: np.ndarray, what: Kind) -> None:
+        on = np.flatnonzero(height > 0)
+        z[on] += height[on]
+        kind[on] = what
+
+    growth = woods.undergrowth(x, y) * rng.uniform(0.2, 1.0, n) * (rng.random(n) < 0.7)
+    stand(np.where((growth > 0.1) & ~surface.water & ~town.paved(plot), growth, 0), Kind.LOW_VEGETATION)
+    free = surface.undisturbed & ~surface.water & (kind == Kind.GROUND)
+    stand(np.where(free, town.wall(plot), 0), Kind.WALL)
+    stand(np.where(free, town.car(plot), 0), Kind.CAR)
+    roof = town.roof(plot)
+    facade = np.flatnonzero((roof.edge < 0) & (roof.edge > -0.3))
+    facade = facade[rng.random(len(facade)) < 0.4]
+    z[facade] = rng.uniform(surface.z[facade] + 0.3, roof.eave[facade])
+    kind[facade] = Kind.WALL
+
+    upper = np.full(n, np.nan)  # a roof of which only the edge is hit
+    on = np.flatnonzero(np.isfinite(roof.z))
+    edge = on[(roof.edge[on] < _FOOTPRINT) & (rng.random(len(on)) < 0.5)]
+    upper[edge] = roof.z[edge]
+    whole = np.setdiff1d(on, edge, assume_unique=True)
+    z[whole], kind[whole] = roof.z[whole], Kind.BUILDING
+    z[edge], kind[edge] = surface.z[edge], Kind.GROUND
+    deck = bridge_deck(patch, x, y)
+    on = np.flatnonzero(deck > surface.z + 0.5)
+    z[on], kind[on], upper[on] = deck[on], Kind.BRIDGE, np.nan
+
+    last = np.where(surface.water & (kind == Kind.GROUND), np.nan, z)
+    _strike_low(patch, shot, surface.z, last, kind, density)
+    highest = np.fmax(z, upper)
+    crowns = _crown_echoes(woods, shot, highest, last, layout.penetration)
+    bird = np.full(n, np.nan)
+    up = np.flatnonzero(rng.random(n) < layout.high_outliers)
+    bird[up] = highest[up] + 20 * 50 ** rng.random(len(up))
+    columns = [bird, *crowns, upper, last]
+    kinds = np.empty((n, len(columns)), np.uint8)
+    kinds[:] = [Kind.HIGH_OUTLIER, *[Kind.HIGH_VEGETATION] * len(crowns), Kind.BUILDING, Kind.GROUND]
+    kinds[:, -1] = kind
+
+    levels = np.stack(columns, axis=1)
+    levels += (noise * rng.standard_normal(n))[:, None]
+    there = np.isfinite(levels)
+    pulse, _ = np.nonzero(there)
+    xyz = np.stack([x[pulse], y[pulse], levels[there]], axis=1)
+    number = np.cumsum(there, axis=1, dtype=np.uint8)
+    total = number[pulse, -1]
+    return Echoes(xyz, kinds[there], number[there], total)
+
+
+def _crown_echoes(
+    woods: Woods, shot: Pulses, solid: np.ndarray, last: np.ndarray, penetration: float
+) -> list[np.ndarray]:
+    """Up to three echoes in crowns, f64[n] each with NaN for none; takes away ``last`` where nothing came through."""
+    crown = woods.crown(shot.x, shot.y)
+    out = [np.full(len(solid), np.nan) for _ in range(3)]
+    hit = np.flatnonzero(crown.top > solid + 2)
+    rng, bottom = shot.rng, np.maximum(crown.bottom[hit], solid[hit] + 1)
+    level = crown.top[hit] - rng.exponential(0.5, len(hit))
+    for k, column in enumerate(out):
+        inside = level > bottom
+        hit, level, bottom = hit[inside], level[inside], bottom[inside]
+        column[hit] = level
+        if k == 0:
+            last[hit[rng.random(len(hit)) > penetration]] = np.nan
+        goes_on = rng.random(len(hit)) < 0.45
+        hit, level, bottom = hit[goes_on], level[goes_on], bottom[goes_on]
+        level = level - 1.0 - rng.exponential(2.5, len(hit))
+    return out
+
+
+def _strike_low(
+    patch: Patch, shot: Pulses, terrain: np.ndarray, last: np.ndarray, kind: np.ndarray, density: float
+) -> None:
+    """Put last echoes below the terrain, singly and in clusters as multipath makes them."""
+    layout, (x, y, rng) = patch.layout, shot
+    n, (shallow, deep) = len(x), DEPTH
+    struck = np.flatnonzero(rng.random(n) < layout.low_outliers)
+    depth = shallow * (deep / shallow) ** rng.random(len(struck))
+    last[struck], kind[struck] = terrain[struck] - depth, Kind.LOW_OUTLIER
+    if not layout.low_clusters:
+        return
+    i, j = (np.floor(v / _CLUSTER_CELL).astype(np.intp) for v in (x, y))
+    i0, j0 = int(i.min()), int(j.min())
+    i -= i0
+    j -= j0
+    draw = uniform(patch.seed, Layer.LOW_CLUSTERS, i0, j0, int(i.max()) + 1, int(j.max()) + 1, fields=5)
+    present = draw[..., 0] < layout.low_clusters * _CLUSTER_CELL**2 * 1e-6
+    near = np.flatnonzero(present[i, j])
+    i, j = i[near], j[near]
+    cell = draw[i, j]
+    count = 3 * (100 / 3) ** cell[:, 1]
+    radius = np.minimum(np.sqrt(count / (_CLUSTER_SHARE * math.pi * density)), _CLUSTER_REACH)
+    margin = _CLUSTER_REACH / _CLUSTER_CELL
+    centre = margin + (1 - 2 * margin) * cell[:, 2:4]
+    dx = x[near] - (i0 + i + centre[:, 0]) * _CLUSTER_CELL
+    dy = y[near] - (j0 + j + centre[:, 1]) * _CLUSTER_CELL
+    away = np.hypot(dx, dy)
+    member = (away < radius) & (rng.random(len(near)) < _CLUSTER_SHARE)
+    near, cell = near[member], cell[member]
+    depth = shallow * (deep / shallow) ** cell[:, 4] * (1 + 0.08 * rng.standard_normal(len(near)))
+    last[near], kind[near] = terrain[near] - np.clip(depth, shallow, deep), Kind.LOW_OUTLIER

@@ -1,0 +1,201 @@
+"""Scenes: a cloud, the truth about each of its points, and the terrain it was taken from."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import numbers
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import PointCloud
+from ..core.errors import ParameterError
+from ..core.grid import Grid, grid_over
+from .lattice import box_of
+from .layouts import ASPRS, LAYOUTS, Kind, Layout
+from .scan import echoes, pulses
+from .terrain import Terrain
+
+_TILE = 1024.0
+ROUNDING = (0.01, 0.001)
+"""Coordinate steps in metres that a scene may have."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scene:
+    """A simulated survey. Arrays have length n, in the order of time, echoes of a pulse from first to last.
+
+    Attributes:
+        layout: what stands in it.
+        seed: of every random choice.
+        size: east-west and north-south extent, metres.
+        origin: f64[3], metres: easting and northing of the lower left corner, and what is added to elevations.
+        xyz: f64[n, 3], projected coordinates, metres.
+        kind: u8[n], see :class:`Kind`.
+        return_number, number_of_returns: u8[n].
+    """
+
+    layout: Layout
+    seed: int
+    size: tuple[float, float]
+    origin: np.ndarray
+    xyz: np.ndarray
+    kind: np.ndarray
+    return_number: np.ndarray
+    number_of_returns: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def __repr__(self) -> str:
+        share = 100 * float(self.truth.mean()) if len(self) else float("nan")
+        width, height = self.size
+        return f"Scene({len(self)} points on {width:g} x {height:g} m, {share:.1f} % ground, seed {self.seed})"
+
+    @functools.cached_property
+    def truth(self) -> np.ndarray:
+        """bool[n]: ground."""
+        return self.kind == Kind.GROUND
+
+    @functools.cached_property
+    def classes(self) -> np.ndarray:
+        """u8[n]: the ASPRS class each point ought to have."""
+        return ASPRS[self.kind]
+
+    @functools.cached_property
+    def cloud(self) -> PointCloud:
+        """The cloud as delivered before classification: class 0 throughout, and the truth as its reference."""
+        return PointCloud.from_arrays(
+            self.xyz,
+            return_number=self.return_number,
+            number_of_returns=self.number_of_returns,
+            classification=np.zeros(len(self), np.uint8),
+            reference=self.truth,
+            name="scene",
+        )
+
+    @functools.cached_property
+    def _terrain(self) -> Terrain:
+        return Terrain(self.layout, self.seed)
+
+    def terrain(self, x: Any, y: Any) -> np.ndarray:
+        """Elevation of the bare terrain, without noise, f64 of the broadcast shape, at projected x and y in metres.
+
+        Under buildings, bridges and water it is the ground or the bed below. It is the function that the points were
+        made with, and is defined beyond the scene as well.
+        """
+        return self._survey(x, y)[0] + self.origin[2]
+
+    def water(self, x: Any, y: Any) -> np.ndarray:
+        """Whether there is water, bool of the broadcast shape, at projected x and y in metres."""
+        return self._survey(x, y)[1]
+
+    def _survey(self, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Elevation above the datum and whether there is water, of the broadcast shape of projected x and y."""
+        bx, by = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        fx, fy = bx.ravel() - self.origin[0], by.ravel() - self.origin[1]
+        z, water = np.empty(len(fx)), np.empty(len(fx), bool)
+        tile = np.floor(fx / _TILE) * 2.0**24 + np.floor(fy / _TILE)
+        order = np.argsort(tile, kind="stable")
+        for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1) if len(order) else []:
+            surface = self._terrain.patch(box_of(fx[part], fy[part]))(fx[part], fy[part])
+            z[part], water[part] = surface.z, surface.water
+        return z.reshape(bx.shape), water.reshape(bx.shape)
+
+    def terrain_grid(self, cell: float) -> tuple[np.ndarray, Grid]:
+        """The bare terrain at the centres of the cells of the cloud's own grid.
+
+        Returns elevations f64[ny, nx] (projected frame, metres; row 0 is the southern edge) and the grid, in the local
+        frame of ``cloud``. Raises: ParameterError for a cell that is not positive, InputError for one that is too fine.
+        """
+        if not (_is_number(cell) and cell > 0):
+            raise ParameterError(f"terrain_grid(cell={cell!r}): must be > 0 m")
+        cloud = self.cloud
+        grid = grid_over(cloud.xyz, cell, cloud.grid_offset(cell))
+        x = cloud.origin[0] + grid.x0 + (np.arange(grid.nx) + 0.5) * cell
+        y = cloud.origin[1] + grid.y0 + (np.arange(grid.ny) + 0.5) * cell
+        return self.terrain(x[None, :], y[:, None]), grid
+
+
+def make(
+    layout: str | Layout = "mixed",
+    *,
+    size: float | tuple[float, float] = (400.0, 300.0),
+    density: float = 4.0,
+    seed: int = 0,
+    noise: float = 0.03,
+    pattern: str = "parallel",
+    swath: float = 600.0,
+    overlap: float = 0.0,
+    rounding: float = 0.01,
+    origin: tuple[float, float, float] = (512_000.0, 5_403_000.0, 350.0),
+) -> Scene:
+    """Simulate an airborne lidar survey. The same arguments give the same scene, bit for bit.
+
+    Terrain and objects depend on the layout and the seed alone; extent, density and flight only decide where they are
+    sampled, so one place can be surveyed twice.
+
+    Args:
+        layout: the name of a ready layout (see :data:`LAYOUTS`) or a :class:`Layout`.
+        size: east-west and north-south extent in metres; one number for a square.
+        density: pulses per square metre, 0.1 to 50. Every pulse has one last (or only) echo, except over water;
+            vegetation and roof edges add echoes before it.
+        seed: of every random choice, 0 or more.
+        noise: standard deviation of the ranging noise in elevation, metres, 0 to 0.5.
+        pattern: ``"parallel"`` scan lines, as of a rotating mirror, or ``"zigzag"``, as of an oscillating one.
+        swath: width of a flight strip, metres, at least 50.
+        overlap: share of the swath that neighbouring strips have in common, 0 to 0.6; the mean density stays as asked.
+        rounding: step of the coordinates, 0.01 or 0.001 m.
+        origin: easting and northing of the lower left corner, and what is added to elevations; metres, rounded to
+            whole steps of ``rounding``.
+
+    Raises: ParameterError for an unknown name or a value out of range.
+    """
+    if isinstance(layout, str):
+        if layout not in LAYOUTS:
+            raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a Layout")
+        layout = LAYOUTS[layout]
+    elif not isinstance(layout, Layout):
+        raise ParameterError(f"make(layout={layout!r}): must be a Layout or one of {', '.join(LAYOUTS)}")
+    width, height = (size, size) if _is_number(size) else _tuple("size", size, 2)
+    for name, value in (("size", width), ("size", height)):
+        _check(name, value, 1, 100_000, "m")
+    _check("density", density, 0.1, 50, "pulses per square metre")
+    _check("noise", noise, 0, 0.5, "m")
+    _check("swath", swath, 50, 5000, "m")
+    _check("overlap", overlap, 0, 0.6, "")
+    if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
+        raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
+    if pattern not in ("parallel", "zigzag"):
+        raise ParameterError(f"make(pattern={pattern!r}): choose one of 'parallel', 'zigzag'")
+    if rounding not in ROUNDING:
+        raise ParameterError(f"make(rounding={rounding!r}): choose one of {', '.join(map(str, ROUNDING))} m")
+    corner = np.rint(np.array(_tuple("origin", origin, 3), np.float64) / rounding) * rounding
+
+    terrain = Terrain(layout, int(seed))
+    parts = []
+    for shot in pulses((width, height), density, int(seed), pattern, swath, overlap, rounding):
+        part = echoes(terrain.patch(box_of(shot.x, shot.y)), shot, noise, density)
+        part.xyz[:] = np.rint((part.xyz + corner) / rounding) * rounding
+        parts.append(part)
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Scene(layout, int(seed), (float(width), float(height)), corner, *columns)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _check(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    if not (_is_number(value) and low <= value <= high):
+        raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g} {unit}".rstrip())
+
+
+def _tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != length or not all(
+        _is_number(v) and math.isfinite(v) for v in value
+    ):
+        raise ParameterError(f"make({name}={value!r}): must be {length} finite numbers")
+    return tuple(value)

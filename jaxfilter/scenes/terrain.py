@@ -1,0 +1,242 @@
+"""The bare terrain of a scene: a fractal surface, and what people and rivers have cut into it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+
+from .lattice import SPLINE_STD, Box, Layer, Sheet, refine, smooth_noise, smoothstep, uniform
+from .layouts import Layout
+
+MARGIN = 170.0
+"""Metres around a patch that objects at its edge may need: the diagonal of a town quarter, a pit's radius."""
+PERIOD = 520.0
+"""Metres across the course after which the linear features recur."""
+
+_FINEST = 1  # detail down to nodes of 2 m; a node spacing of 1 m is interpolated from it
+_CUTTING, _PIT, _SCARP, _RIVER, _EMBANKMENT = 60.0, 205.0, 325.0, 400.0, 465.0  # where in the period they lie
+_PIT_PERIOD = 400.0
+_BENCH_HEIGHT, _BENCH_WIDTH = 9.0, 12.0
+
+
+class Surface(NamedTuple):
+    """Terrain at points, each of shape [n]: ``z`` f64 metres; ``undisturbed``: no earthworks there; ``water``: bool."""
+
+    z: np.ndarray
+    undisturbed: np.ndarray
+    water: np.ndarray
+
+
+class Course(NamedTuple):
+    """Coordinates along and across the meandering course, and how much longer a metre across is than the distance."""
+
+    along: np.ndarray
+    across: np.ndarray
+    stretch: np.ndarray
+
+    def line(self, offset: float) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance to the nearest line of a feature at ``offset`` in the period, and the number of that line."""
+        t = self.across - offset
+        k = np.rint(t / PERIOD)
+        return (t - PERIOD * k) / self.stretch, k
+
+
+class Terrain:
+    """The terrain that a layout and a seed stand for, in the scene's frame (metres from its lower left corner)."""
+
+    def __init__(self, layout: Layout, seed: int) -> None:
+        self.layout, self.seed = layout, seed
+        rng = np.random.default_rng((seed, Layer.COURSE))
+        self._azimuth = rng.uniform(-0.2, 0.2)
+        self._phase = rng.uniform(0, 2 * math.pi, 2)
+        self._aspect = rng.uniform(0, 2 * math.pi)
+
+    def patch(self, box: Box) -> Patch:
+        """The terrain over a box and :data:`MARGIN` around it."""
+        return Patch(self, (box[0] - MARGIN, box[1] - MARGIN, box[2] + MARGIN, box[3] + MARGIN))
+
+    def course(self, x: np.ndarray, y: np.ndarray) -> Course:
+        """Course coordinates of points, f64[n] each."""
+        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
+        along = c * y + s * x
+        wave, slope = self._meander(along)
+        return Course(along, c * x - s * y - wave, np.sqrt(1 + slope**2))
+
+    def position(self, along: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """x and y f64[n] of course coordinates: the inverse of :meth:`course`."""
+        c, s = math.cos(self._azimuth), math.sin(self._azimuth)
+        t = across + self._meander(along)[0]
+        return s * along + c * t, c * along - s * t
+
+    def _meander(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        wave, slope = np.zeros_like(along), np.zeros_like(along)
+        for amplitude, length, phase in zip((24.0, 5.0), (760.0, 210.0), self._phase, strict=True):
+            k = 2 * math.pi / length
+            wave += amplitude * np.sin(k * along + phase)
+            slope += amplitude * k * np.cos(k * along + phase)
+        return wave, slope
+
+    def slope_plane(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """The general slope, f64[n] metres."""
+        return self.layout.tilt * (math.cos(self._aspect) * x + math.sin(self._aspect) * y)
+
+
+class Patch:
+    """Terrain over one box; every patch that covers a point gives it the same elevation."""
+
+    def __init__(self, terrain: Terrain, box: Box) -> None:
+        self.terrain, self.box = terrain, box
+        self.layout, self.seed = terrain.layout, terrain.seed
+        layout = self.layout
+        self._relief = self._fractal()
+        self.settled = smooth_noise(self.seed, Layer.SETTLEMENT, box, 8)
+        if layout.terraces:
+            self._terraced = smooth_noise(self.seed, Layer.TERRACES, box, 7)
+        if layout.scarp or layout.pit:
+            self._ragged = smooth_noise(self.seed, Layer.ROUGHNESS, box, 4)
+
+    def _fractal(self) -> Sheet:
+        layout = self.layout
+        coarsest = max(round(math.log2(layout.landform)), _FINEST + 1)
+        shares = [2.0 ** (-layout.hurst * (coarsest - level)) for level in range(coarsest, _FINEST - 1, -1)]
+        sigma = layout.relief / 4
+
+        def detail(surface: np.ndarray, white: Callable[[], np.ndarray], level: int) -> np.ndarray:
+            if level < _FINEST:
+                return surface
+            amplitude = sigma * shares[coarsest - level] / math.hypot(*shares) / SPLINE_STD
+            if level == coarsest:
+                return amplitude * white()
+            rough = np.clip(0.7 + 0.4 * surface / max(sigma, 1e-9), 0.25, 1.5)  # crests are rougher than valleys
+            surface = surface + amplitude * rough * white()
+            if level == coarsest - 2 and layout.ridges:
+                surface = (1 - layout.ridges) * surface + layout.ridges * (sigma - 2 * np.abs(surface))
+            return surface
+
+        return refine(self.seed, Layer.RELIEF, self.box, coarsest, 0, detail)
+
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> Surface:
+        """Terrain at x, y f64[n] in the scene's frame."""
+        layout = self.layout
+        course = self.terrain.course(x, y)
+        natural = self.natural(x, y, course)
+        z = natural.copy()
+        water = np.zeros(len(x), bool)
+        if layout.ditches:
+            self._ditch(z, x, y, course)
+        if layout.cutting:
+            self._cut(z, course)
+        if layout.embankment:
+            self._raise(z, course)
+        if layout.pit:
+            self._excavate(z, x, y, course)
+        if layout.river:
+            far = np.abs(course.line(_RIVER)[0]) - layout.river / 2
+            z -= 2.2 * smoothstep((5 - far) / 5)
+            z -= 1.5 * smoothstep(-far / 4)
+            water = far < 0
+        return Surface(z, np.abs(z - natural) < 0.3, water)
+
+    def natural(self, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
+        """f64[n]: landforms, valleys, terraces and scarps, before anything is dug or heaped up."""
+        layout = self.layout
+        z = self._relief(x, y)
+        if layout.river:
+            far = np.abs(course.line(_RIVER)[0]) - layout.river / 2
+            valley = -0.3 * layout.relief
+            z = valley + (z - valley) * (0.03 + 0.97 * smoothstep((far - 6) / 120))
+        if layout.tilt:
+            z = z + self.terrain.slope_plane(x, y)
+        if layout.terraces:
+            worked = smoothstep(2 * self._terraced(x, y) + 3) * self._open_land(x, y)
+            step = z / layout.terraces
+            tread = np.floor(step)
+            rise = step - tread
+            z += layout.terraces * worked * (tread + 0.2 * rise + 0.8 * smoothstep((rise - 0.86) / 0.14) - step)
+        if layout.scarp:
+            d = course.line(_SCARP)[0]
+            face = smoothstep((d + 2.5 * self._ragged(x, y)) / (0.7 * layout.scarp) + 0.5)
+            z += layout.scarp * (face - (d * course.stretch / PERIOD + 0.5))  # and gently back over the period
+        return z
+
+    def _open_land(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """f64[n]: 1 well outside settlements, 0 in them."""
+        return smoothstep(3 * (self.settlement_threshold - self.settled(x, y)) - 1)
+
+    def _cut(self, z: np.ndarray, course: Course) -> None:
+        depth = self.layout.cutting
+        d = np.abs(course.line(_CUTTING)[0])
+        z -= depth * np.clip((self.cutting_top - d) / (1.5 * depth), 0, 1)
+
+    def _raise(self, z: np.ndarray, course: Course) -> None:
+        height = self.layout.embankment
+        d = np.abs(course.line(_EMBANKMENT)[0])
+        z += height * np.clip((4 + 1.6 * height - d) / (1.6 * height), 0, 1)
+
+    def _ditch(self, z: np.ndarray, x: np.ndarray, y: np.ndarray, course: Course) -> None:
+        """Ditches side by side on open land; where there is a river, on its floodplain."""
+        depth, spacing = self.layout.ditches, PERIOD / 13
+        t = course.across / spacing + 0.5
+        d = np.abs(t - np.floor(t) - 0.5) * spacing
+        near = d < 0.7 + depth
+        if self.layout.river:
+            near &= np.abs(course.line(_RIVER)[0]) < 110
+        k = np.flatnonzero(near)
+        z[k] -= depth * self._open_land(x[k], y[k]) * np.clip((0.7 + depth - d[k]) / depth, 0, 1)
+
+    def _excavate(self, z: np.ndarray, x: np.ndarray, y: np.ndarray, course: Course) -> None:
+        """Pits worked in benches, which a helical ramp joins, with spoil heaps at both ends."""
+        dt, line = course.line(_PIT)
+        dt = dt * course.stretch
+        row = np.floor(course.along / _PIT_PERIOD)
+        near = np.flatnonzero(np.abs(dt) < 110)
+        if not len(near):
+            return
+        i0, j0 = int(line[near].min()), int(row[near].min())
+        ni, nj = int(line[near].max()) - i0 + 1, int(row[near].max()) - j0 + 1
+        draw = uniform(self.seed, Layer.PITS, i0, j0, ni, nj, fields=4)
+        i, j = np.meshgrid(np.arange(ni), np.arange(nj), indexing="ij")
+        centre_along = (j0 + j + 0.42 + 0.1 * draw[..., 0]) * _PIT_PERIOD
+        at = self.terrain.position(centre_along.ravel(), (_PIT + PERIOD * (i0 + i)).ravel())
+        floor = self.natural(*at, self.terrain.course(*at)).reshape(ni, nj) - self.layout.pit
+        k, m = (line[near] - i0).astype(np.intp), (row[near] - j0).astype(np.intp)
+        radius, phase = 72 + 16 * draw[k, m, 1], 2 * math.pi * draw[k, m, 2]
+        du, dt = course.along[near] - centre_along[k, m], dt[near]
+        angle = np.arctan2(dt, du)
+        outline = radius * (1 + 0.11 * np.sin(2 * angle + phase) + 0.06 * np.sin(3 * angle - 2 * phase))
+        ragged = self._ragged(x[near], y[near])
+        inward = outline - np.hypot(du, dt) + 1.5 * ragged
+        turn = angle / (2 * math.pi)
+        bench = inward / _BENCH_WIDTH + turn
+        whole = np.floor(bench)
+        depth = _BENCH_HEIGHT * (whole + smoothstep((bench - whole) / 0.3) - turn)
+        dug = z[near] - np.maximum(depth, 0) * smoothstep(inward / 3)
+        bottom = np.minimum(floor[k, m] + 0.25 * ragged, z[near])
+        z[near] = np.where(inward > 0, np.maximum(dug, bottom), z[near])
+        heap = np.hypot(0.8 * (np.abs(du) - radius - 34), 0.5 * (dt - 15)) + 1.2 * ragged
+        z[near] += np.maximum(9 - np.hypot(0.7 * heap, 1.5), 0)
+
+    @property
+    def cutting_top(self) -> float:
+        """Half the width of a cutting at the level of the land beside it, metres."""
+        return 7 + 1.5 * self.layout.cutting
+
+    @property
+    def settlement_threshold(self) -> float:
+        """Value of ``settled`` above which land is built up."""
+        return quantile(1 - self.layout.settlement)
+
+    def crossings(self) -> list[tuple[float, float]]:
+        """(offset in the period, half span in metres) of what bridges cross."""
+        layout = self.layout
+        spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
+        return spans + ([(_RIVER, layout.river / 2 + 8)] if layout.river else [])
+
+
+def quantile(share: float) -> float:
+    """Value below which this share of standard normal noise lies; +-9 stands for all and none."""
+    return 9.0 if share >= 1 else -9.0 if share <= 0 else NormalDist().inv_cdf(share)

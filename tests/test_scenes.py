@@ -1,0 +1,355 @@
+"""The simulated surveys: closed forms, counts and invariants."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from jaxfilter import scenes
+from jaxfilter.core.errors import ParameterError
+from jaxfilter.scenes import LAYOUTS, Kind, Layout, lattice
+
+BARE = Layout(relief=20, forest=0, trees=0, low_vegetation=0)
+
+
+@pytest.fixture(scope="module")
+def ready():
+    """One scene of every ready layout."""
+    return {name: scenes.make(name, size=(450, 400), density=2, seed=3) for name in LAYOUTS}
+
+
+def above_terrain(scene):
+    return scene.xyz[:, 2] - scene.terrain(scene.xyz[:, 0], scene.xyz[:, 1])
+
+
+def land_share(scene):
+    """Share of the extent that is not water, on a lattice of its own."""
+    x, y = (scene.origin[k] + np.arange(0.5, scene.size[k], 1.7) for k in (0, 1))
+    return 1 - scene.water(x[:, None], y[None, :]).mean()
+
+
+def last_echoes(scene):
+    return scene.return_number == scene.number_of_returns
+
+
+def components(scene, kind, cell):
+    """Label the 8-connected groups of cells that hold points of a kind: indices of the points, their group."""
+    index = np.flatnonzero(scene.kind == kind)
+    ij = np.floor((scene.xyz[index, :2] - scene.origin[:2]) / cell).astype(int)
+    mask = np.zeros(ij.max(axis=0) + 2, bool)
+    mask[tuple(ij.T)] = True
+    label, _ = ndimage.label(mask, np.ones((3, 3)))
+    return index, label[tuple(ij.T)]
+
+
+def test_every_name_makes_a_scene_with_ground_and_objects(ready):
+    for name, scene in ready.items():
+        assert 0.1 < scene.truth.mean() < 0.95, name
+        assert np.isfinite(scene.xyz).all()
+    assert set(np.unique(ready["mixed"].kind)) == {k.value for k in Kind}
+
+
+@pytest.mark.parametrize("name", ["mixed", "forest"])
+def test_the_same_arguments_give_the_same_bytes(name):
+    def bytes_of(seed):
+        scene = scenes.make(name, size=150, density=3, seed=seed)
+        return [getattr(scene, key).tobytes() for key in ("xyz", "kind", "return_number", "number_of_returns")]
+
+    assert bytes_of(5) == bytes_of(5)
+    assert bytes_of(5) != bytes_of(6)
+
+
+@pytest.mark.parametrize(
+    ("density", "size", "options"),
+    [
+        (0.1, 2000, {}),
+        (1, 700, {"pattern": "zigzag"}),
+        (4, (400, 150), {"swath": 100, "overlap": 0.3}),
+        (50, 60, {}),
+    ],
+)
+def test_density_is_as_asked(density, size, options):
+    scene = scenes.make("mixed", size=size, density=density, **options)
+    measured = last_echoes(scene).sum() / (np.prod(scene.size) * land_share(scene))
+    assert measured == pytest.approx(density, rel=0.1)
+
+
+def test_points_lie_inside_the_extent_on_the_lattice_of_the_rounding():
+    for step in (0.01, 0.001):
+        scene = scenes.make("town", size=(120, 80), rounding=step)
+        local = scene.xyz - scene.origin
+        assert local[:, :2].min() >= -1e-6 and (local[:, :2].max(axis=0) <= np.array([120, 80]) + 1e-6).all()
+        assert np.abs(scene.xyz / step - np.rint(scene.xyz / step)).max() < 1e-5
+    assert np.abs(scene.xyz * 100 - np.rint(scene.xyz * 100)).max() > 0.05  # millimetres are not centimetres
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03, 0.2])
+def test_ground_points_are_terrain_plus_noise(noise):
+    scene = scenes.make("mixed", size=300, noise=noise, rounding=0.001)
+    residual = above_terrain(scene)[scene.truth]
+    assert residual.std() == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)), rel=0.02)
+    assert abs(residual.mean()) < 5 * max(noise, 0.001) / np.sqrt(len(residual))
+
+
+def test_echoes_of_a_pulse_are_complete_and_in_order(ready):
+    for name, scene in ready.items():
+        number, total = scene.return_number.astype(int), scene.number_of_returns.astype(int)
+        assert (number >= 1).all() and (number <= total).all()
+        starts = np.flatnonzero(number == 1)
+        np.testing.assert_array_equal(np.diff(np.append(starts, len(scene))), total[starts], err_msg=name)
+        same = np.arange(len(scene)) - np.repeat(starts, total[starts])
+        np.testing.assert_array_equal(number, same + 1)
+        within = number[1:] > 1
+        assert (np.diff(scene.xyz[:, 2])[within] < 0).all(), name
+        assert (np.diff(scene.xyz[:, :2], axis=0)[within] == 0).all(), name
+        below = np.isin(scene.kind, (Kind.GROUND, Kind.LOW_VEGETATION, Kind.BRIDGE, Kind.CAR, Kind.LOW_OUTLIER))
+        assert (number == total)[below].all(), name
+    assert ready["forest"].number_of_returns.max() >= 4
+
+
+def test_ground_shows_through_a_canopy_as_often_as_asked():
+    layout = Layout(relief=5, forest=1, low_vegetation=0, penetration=0.4)
+    scene = scenes.make(layout, size=200, density=10)
+    hit = scene.kind == Kind.HIGH_VEGETATION
+    under = np.append(False, hit[:-1]) & scene.truth & (scene.return_number > 1)
+    pulses = hit & (scene.return_number == 1)
+    assert under.sum() / pulses.sum() == pytest.approx(0.4, abs=0.02)
+
+
+def test_water_returns_nothing_but_what_stands_over_it(ready):
+    for name in ("city", "mixed", "benchmark"):
+        scene = ready[name]
+        assert 0.01 < 1 - land_share(scene) < 0.3
+        wet = scene.water(scene.xyz[:, 0], scene.xyz[:, 1])
+        over = {Kind.BRIDGE, Kind.HIGH_VEGETATION, Kind.HIGH_OUTLIER, Kind.LOW_OUTLIER}
+        assert set(np.unique(scene.kind[wet])) <= over, name
+        assert wet.mean() < 0.2 * (1 - land_share(scene))
+
+
+def test_terrain_depends_on_neither_density_nor_extent_nor_company():
+    near = scenes.make("mixed", size=100, density=1, seed=9)
+    far = scenes.make("mixed", size=(700, 300), density=0.3, seed=9, noise=0.2)
+    x, y = near.origin[:2, None] + np.random.default_rng(0).uniform(-300, 1500, (2, 400))
+    z = near.terrain(x, y)
+    np.testing.assert_array_equal(z, far.terrain(x, y))
+    np.testing.assert_array_equal(z[:5], [near.terrain(a, b) for a, b in zip(x[:5], y[:5], strict=True)])
+
+
+def test_objects_depend_on_neither_density_nor_extent():
+    def top(scene):
+        """Highest roof per 5 m cell of the first 100 m."""
+        local = scene.xyz - scene.origin
+        k = (scene.kind == Kind.BUILDING) & (local[:, :2] < 100).all(axis=1)
+        z = np.full((20, 20), -np.inf)
+        np.maximum.at(z, tuple(np.floor(local[k, :2] / 5).astype(int).T), local[k, 2])
+        return z
+
+    a = top(scenes.make("city", size=100, density=20, seed=1, noise=0))
+    b = top(scenes.make("city", size=(300, 200), density=30, seed=1, noise=0))
+    both = np.isfinite(a) & np.isfinite(b)
+    assert both.sum() > 40
+    assert np.median(np.abs(a[both] - b[both])) < 0.1
+
+
+def test_smooth_noise_is_one_field_of_unit_variance():
+    whole = lattice.smooth_noise(1, lattice.Layer.FOREST, (-3000, -3000, 3000, 3000), 5)
+    part = lattice.smooth_noise(1, lattice.Layer.FOREST, (-40, 100, 90, 170), 5)
+    x, y = np.random.default_rng(0).uniform((-40, 100), (90, 170), (500, 2)).T
+    np.testing.assert_array_equal(part(x, y), whole(x, y))
+    assert whole.values.std() == pytest.approx(1, rel=0.03)
+    assert abs(whole.values.mean()) < 0.03
+    step = np.random.default_rng(1).uniform(-2900, 2900, (2, 5000))
+    assert np.abs(whole(step[0] + 1, step[1]) - whole(*step)).max() < 0.2  # varies over 32 m, not over one
+
+
+def test_relief_is_four_standard_deviations_of_the_terrain():
+    layout = dataclasses.replace(BARE, relief=40, landform=32)
+    scene = scenes.make(layout, size=1, density=50)
+    x, y = scene.origin[:2, None] + np.random.default_rng(1).uniform(0, 4000, (2, 20_000))
+    assert scene.terrain(x, y).std() == pytest.approx(10, rel=0.15)
+
+
+def test_smaller_hurst_exponents_are_rougher():
+    def roughness(hurst):
+        scene = scenes.make(dataclasses.replace(BARE, hurst=hurst), size=1, density=50)
+        x, y = scene.origin[:2, None] + np.random.default_rng(1).uniform(0, 500, (2, 3000))
+        second = scene.terrain(x - 2, y) - 2 * scene.terrain(x, y) + scene.terrain(x + 2, y)
+        return second.std()
+
+    assert roughness(0.6) > 3 * roughness(1.0) > 9 * roughness(1.5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "low", "high"),
+    [("cutting", 6.0, -6, 0), ("embankment", 4.0, 0, 4), ("ditches", 1.2, -1.2, 0), ("pit", 36.0, -40, 9)],
+)
+def test_earthworks_are_as_deep_as_asked_and_local(field, value, low, high):
+    layouts = BARE, dataclasses.replace(BARE, **{field: value})
+    plain, worked = (scenes.make(layout, size=1, density=50) for layout in layouts)
+    x, y = (v.ravel() for v in np.meshgrid(*(plain.origin[k] + np.arange(0, 560, 0.7) for k in (0, 1))))
+    change = worked.terrain(x, y) - plain.terrain(x, y)
+    assert change.min() >= low - 1e-9 and change.max() <= high + 1e-9
+    assert np.abs(change).max() > 0.9 * value
+    assert (np.abs(change) < 1e-9).mean() > 0.7
+
+
+def test_scarps_and_terraces_are_steep():
+    def slopes(layout):
+        scene = scenes.make(layout, size=1, density=50)
+        x, y = (v.ravel() for v in np.meshgrid(*(scene.origin[k] + np.arange(0, 560, 1.0) for k in (0, 1))))
+        h = 0.05
+        gx = scene.terrain(x + h, y) - scene.terrain(x - h, y)
+        gy = scene.terrain(x, y + h) - scene.terrain(x, y - h)
+        return np.degrees(np.arctan(np.hypot(gx, gy) / (2 * h)))
+
+    assert slopes(BARE).max() < 30
+    steep = slopes(dataclasses.replace(BARE, scarp=8))
+    assert steep.max() > 50 and 0.001 < (steep > 45).mean() < 0.05
+    terraced = dataclasses.replace(BARE, hurst=1.4, tilt=0.2)
+    assert (slopes(dataclasses.replace(terraced, terraces=3)) > 35).mean() > 0.05
+    assert np.median(slopes(dataclasses.replace(terraced, terraces=3))) < 0.5 * np.median(slopes(terraced))
+
+
+def test_bridges_stand_over_the_cutting_and_join_the_land():
+    layout = dataclasses.replace(BARE, cutting=7)
+    scene = scenes.make(layout, size=(150, 500), density=10, noise=0)
+    clear = above_terrain(scene)
+    deck = scene.kind == Kind.BRIDGE
+    assert deck.sum() > 1000
+    assert clear[deck].max() == pytest.approx(7.5, abs=1.5)
+    index, group = components(scene, Kind.BRIDGE, 2.0)
+    assert len(np.unique(group)) == 2  # every 220 m
+    for g in np.unique(group):
+        z = scene.xyz[index[group == g], 2]
+        assert np.ptp(z) < 4  # nearly level where the terrain falls by 7 m
+        assert clear[index[group == g]].min() < 1.5
+
+
+def test_objects_have_the_heights_of_their_kind(ready):
+    for name, scene in ready.items():
+        height = above_terrain(scene)
+
+        def span(kind, height=height, scene=scene):
+            h = height[scene.kind == kind]
+            return (h.min(), h.max()) if len(h) else (1.0, 1.0)
+
+        slack = 6 * 0.03 + 0.005
+        assert span(Kind.LOW_VEGETATION)[0] >= 0.1 - slack and span(Kind.LOW_VEGETATION)[1] <= 1 + slack, name
+        assert span(Kind.CAR)[0] >= 0.9 - slack and span(Kind.CAR)[1] <= 1.45 + slack, name
+        assert span(Kind.BUILDING)[0] >= 1 - slack, name
+        assert span(Kind.BUILDING)[1] <= 90 and span(Kind.HIGH_VEGETATION)[1] <= 45, name
+
+
+def test_buildings_have_many_sizes():
+    scene = scenes.make("city", size=900, density=4, seed=2)
+    index, group = components(scene, Kind.BUILDING, 1.0)
+    sizes = []
+    for box in ndimage.value_indices(group, ignore_value=0).values():
+        xy = scene.xyz[index[box[0]], :2]
+        spread = xy - xy.mean(axis=0)
+        axes = np.linalg.svd(spread, full_matrices=False)[2]
+        sizes.append(np.ptp(spread @ axes.T, axis=0).max())
+    sizes = np.array([s for s in sizes if s > 5])
+    assert len(sizes) > 60
+    assert np.percentile(sizes, 10) < 20 and sizes.max() > 60 and sizes.max() < 120  # diagonals of up to 80 x 70 m
+
+
+def test_outliers_lie_where_they_are_said_to():
+    layout = dataclasses.replace(LAYOUTS["flat"], low_clusters=150.0, low_outliers=1e-4, high_outliers=1e-4)
+    scene = scenes.make(layout, size=600, density=4, noise=0)
+    height = above_terrain(scene)
+    low, high = (scene.kind == k for k in (Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER))
+    assert -height[low].max() >= 2 - 0.01 and -height[low].min() <= 30.01
+    assert height[high].min() >= 20 - 0.01 and 300 < height[high].max() <= 1100
+    assert (height[~low] > -0.01).all()
+    index, group = components(scene, Kind.LOW_OUTLIER, 1.5)
+    count = np.bincount(group)[1:]
+    assert (count == 1).sum() > 20 and 60 < count.max() <= 130
+    largest = index[group == 1 + count.argmax()]
+    assert np.ptp(scene.xyz[largest, :2], axis=0).max() < 15
+    depth = -height[largest]
+    assert depth.std() < 0.3 * depth.mean()  # one depth per cluster
+
+
+def test_zigzag_lines_turn_and_parallel_lines_fly_back():
+    steps = {}
+    for pattern in ("zigzag", "parallel"):
+        scene = scenes.make(BARE, size=100, density=4, pattern=pattern)
+        steps[pattern] = np.linalg.norm(np.diff(scene.xyz[:, :2], axis=0), axis=1)
+    assert (steps["zigzag"] > 50).sum() <= 1
+    assert (steps["parallel"] > 50).sum() > 100
+
+
+@pytest.mark.parametrize(("size", "density"), [(500, 1), (250, 12), (2000, 0.3)])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_benchmark_is_at_least_half_ground(size, density, seed):
+    assert scenes.make("benchmark", size=size, density=density, seed=seed).truth.mean() >= 0.5
+
+
+def test_cloud_carries_echoes_and_truth_but_no_classes(ready):
+    scene = ready["town"]
+    cloud = scene.cloud
+    np.testing.assert_array_equal(cloud.reference, scene.truth)
+    np.testing.assert_array_equal(cloud.candidate, last_echoes(scene))
+    assert not cloud.classification.any()
+    np.testing.assert_allclose(cloud.coordinates(), scene.xyz, atol=6e-4)
+    np.testing.assert_array_equal(scene.classes == 2, scene.truth)
+    np.testing.assert_array_equal(scene.classes == 6, scene.kind == Kind.BUILDING)
+    assert set(np.unique(ready["mixed"].classes)) == {1, 2, 3, 5, 6, 7, 17, 18}
+
+
+def test_terrain_grid_samples_cell_centres_of_the_clouds_grid(ready):
+    scene = ready["hills"]
+    z, grid = scene.terrain_grid(3.0)
+    assert z.shape == grid.shape
+    j, i = 7, 11
+    x = scene.cloud.origin[0] + grid.x0 + (i + 0.5) * 3
+    y = scene.cloud.origin[1] + grid.y0 + (j + 0.5) * 3
+    assert z[j, i] == pytest.approx(float(scene.terrain(x, y)), abs=1e-9)
+    assert (grid.nx, grid.ny) == (150, 134)
+    cell = grid.flat(scene.cloud.xyz)[scene.truth]
+    seen = np.unique(cell)
+    mean = ndimage.mean(scene.xyz[scene.truth, 2], cell, seen)
+    assert np.median(np.abs(mean - z.ravel()[seen])) < 0.3
+    with pytest.raises(ParameterError, match=r"cell=0"):
+        scene.terrain_grid(0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"layout": "moon"}, "layout='moon'"),
+        ({"layout": 3}, "layout=3"),
+        ({"size": (100, -1)}, "size=-1"),
+        ({"size": (1, 2, 3)}, r"size=\(1, 2, 3\)"),
+        ({"density": 0}, "density=0"),
+        ({"density": 80}, "between 0.1 and 50"),
+        ({"seed": -1}, "seed=-1"),
+        ({"seed": 1.5}, "seed=1.5"),
+        ({"noise": float("nan")}, "noise=nan"),
+        ({"pattern": "spiral"}, "pattern='spiral'"),
+        ({"swath": 1}, "swath=1"),
+        ({"overlap": 0.9}, "overlap=0.9"),
+        ({"rounding": 0.1}, "rounding=0.1"),
+        ({"origin": (0, 0)}, "origin="),
+    ],
+)
+def test_bad_arguments_are_named(options, message):
+    with pytest.raises(ParameterError, match=message):
+        scenes.make(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"relief": -1}, "relief=-1"),
+        ({"forest": 1.2}, "forest=1.2"),
+        ({"pit": "deep"}, "pit='deep'"),
+        ({"bridges": 1}, "bridges=1"),
+        ({"settlement": 0.5, "houses": 0, "rows": 0, "halls": 0, "parks": 0}, "settlement"),
+    ],
+)
+def test_bad_layouts_are_named(options, message):
+    with pytest.raises(ParameterError, match=message):
+        Layout(**options)
