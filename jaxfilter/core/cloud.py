@@ -71,7 +71,7 @@ class PointCloud:
         crs: pyproj.CRS or None.
         units: metres per file unit.
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
-        source: a handle to the file (see ``jaxfilter.host.las``), used by lossless writing; None for plain arrays.
+        source: a handle to the file (see ``jaxfilter.host.files``), used by lossless writing; None for plain arrays.
     """
 
     origin: np.ndarray
@@ -136,14 +136,53 @@ class PointCloud:
                           JaxfilterWarning, stacklevel=2)
             valid = finite
         origin, local = localise(xyz if valid is None else np.where(finite[:, None], xyz, np.nan), scale, anchor)
+        chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
+        return cls._assembled(origin, local, scale, anchor, name, chosen, valid=valid, **attributes)
+
+    @classmethod
+    def from_integers(
+        cls,
+        ticks: np.ndarray,
+        scales: np.ndarray,
+        offsets: np.ndarray,
+        *,
+        units: str | Units = "m",
+        anchor: Iterable[float] | None = None,
+        name: str = "xyz",
+        returns: str = "last,only",
+        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        keep_withheld: bool = False,
+        **attributes: Any,
+    ) -> PointCloud:
+        """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
+
+        ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
+        (all positive) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
+        """
+        scale = parse_units(units)
+        origin, local = localise_integers(ticks, scales, offsets, scale, anchor)
+        chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
+        return cls._assembled(origin, local, scale, anchor, name, chosen, **attributes)
+
+    @classmethod
+    def _assembled(
+        cls,
+        origin: np.ndarray,
+        local: np.ndarray,
+        units: Units,
+        anchor: Iterable[float] | None,
+        name: str,
+        chosen: dict[str, Any],
+        **attributes: Any,
+    ) -> PointCloud:
         for key, value in attributes.items():
             if key in ("crs", "source") or value is None:
                 continue
-            if len(value) != len(xyz):
-                raise InputError(f"{name}: {key} has {len(value)} entries for {len(xyz)} points")
+            if len(value) != len(local):
+                raise InputError(f"{name}: {key} has {len(value)} entries for {len(local)} points")
         grid_anchor = None if anchor is None else np.asarray(tuple(anchor), np.float64)
-        cloud = cls(origin=origin, xyz=local, valid=valid, units=scale, anchor=grid_anchor, **attributes)
-        return cloud.select(returns=returns, ignore_classes=ignore_classes, keep_withheld=keep_withheld, name=name)
+        cloud = cls(origin=origin, xyz=local, units=units, anchor=grid_anchor, **attributes)
+        return cloud.select(name=name, **chosen)
 
     def select(
         self,
@@ -195,15 +234,42 @@ def localise(xyz: np.ndarray, units: Units, anchor: Iterable[float] | None) -> t
     if len(xyz) == 0 or not np.isfinite(xyz).any():
         return np.zeros(3), np.zeros((len(xyz), 3), np.float32)
     factor = np.array([units.xy, units.xy, units.z])
-    origin = np.nanmin(xyz, axis=0)
-    if anchor is not None:
-        base = np.append(np.asarray(tuple(anchor), np.float64), 0.0)
-        origin = base + np.floor((origin - base) * factor) / factor
+    origin = _origin(np.nanmin(xyz, axis=0), factor, anchor)
     local = np.empty(xyz.shape, np.float32)
     for axis in range(3):  # by axis: bounds the float64 temporaries on large clouds
-        column = (xyz[:, axis] - origin[axis]) * (factor[axis] / QUANTUM)
-        local[:, axis] = np.nan_to_num(np.rint(column) * QUANTUM, nan=0.0)
+        local[:, axis] = np.nan_to_num(_quantised(xyz[:, axis], origin[axis], factor[axis]), nan=0.0)
     return origin, local
+
+
+def localise_integers(
+    ticks: np.ndarray, scales: np.ndarray, offsets: np.ndarray, units: Units, anchor: Iterable[float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks."""
+    if len(ticks) == 0:
+        return np.zeros(3), np.zeros((0, 3), np.float32)
+    factor = np.array([units.xy, units.xy, units.z])
+    origin = _origin(ticks.min(axis=0) * scales + offsets, factor, anchor)
+    local = ticks.view(np.float32)
+    for start in range(0, len(ticks), _ROWS):
+        rows = slice(start, start + _ROWS)
+        for axis in range(3):
+            column = ticks[rows, axis] * scales[axis] + offsets[axis]
+            local[rows, axis] = _quantised(column, origin[axis], factor[axis])
+    return origin, local
+
+
+_ROWS = 1_000_000  # points of a large cloud that are converted at a time
+
+
+def _origin(low: np.ndarray, factor: np.ndarray, anchor: Iterable[float] | None) -> np.ndarray:
+    if anchor is None:
+        return low
+    base = np.append(np.asarray(tuple(anchor), np.float64), 0.0)
+    return base + np.floor((low - base) * factor) / factor
+
+
+def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
+    return np.rint((column - origin) * (factor / QUANTUM)) * QUANTUM
 
 
 _ECHOES = ("first", "intermediate", "last", "only")

@@ -55,12 +55,18 @@ class Filter:
         return cls(**{**cls.PRESETS[name], **changes})
 
     @classmethod
-    def for_cloud(cls, cloud: Any, largest_building: float = 60.0, **changes: Any) -> Self:
-        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud."""
+    def for_cloud(
+        cls, cloud: Any, largest_building: float = 60.0, *, preset: str | None = None, **changes: Any
+    ) -> Self:
+        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud.
+
+        They replace those of ``preset``; ``changes`` come on top. Raises ParameterError.
+        """
         if not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud))
-        return cls(**{**cls.from_spacing(points.spacing(), largest_building), **changes})
+        changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
+        return cls(**changes) if preset is None else cls.preset(preset, **changes)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:

@@ -1,0 +1,159 @@
+"""Depressions of a gridded surface: sets of cells from which no path leads out without climbing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+_FORWARD = (
+    (np.s_[:, :-1], np.s_[:, 1:]),
+    (np.s_[:-1, :], np.s_[1:, :]),
+    (np.s_[:-1, :-1], np.s_[1:, 1:]),
+    (np.s_[:-1, 1:], np.s_[1:, :-1]),
+)
+"""Pairs of views of a grid that meet each pair of touching cells once."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Depressions:
+    """Cells in depressions, grouped by depression.
+
+    Attributes:
+        cell: i64[c], row-major cell indices, ascending within a depression.
+        owner: i64[c], the depression of each, ascending.
+        spill: f32[k], the level at which each overflows, +inf where walls surround it; all its cells are lower.
+    """
+
+    cell: np.ndarray
+    owner: np.ndarray
+    spill: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.spill)
+
+
+def depressions(z: np.ndarray, size: np.ndarray, depth: float, max_size: float) -> Depressions:
+    """The largest depressions that are at least ``depth`` deep and hold at most ``max_size``.
+
+    Args:
+        z: f32[ny, nx], elevations; +inf cells and the outside are walls.
+        size: i64[ny * nx], what each cell adds to the size of a depression it belongs to.
+
+    A depression is a maximal 8-connected set of cells below its spill level, the lowest pass that leads out of it. They
+    form a tree, since the merger of two at their pass is another one. Those returned are disjoint: the outermost that
+    qualify, so that a small pit at the bottom of a qualifying one is not listed apart. The tree is that of single linkage
+    of the basins of steepest descent, and is built from the minimum spanning tree of the passes between them.
+    """
+    label, low = _basins(z)
+    passes = _passes(z, label, len(low))
+    spill, count, basin = _mergers(low, *passes, depth, max_size)
+    order = np.argsort(label, kind="stable")  # cells, basin by basin; walls (-1) first
+    start = np.searchsorted(label[order], np.arange(len(low) + 1))
+    cells = start[basin + 1] - start[basin]
+    within = np.arange(int(cells.sum())) - np.repeat(np.cumsum(cells) - cells, cells)
+    cell = order[np.repeat(start[basin], cells) + within]
+    owner = np.repeat(np.repeat(np.arange(len(spill)), count), cells)
+    below = z.ravel()[cell] < spill[owner]
+    cell, owner = cell[below], owner[below]
+    fits = np.bincount(owner, weights=size[cell], minlength=len(spill)) <= max_size
+    cell, owner = cell[fits[owner]], owner[fits[owner]]
+    outermost = np.full(z.size, -1)
+    np.maximum.at(outermost, cell, owner)  # mergers are listed from the lowest to the highest
+    cell = np.flatnonzero(outermost >= 0)
+    kept, owner = np.unique(outermost[cell], return_inverse=True)
+    order = np.argsort(owner, kind="stable")
+    return Depressions(cell[order], owner[order], spill[kept])
+
+
+def _basins(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[ny * nx], the basin that steepest descent over eight neighbours leads each cell to (-1 walls), and minima f32[k].
+
+    Of equal neighbours the one with the lowest index is taken.
+    """
+    ny, nx = z.shape
+    padded = np.pad(z, 1, constant_values=np.inf)
+    index = np.arange(z.size).reshape(z.shape)
+    lowest = np.full_like(z, np.inf)
+    to = index.copy()
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            neighbour = padded[1 + dy : 1 + dy + ny, 1 + dx : 1 + dx + nx]
+            lower = neighbour < lowest
+            np.copyto(lowest, neighbour, where=lower)
+            np.copyto(to, index + (dy * nx + dx), where=lower)
+    to = to.ravel()
+    while not np.array_equal(further := to[to], to):
+        to = further
+    bottom = np.flatnonzero((to == index.ravel()) & np.isfinite(z.ravel()))
+    number = np.full(z.size, -1)
+    number[bottom] = np.arange(len(bottom))
+    return np.where(np.isfinite(z.ravel()), number[to], -1), z.ravel()[bottom]
+
+
+def _passes(z: np.ndarray, label: np.ndarray, basins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The passes that connect all basins at the lowest level: i64[p], i64[p] basins and f32[p] levels, ascending."""
+    grid = label.reshape(z.shape)
+    pairs, levels = [], []
+    for one, other in _FORWARD:
+        a, b = grid[one], grid[other]
+        meet = (a != b) & (a >= 0) & (b >= 0)
+        a, b = a[meet], b[meet]
+        pairs.append(np.minimum(a, b) * basins + np.maximum(a, b))
+        levels.append(np.maximum(z[one][meet], z[other][meet]))
+    pair, level = np.concatenate(pairs), np.concatenate(levels)
+    order = np.lexsort((pair, level))
+    pair, first = np.unique(pair[order], return_index=True)
+    rank = np.argsort(np.argsort(first)) + 1.0  # unique and positive: one spanning tree, and no weight is taken as no edge
+    level = level[order][first]
+    a, b = pair // max(basins, 1), pair % max(basins, 1)
+    tree = minimum_spanning_tree(coo_array((rank, (a, b)), shape=(basins, basins)).tocsr())
+    by_rank = np.argsort(first)
+    chosen = by_rank[np.sort(tree.data).astype(np.int64) - 1]
+    return a[chosen], b[chosen], level[chosen]
+
+
+def _mergers(
+    low: np.ndarray, a: np.ndarray, b: np.ndarray, level: np.ndarray, depth: float, max_size: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depressions at least ``depth`` deep at the pass where they overflow, in ascending order of that pass.
+
+    Those that walls surround come last. Returns spill levels f32[k], number of basins i64[k], and their basins one after the
+    other. Those of more than ``max_size`` basins are left out.
+    """
+    parent = list(range(len(low)))
+    lowest = low.tolist()
+    members: list[list[int] | None] = [[i] for i in parent]
+    spill: list[float] = []
+    count: list[int] = []
+    basin: list[int] = []
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    for i, j, at in zip(a.tolist(), b.tolist(), level.tolist(), strict=True):
+        i, j = root(i), root(j)
+        if lowest[j] < lowest[i]:
+            i, j = j, i
+        mine, theirs = members[i], members[j]
+        for k, part in ((i, mine), (j, theirs)):
+            if part is not None and at - lowest[k] >= depth:
+                spill.append(at)
+                count.append(len(part))
+                basin += part
+        joined = None
+        if mine is not None and theirs is not None and len(mine) + len(theirs) <= max_size:
+            joined = mine + theirs
+        parent[j] = i
+        members[i], members[j] = joined, None
+    for part in members:
+        if part is not None:
+            spill.append(np.inf)
+            count.append(len(part))
+            basin += part
+    return np.array(spill, np.float32), np.array(count, np.int64), np.array(basin, np.int64)

@@ -1,0 +1,391 @@
+"""The header of a LAS file, byte by byte: validated before any reader is trusted with it, and rewritten without loss.
+
+Everything before the first point is kept as it stands in the file; only the fields that must change are patched. Field
+offsets follow the ASPRS LAS specification 1.4 R15, tables 3 (public header block), 5 and 6 (variable length records)
+and 24 (extra bytes).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+import lazrs
+import numpy as np
+
+from ..core.errors import InputError, JaxfilterWarning, OutputError
+
+RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
+"""Bytes of a point record by point format, 0 to 10."""
+
+HEADER_LENGTHS = (227, 227, 227, 235, 375)
+"""Least bytes of the public header block by minor version, 1.0 to 1.4."""
+
+_VLR, _EVLR = 54, 60  # bytes of a record's own header
+_EXTRA_BYTES = ("LASF_Spec", 4)
+_LASZIP = ("laszip encoded", 22204)
+_EXTRA_ENTRY = 192
+_CHUNKED, _LAYERED = 2, 3  # methods of LASzip
+_POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
+_EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
+_UINT8, FLOAT32 = 1, 9
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """A variable length record: ``start`` and ``end`` in the file; its data begin at ``payload``."""
+
+    user: str
+    number: int
+    start: int
+    payload: int
+    end: int
+
+    @property
+    def key(self) -> tuple[str, int]:
+        return self.user, self.number
+
+
+@dataclasses.dataclass(frozen=True)
+class ExtraDimension:
+    """A described part of the extra bytes: ``start`` counts from the beginning of the point record."""
+
+    name: str
+    data_type: int
+    start: int
+    size: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes."""
+
+    path: Path
+    head: bytes
+    file_size: int
+    vlrs: tuple[Record, ...]
+    evlrs: tuple[Record, ...]
+
+    def _get(self, layout: str, at: int) -> tuple:
+        return struct.unpack_from("<" + layout, self.head, at)
+
+    @property
+    def minor(self) -> int:
+        return self.head[25]
+
+    @property
+    def size(self) -> int:
+        """Bytes of the public header block."""
+        return self._get("H", 94)[0]
+
+    @property
+    def compressed(self) -> bool:
+        return bool(self.head[104] & 0x80)
+
+    @property
+    def point_format(self) -> int:
+        return self.head[104] & 0x3F
+
+    @property
+    def record_length(self) -> int:
+        return self._get("H", 105)[0]
+
+    @property
+    def count(self) -> int:
+        """Number of points; writers that leave the 1.4 count at zero are believed in their legacy count."""
+        legacy = self._get("I", 107)[0]
+        return (self._get("Q", 247)[0] or legacy) if self.minor >= 4 else legacy
+
+    @property
+    def scales(self) -> np.ndarray:
+        return np.array(self._get("3d", 131))
+
+    @property
+    def offsets(self) -> np.ndarray:
+        return np.array(self._get("3d", 155))
+
+    @property
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest x, y, z as the header states them."""
+        both = np.array(self._get("6d", 179)).reshape(3, 2)
+        return both[:, 1], both[:, 0]
+
+    @property
+    def is_copc(self) -> bool:
+        """Cloud Optimised Point Cloud: LAZ with its octree in an info record, which comes first."""
+        return bool(self.vlrs) and self.vlrs[0].key == ("copc", 1)
+
+    @property
+    def points_end(self) -> int:
+        """Where uncompressed points end."""
+        return len(self.head) + self.count * self.record_length
+
+    @property
+    def tail(self) -> int:
+        """Where that begins which follows the points (EVLRs, waveforms) and is copied as it stands."""
+        if not self.compressed:
+            return self.points_end
+        starts = [s for s in (self.waveform_start, self.evlr_start) if s >= len(self.head)]
+        return min(starts, default=self.file_size)
+
+    @property
+    def waveform_start(self) -> int:
+        return self._get("Q", 227)[0] if self.minor >= 3 else 0
+
+    @property
+    def evlr_start(self) -> int:
+        return self._get("Q", 235)[0] if self.evlrs else 0
+
+    @property
+    def laszip(self) -> bytes:
+        """The record that LAZ needs to be compressed and decompressed. Raises InputError if there is none."""
+        for record in self.vlrs:
+            if record.key == _LASZIP and record.end - record.payload >= 16:
+                return self.head[record.payload : record.end]
+        raise InputError(f"{self.path}: points are compressed, but the laszip record is missing; the file is damaged")
+
+    @property
+    def decoder(self) -> bytes:
+        """``laszip`` with chunks not larger than all the points: a decoder takes memory for a whole chunk."""
+        data = self.laszip
+        chunk = struct.unpack_from("<I", data, 12)[0]
+        if self.count < chunk < 2**32 - 1:  # the largest number stands for chunks of varying size
+            data = data[:12] + struct.pack("<I", max(self.count, 1)) + data[16:]
+        return data
+
+    def __str__(self) -> str:
+        name = "COPC" if self.is_copc else "LAZ" if self.compressed else "LAS"
+        return f"{name} 1.{self.minor}, point format {self.point_format}"
+
+    def extra_dimensions(self) -> list[ExtraDimension] | None:
+        """What the extra bytes of a point hold, as far as it is described; None if the description is damaged."""
+        at, found = RECORD_LENGTHS[self.point_format], []
+        for record in self.vlrs:
+            if record.key != _EXTRA_BYTES:
+                continue
+            if (record.end - record.payload) % _EXTRA_ENTRY:
+                return None
+            for entry in range(record.payload, record.end, _EXTRA_ENTRY):
+                data_type, options, name = self._get("BB32s", entry + 2)
+                if data_type > 30:
+                    return None
+                one = _EXTRA_SIZES[(data_type - 1) % 10] * ((data_type - 1) // 10 + 1)
+                size = one if data_type else options
+                found.append(ExtraDimension(_text(name), data_type, at, size))
+                at += size
+        return found if at <= self.record_length else None
+
+    def rewritten(self, compressor: bytes | None, extra: tuple[str, ...] = (), drop: tuple[str, ...] = ()) -> Header:
+        """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
+        float32 dimensions ``extra``, and without the records of the users in ``drop``."""
+        kept = [r for r in self.vlrs if r.key != _LASZIP and r.user not in drop]
+        blocks = [self.head[r.start : r.end] for r in kept]
+        length = self.record_length
+        if extra:
+            described = self.extra_dimensions()
+            if described is None:
+                raise OutputError(f"{self.path}: the description of its extra bytes is damaged, so none can be added")
+            end = max((d.start + d.size for d in described), default=RECORD_LENGTHS[self.point_format])
+            entries = [_entry(f"undescribed {i + 1}", _UINT8) for i in range(length - end)]  # they precede the new ones
+            entries += [_entry(name, FLOAT32) for name in extra]
+            old = [i for i, r in enumerate(kept) if r.key == _EXTRA_BYTES]
+            payload = b"".join(entries)
+            if old:
+                block = blocks[old[-1]]
+                size = len(block) - _VLR + len(payload)
+                blocks[old[-1]] = block[:20] + struct.pack("<H", size) + block[22:] + payload
+            else:
+                blocks.append(vlr(*_EXTRA_BYTES, payload))
+            length += 4 * len(extra)
+        if compressor is not None:
+            blocks.append(vlr(*_LASZIP, compressor))
+        gap = self.head[self.vlrs[-1].end if self.vlrs else self.size :]
+        head = bytearray(self.head[: self.size] + b"".join(blocks) + gap)
+        kind = self.point_format | (0x80 if compressor is not None else 0)
+        struct.pack_into("<IIBH", head, 96, len(head), len(blocks), kind, length)
+        return _parse(self.path, bytes(head), None)
+
+
+def read_header(path: Path) -> Header:
+    """Read and validate. No field is trusted before it is bounded by the length of the file.
+
+    Raises: InputError naming the file and the field: not LAS, unknown version or point format, sizes, record counts or
+    point counts that the file cannot hold, scales that are not positive numbers.
+    """
+    with open(path, "rb") as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        block = file.read(HEADER_LENGTHS[4])
+        if size == 0:
+            raise InputError(f"{path}: the file is empty (0 bytes)")
+        if block[:4] != b"LASF":
+            raise InputError(f"{path}: not a LAS file: it begins with {block[:4]!r} instead of b'LASF'")
+        if len(block) < HEADER_LENGTHS[0]:
+            raise InputError(f"{path}: {len(block)} bytes are too few for a LAS header; the file is truncated")
+        major, minor = block[24], block[25]
+        if major != 1 or minor >= len(HEADER_LENGTHS):
+            raise InputError(f"{path}: LAS version {major}.{minor} is not supported; 1.0 to 1.4 are")
+        header_size, offset, records = struct.unpack_from("<HII", block, 94)
+        if header_size < HEADER_LENGTHS[minor] or header_size > size:
+            raise InputError(f"{path}: header size {header_size} is impossible: LAS 1.{minor}, {size} bytes in all")
+        if not header_size <= offset <= size:
+            raise InputError(
+                f"{path}: offset to point data {offset} is not in the file ({size} bytes); it is damaged or truncated"
+            )
+        if records * _VLR > offset - header_size:
+            raise InputError(
+                f"{path}: the header announces {records} variable length records, but there are only "
+                f"{offset - header_size} bytes for them; the file is damaged"
+            )
+        file.seek(0)
+        head = file.read(offset)
+        header = _parse(path, head, size)
+        _check_points(header)
+        if header.compressed and header.count:
+            _check_chunk_table(header, file)
+        if minor >= 4:
+            start, count = struct.unpack_from("<QI", head, 235)
+            if count:
+                header = dataclasses.replace(header, evlrs=_read_evlrs(path, file, start, count, size))
+    if header.extra_dimensions() is None:
+        warnings.warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are",
+                      JaxfilterWarning, stacklevel=4)
+    return header
+
+
+def _parse(path: Path, head: bytes, file_size: int | None) -> Header:
+    header_size, _, records = struct.unpack_from("<HII", head, 94)
+    found, at = [], header_size
+    for i in range(records):
+        user, number, length = struct.unpack_from("<16sHH", head.ljust(at + _VLR, b"\0"), at + 2)
+        if at + _VLR + length > len(head):
+            raise InputError(
+                f"{path}: variable length record {i + 1} of {records} ({_text(user)!r} {number}, {length} bytes) runs "
+                "into the points; the file is damaged"
+            )
+        found.append(Record(_text(user), number, at, at + _VLR, at + _VLR + length))
+        at += _VLR + length
+    return Header(path, head, len(head) if file_size is None else file_size, tuple(found), ())
+
+
+def _read_evlrs(path: Path, file: BinaryIO, start: int, count: int, size: int) -> tuple[Record, ...]:
+    if count * _EVLR + start > size:
+        raise InputError(
+            f"{path}: the header announces {count} extended records from byte {start}, but the file has {size} bytes; "
+            "it is damaged or truncated"
+        )
+    found = []
+    for i in range(count):
+        file.seek(start)
+        block = file.read(_EVLR)
+        user, number, length = struct.unpack_from("<16sHQ", block.ljust(_EVLR, b"\0"), 2)
+        if len(block) < _EVLR or start + _EVLR + length > size:
+            raise InputError(f"{path}: extended record {i + 1} of {count} ends behind the file; it is truncated")
+        found.append(Record(_text(user), number, start, start + _EVLR, start + _EVLR + length))
+        start += _EVLR + length
+    return tuple(found)
+
+
+def _check_points(header: Header) -> None:
+    path, number = header.path, header.point_format
+    if number >= len(RECORD_LENGTHS):
+        raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
+    if header.record_length < RECORD_LENGTHS[number]:
+        raise InputError(
+            f"{path}: point records of {header.record_length} bytes are too short for point format {number} "
+            f"({RECORD_LENGTHS[number]} bytes); the header is damaged"
+        )
+    for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True):
+        if not (math.isfinite(scale) and scale > 0):
+            raise InputError(f"{path}: {axis} scale factor is {scale:g}; it must be positive, the header is damaged")
+        if not math.isfinite(offset):
+            raise InputError(f"{path}: {axis} offset is {offset:g}; the header is damaged")
+    if not header.compressed and header.points_end > header.file_size:
+        held = (header.file_size - len(header.head)) // header.record_length
+        raise InputError(
+            f"{path}: the header announces {header.count} points, but the file holds {held}; it is truncated or damaged"
+        )
+
+
+def _check_chunk_table(header: Header, file: BinaryIO) -> None:
+    """Compare the LAZ chunk table with header and file length, before memory for the points is taken."""
+    laszip = header.decoder
+    path, compressor = header.path, lazrs.LazVlr(laszip)
+    if compressor.item_size() != header.record_length:
+        raise InputError(
+            f"{path}: the laszip record describes points of {compressor.item_size()} bytes, the header of "
+            f"{header.record_length}; the file is damaged"
+        )
+    method = struct.unpack_from("<H", laszip)[0]
+    if method not in (_CHUNKED, _LAYERED):
+        raise InputError(f"{path}: LAZ without chunks (before LASzip 2.0) is not supported; compress the file anew")
+    if header.count > _POINTS_PER_BYTE * header.file_size:
+        raise InputError(
+            f"{path}: the header announces {header.count} points, too many for {header.file_size} bytes; it is damaged"
+        )
+    file.seek(len(header.head))
+    start = int.from_bytes(file.read(8), "little", signed=True)
+    if start == -1:  # written by a compressor that could not seek
+        file.seek(-8, 2)
+        start = int.from_bytes(file.read(8), "little", signed=True)
+    if not len(header.head) + 8 <= start <= header.file_size - 8:
+        raise InputError(f"{path}: the table of compressed chunks (byte {start}) is not in the file; it is truncated")
+    file.seek(start)
+    _, chunks = struct.unpack("<II", file.read(8))
+    if chunks * header.record_length > header.file_size:  # each chunk begins with one uncompressed point
+        raise InputError(f"{path}: {chunks} compressed chunks cannot fit into {header.file_size} bytes; it is damaged")
+    file.seek(len(header.head))
+    table = lazrs.read_chunk_table(file, compressor)
+    last = len(header.head) + 8 + sum(size for _, size in table)
+    points = sum(count for count, _ in table)
+    slack = 0 if compressor.uses_variable_size_chunks() or not table else table[-1][0] - 1
+    if last > start or not points - slack <= header.count <= points:
+        raise InputError(
+            f"{path}: the header announces {header.count} points, but the compressed chunks hold another number; "
+            "the file is damaged or truncated"
+        )
+    if method == _LAYERED:
+        _check_layers(header, file, [size for _, size in table])
+
+
+def _check_layers(header: Header, file: BinaryIO, sizes: list[int]) -> None:
+    """Formats 6 to 10: a chunk is a first point, the number of points, the sizes of its layers, then the layers."""
+    items = struct.iter_unpack("<3H", header.laszip[34:])
+    layers = sum(size if kind == 14 else {10: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
+    at = len(header.head) + 8
+    for i, size in enumerate(sizes):
+        file.seek(at + header.record_length)
+        _, *lengths = struct.unpack(f"<{1 + layers}I", file.read(4 + 4 * layers))
+        if header.record_length + 4 + 4 * layers + sum(lengths) > size:
+            raise InputError(f"{header.path}: layers of compressed chunk {i + 1} of {len(sizes)} exceed it: damaged")
+        at += size
+
+
+def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:
+    """A variable length record in bytes."""
+    return struct.pack("<H16sHH32s", 0, user.encode(), number, len(payload), description.encode()) + payload
+
+
+def new_header(
+    path: Path, scales: np.ndarray, offsets: np.ndarray, wkt: str | None, created: tuple[int, int]
+) -> Header:
+    """A header of LAS 1.4, point format 6, without points yet; ``created`` is day of the year and year."""
+    record = b"" if wkt is None else vlr("LASF_Projection", 2112, wkt.encode() + b"\0", "OGC WKT")
+    block = bytearray(HEADER_LENGTHS[4])
+    struct.pack_into("<4sHH", block, 0, b"LASF", 0, 1 | 16)  # global encoding: adjusted GPS time, CRS as WKT
+    struct.pack_into("<BB32s32sHH", block, 24, 1, 4, b"OTHER", b"jaxfilter", *created)
+    struct.pack_into("<HIIBH", block, 94, len(block), len(block) + len(record), bool(record), 6, RECORD_LENGTHS[6])
+    struct.pack_into("<6d", block, 131, *scales, *offsets)
+    return _parse(path, bytes(block) + record, None)
+
+
+def _entry(name: str, data_type: int) -> bytes:
+    return struct.pack("<HBB32s", 0, data_type, 0, name.encode()).ljust(_EXTRA_ENTRY, b"\0")
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0", 1)[0].decode("latin-1")

@@ -1,0 +1,201 @@
+"""Reading point clouds: LAS, LAZ, COPC and text."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import NOISE_CLASSES, PointCloud, Units, parse_units
+from ..core.errors import InputError, JaxfilterWarning
+from ..core.points import canonical_points
+from . import records, text
+from .files import Bounds, Source, check_bounds
+from .header import Header, read_header
+from .records import read_records, reading
+from .units import Reference, linear_units, reference_of
+from .writing import GROUND_CLASS, LAS_SUFFIXES, write
+
+__all__ = ["info", "read", "write"]
+
+
+def read(
+    path: str | Path,
+    *,
+    bounds: Iterable[float] | None = None,
+    units: str | Units | None = None,
+    returns: str = "last,only",
+    ignore_classes: Iterable[int] = NOISE_CLASSES,
+    keep_withheld: bool = False,
+    drop_invalid: bool = False,
+    anchor: Iterable[float] | None = None,
+) -> PointCloud:
+    """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
+
+    Text has lines of x y z, or x y z label as in the ISPRS samples (0 = ground, 1 = object), separated by white space,
+    commas or semicolons; with a header line, columns are found by their names (x, y, z, label, classification,
+    return_number, number_of_returns, withheld) and others are passed over. The reference of a LAS file is its class 2.
+
+    Args:
+        path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy.
+        bounds: (xmin, ymin, xmax, ymax) in file units; points with xmin <= x < xmax and ymin <= y < ymax are kept, so
+            that adjoining bounds share no point. COPC reads only the octree nodes concerned.
+        units: ``"m"``, ``"ft"``, ``"us-ft"``, or XY and Z apart (``"us-ft,m"``); by default what the CRS says. Where
+            it says nothing of Z, Z has the unit of XY. Text is in metres unless told otherwise.
+        returns, ignore_classes, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
+        drop_invalid: label NaN and infinite coordinates (text only) non-ground instead of raising.
+        anchor: (x, y) in file units that grids are aligned to; by default the cloud's own corner.
+
+    Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular coordinates.
+    Warns: JaxfilterWarning where something was assumed: no CRS, damaged CRS or extra bytes, odd echoes, no points.
+    """
+    path = Path(path)
+    cut = None if bounds is None else check_bounds(bounds)
+    asked = None if units is None else parse_units(units)
+    chosen: dict[str, Any] = {
+        "returns": returns,
+        "ignore_classes": tuple(ignore_classes),
+        "keep_withheld": keep_withheld,
+        "anchor": None if anchor is None else tuple(anchor),
+    }
+    if _is_las(path):
+        header, reference = _open_las(path)
+        return _las_cloud(header, reference, linear_units(reference, asked, str(path)), cut, chosen)
+    return _text_cloud(path, asked or Units(), cut, {**chosen, "drop_invalid": drop_invalid})
+
+
+def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any]:
+    """What is in a file, for people and for JSON; angular coordinates are no error here.
+
+    Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
+    (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``classes`` and ``echoes`` (counts), ``withheld``,
+    ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of occupied area). None where a file
+    says nothing.
+    """
+    path = Path(path)
+    asked = None if units is None else parse_units(units)
+    header, reference = _open_las(path) if _is_las(path) else (None, Reference())
+    angular = asked is None and reference.angular
+    if header is not None:
+        scale = Units(1.0, 1.0, "degree") if angular else linear_units(reference, asked, str(path))
+        cloud = _las_cloud(header, reference, scale, None, {})
+    else:
+        cloud = _text_cloud(path, asked or Units(), None, {"drop_invalid": True})
+    low = high = None
+    if len(cloud):
+        corners = np.stack([cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)])
+        low, high = np.round(dataclasses.replace(cloud, xyz=corners).coordinates(), 3).tolist()
+    points = canonical_points(cloud)
+    spacing = None if angular or len(points) < 2 else points.spacing()
+    return {
+        "path": str(path),
+        "format": cloud.source.format,
+        "points": len(cloud),
+        "crs": reference.name,
+        "units": str(cloud.units),
+        "metres_per_unit": None if angular else [cloud.units.xy, cloud.units.z],
+        "bounds": None if low is None or high is None else [*low[:2], *high[:2]],
+        "z": None if low is None or high is None else [low[2], high[2]],
+        "scales": None if header is None else header.scales.tolist(),
+        "offsets": None if header is None else header.offsets.tolist(),
+        "classes": _counts(cloud.classification),
+        "echoes": _echo_counts(cloud),
+        "withheld": None if cloud.withheld is None else int(cloud.withheld.sum()),
+        "candidates": int(cloud.candidate.sum()),
+        "spacing": spacing,
+        "density": None if spacing is None else 1 / spacing**2,
+    }
+
+
+def _is_las(path: Path) -> bool:
+    """By suffix, and for other suffixes than those of text by the signature of the file. Raises InputError."""
+    suffix = path.suffix.lower()
+    with reading(path), open(path, "rb") as file:
+        signed = file.read(4) == b"LASF"
+    if signed or suffix in LAS_SUFFIXES:
+        return True
+    if suffix in text.SUFFIXES:
+        return False
+    raise InputError(f"{path}: neither LAS nor one of {', '.join(text.SUFFIXES)}; give text one of these suffixes")
+
+
+def _open_las(path: Path) -> tuple[Header, Reference]:
+    with reading(path):
+        header = read_header(path)
+        return header, reference_of(header)
+
+
+def _las_cloud(
+    header: Header, reference: Reference, units: Units, cut: Bounds | None, chosen: dict[str, Any]
+) -> PointCloud:
+    name, number = str(header.path), header.point_format
+    fields: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "return_number": lambda r: records.echoes(r, number)[0],
+        "number_of_returns": lambda r: records.echoes(r, number)[1],
+        "classification": lambda r: records.classes(r, number),
+        "withheld": lambda r: records.withheld(r, number),
+    }
+    # np.empty takes memory only as it is filled, so little of it where bounds leave few points
+    ticks, n = np.empty((header.count, 3), np.int32), 0
+    columns: dict[str, Any] = {key: np.empty(header.count, bool if key == "withheld" else np.uint8) for key in fields}
+    for chunk in read_records(header, cut, every_field=False):
+        rows = slice(n, n + len(chunk))
+        ticks[rows] = records.integers(chunk)
+        for key, get in fields.items():
+            columns[key][rows] = get(chunk)
+        n = rows.stop
+    if n < header.count:
+        ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}
+    if n == 0:
+        _warn_empty(name, cut)
+    is_ground = columns["classification"] == GROUND_CLASS
+    source = Source.of(header.path, "las", str(header), n, cut)
+    return PointCloud.from_integers(
+        ticks, header.scales, header.offsets, units=units, name=name, crs=reference.crs, source=source,
+        reference=is_ground if is_ground.any() else None, **columns, **chosen,
+    )
+
+
+def _text_cloud(path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
+    layout = text.layout_of(path)
+    chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+    xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
+    keys = chunks[0][1] if chunks else ()
+    columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
+    if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
+        columns["reference"] = columns["classification"] == GROUND_CLASS
+    if not len(xyz):
+        _warn_empty(str(path), cut)
+    source = Source.of(path, "text", "text" if layout is None else str(layout), len(xyz), cut)
+    return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
+
+
+def _warn_empty(name: str, cut: Bounds | None) -> None:
+    where = "" if cut is None else f" within bounds {cut}"
+    warnings.warn(f"{name}: holds no points{where}", JaxfilterWarning, stacklevel=4)
+
+
+def _counts(values: np.ndarray | None) -> dict[int, int] | None:
+    if values is None:
+        return None
+    counts = np.bincount(values, minlength=1)
+    return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
+
+
+def _echo_counts(cloud: PointCloud) -> dict[str, int] | None:
+    number, total = cloud.return_number, cloud.number_of_returns
+    if number is None or total is None:
+        return None
+    several = total > 1
+    kinds = {
+        "only": (total == 1) & (number == 1),
+        "first": several & (number == 1),
+        "intermediate": several & (number > 1) & (number < total),
+        "last": several & (number == total),
+    }
+    counts = {name: int(mask.sum()) for name, mask in kinds.items()}
+    return {**counts, "odd": len(cloud) - sum(counts.values())}

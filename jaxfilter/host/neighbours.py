@@ -1,0 +1,58 @@
+"""Neighbour queries by KD-tree."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+_NEAR = 16
+_BATCH = 1 << 18
+
+
+def tree_of(xyz: np.ndarray) -> cKDTree:
+    """KD-tree of f32[m, d]; sliding midpoints, which for points in canonical order is quicker to build and no slower to ask."""
+    return cKDTree(xyz, balanced_tree=False, compact_nodes=False)
+
+
+def nearest(tree: cKDTree, xyz: np.ndarray, k: int, radius: float, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """The ``k`` nearest of the tree to each of ``xyz`` [q, d]: distances f64[q, k] (+inf: none), indices i64[q, k].
+
+    Neighbours at a distance of ``radius`` count; the query point is among them if it is in the tree.
+    """
+    bound = np.nextafter(radius, np.inf)  # SciPy returns neighbours nearer than the bound
+    distance, index = tree.query(xyz, k=np.arange(1, k + 1), distance_upper_bound=bound, workers=workers or -1)
+    return distance, index
+
+
+def few_neighbours(
+    xyz: np.ndarray, weight: np.ndarray, radius: float, least: int, workers: int | None = None
+) -> np.ndarray:
+    """bool[m]: fewer than ``least`` other points lie within ``radius`` of each of f32[m, d], in canonical order.
+
+    A row counts ``weight`` (i32[m]) times; the other points that coincide with a row are neighbours of it. Exact: points
+    that have enough neighbours close by in canonical order, which are most, are passed first, the others ask a KD-tree
+    for the nearest ``least``.
+    """
+    m = len(xyz)
+    found = weight.astype(np.int32) - 1
+    columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
+    limit = np.float32(radius * (1 - 1e-6)) ** 2  # rounding must not pass a point on the sphere twice
+    for shift in range(1, min(_NEAR, m - 1) + 1):
+        square = np.zeros(m - shift, np.float32)
+        for column in columns:
+            step = column[shift:] - column[:-shift]
+            step *= step
+            square += step
+        near = square <= limit
+        found[:-shift] += np.where(near, weight[shift:], 0)
+        found[shift:] += np.where(near, weight[:-shift], 0)
+    rows = np.flatnonzero(found < least)
+    few = np.zeros(m, bool)
+    if len(rows) == 0:
+        return few
+    tree = tree_of(xyz)
+    for part in np.array_split(rows, len(rows) // _BATCH + 1):
+        distance, index = nearest(tree, xyz[part], least + 1, radius, workers)
+        counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
+        few[part] = counted - 1 < least
+    return few

@@ -1,0 +1,199 @@
+"""Point records as bytes: read in chunks, looked into, changed and written again, compressed or not."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import lazrs
+import numpy as np
+
+from ..core.errors import InputError, JaxfilterError
+from . import copc
+from .files import Bounds
+from .header import Header
+
+CHUNK = 1_000_000
+"""Points that are held at a time. LAZ is written in pieces of this size as well."""
+
+_NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud is wanted
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+    | lazrs.SELECTIVE_DECOMPRESS_Z
+    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+)
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever the decoders raise on a bad file into an InputError that names it."""
+    try:
+        yield
+    except JaxfilterError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, IndexError, OverflowError, MemoryError, struct.error) as error:
+        raise InputError(f"{path}: cannot be decoded: {error}") from error
+    except lazrs.LazrsError as error:
+        raise InputError(f"{path}: the compressed points are damaged or truncated: {error}") from error
+    except BaseException as error:
+        if type(error).__name__ == "PanicException":  # how the LAZ decoder reports some damage; not an Exception
+            raise InputError(f"{path}: the compressed points are damaged: {error}") from error
+        raise
+
+
+def read_records(header: Header, bounds: Bounds | None = None, every_field: bool = True) -> Iterator[np.ndarray]:
+    """The point records, u8[k, record_length] with k <= CHUNK, in file order; only those inside ``bounds`` if given.
+
+    A COPC file with bounds is read through its octree, everything else from end to end. With ``every_field=False``,
+    fields other than coordinates, echoes, class and flags may be zero, which is faster for LAZ.
+
+    Raises: InputError if the points are damaged.
+    """
+    wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else _NEEDED
+    with reading(header.path), open(header.path, "rb") as file:
+        if header.is_copc and bounds is not None:
+            chunks = copc.node_chunks(header, file, copc.nodes_within(header, file, bounds), wanted, CHUNK)
+        else:
+            chunks = _file_chunks(header, file, wanted)
+        for chunk in chunks:
+            yield chunk if bounds is None else chunk[inside(coordinates(chunk, header, 2), bounds)]
+
+
+def _file_chunks(header: Header, file: BinaryIO, wanted: int) -> Iterator[np.ndarray]:
+    decoder = None
+    file.seek(len(header.head))
+    if header.compressed and header.count:
+        decoder = lazrs.ParLasZipDecompressor(file, header.decoder, lazrs.DecompressionSelection(wanted))
+    for start in range(0, header.count, CHUNK):
+        chunk = np.empty((min(CHUNK, header.count - start), header.record_length), np.uint8)
+        if decoder is not None:
+            decoder.decompress_many(chunk.reshape(-1))
+        elif file.readinto(chunk.data) < chunk.nbytes:  # type: ignore[attr-defined]
+            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
+        yield chunk
+
+
+def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
+    """bool[n]: which f64[n, >=2] lie in the half-open ``bounds``."""
+    x, y = xy[:, 0], xy[:, 1]
+    return (x >= bounds[0]) & (x < bounds[2]) & (y >= bounds[1]) & (y < bounds[3])
+
+
+def integers(records: np.ndarray) -> np.ndarray:
+    """i32[n, 3] view of X, Y, Z."""
+    return records[:, :12].view("<i4")
+
+
+def coordinates(records: np.ndarray, header: Header, axes: int = 3) -> np.ndarray:
+    """f64[n, axes], file units."""
+    return integers(records)[:, :axes] * header.scales[:axes] + header.offsets[:axes]
+
+
+def echoes(records: np.ndarray, point_format: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return number and number of returns, u8[n] each."""
+    bits = records[:, 14]
+    return (bits & 7, (bits >> 3) & 7) if point_format < 6 else (bits & 15, bits >> 4)
+
+
+def classes(records: np.ndarray, point_format: int) -> np.ndarray:
+    """u8[n] classification."""
+    return records[:, 15] & 31 if point_format < 6 else records[:, 16].copy()
+
+
+def set_classes(records: np.ndarray, point_format: int, values: np.ndarray) -> None:
+    """Put in new classes; the flags that share their byte in point formats 0 to 5 stay."""
+    if point_format < 6:
+        records[:, 15] = (records[:, 15] & 0xE0) | values
+    else:
+        records[:, 16] = values
+
+
+def withheld(records: np.ndarray, point_format: int) -> np.ndarray:
+    """bool[n]."""
+    return ((records[:, 15] >> (7 if point_format < 6 else 2)) & 1).astype(bool)
+
+
+def channels(records: np.ndarray) -> int:
+    """The scanner channels that occur, as bits; for point formats 6 to 10."""
+    return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))
+
+
+class Writer:
+    """Writes a header, then point records in chunks, then the tail of a source file.
+
+    Args:
+        file: binary, empty.
+        header: as the output shall have it, see ``Header.rewritten``.
+        recount: bring the counts and the extent in the header up to date with what was written; otherwise they stay.
+    """
+
+    def __init__(self, file: BinaryIO, header: Header, recount: bool) -> None:
+        self.file, self.header, self.recount = file, header, recount
+        self.head = bytearray(header.head)
+        self.count, self.by_return = 0, np.zeros(16, np.int64)
+        self.low, self.high = np.full(3, 2**31, np.int64), np.full(3, -(2**31), np.int64)
+        file.write(header.head)
+        self.encoder = lazrs.ParLasZipCompressor(file, lazrs.LazVlr(header.laszip)) if header.compressed else None
+
+    def write(self, records: np.ndarray) -> None:
+        """Append u8[k, record_length]."""
+        records = np.ascontiguousarray(records)
+        if not len(records):
+            return
+        if self.recount:
+            self.count += len(records)
+            self.by_return += np.bincount(echoes(records, self.header.point_format)[0], minlength=16)
+            ticks = integers(records)
+            self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))
+        if self.encoder is not None:
+            self.encoder.compress_many(records.reshape(-1))
+        else:
+            self.file.write(records.data)
+
+    def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
+        """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
+        if self.encoder is not None:
+            self.encoder.done()
+        self.file.seek(0, 2)
+        if source is not None:
+            self._copy_tail(source, drop)
+        if self.recount:
+            self._recount()
+        self.file.seek(0)
+        self.file.write(self.head)
+
+    def _copy_tail(self, source: Header, drop: tuple[str, ...]) -> None:
+        at = self.file.tell()
+        kept = [r for r in source.evlrs if r.user not in drop]
+        with open(source.path, "rb") as file:
+            if len(kept) == len(source.evlrs):
+                file.seek(source.tail)
+                shutil.copyfileobj(file, self.file, 2**20)
+                shift = at - source.tail
+                for field, start in ((227, source.waveform_start), (235, source.evlr_start)):
+                    if start >= source.tail and start:
+                        struct.pack_into("<Q", self.head, field, start + shift)
+            else:
+                struct.pack_into("<QI", self.head, 235, at if kept else 0, len(kept))
+                for record in kept:
+                    file.seek(record.start)
+                    self.file.write(file.read(record.end - record.start))
+
+    def _recount(self) -> None:
+        header = self.header
+        if header.minor >= 4:
+            struct.pack_into("<16Q", self.head, 247, self.count, *self.by_return[1:])
+        legacy = [self.count, *self.by_return[1:6]] if header.point_format < 6 and self.count < 2**32 else [0] * 6
+        struct.pack_into("<6I", self.head, 107, *(int(v) for v in legacy))
+        extent = np.zeros((3, 2))
+        if self.count:
+            extent = np.stack([self.high, self.low], axis=1) * header.scales[:, None] + header.offsets[:, None]
+        struct.pack_into("<6d", self.head, 179, *extent.reshape(-1))

@@ -1,0 +1,281 @@
+"""Writing classified clouds. What is not asked to change is copied byte for byte from the file the cloud came from."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import warnings
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import lazrs
+import numpy as np
+import pyproj
+
+from ..core.cloud import PointCloud
+from ..core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
+from ..core.result import FilterResult
+from . import records, text
+from .files import Source, new_file
+from .header import FLOAT32, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
+from .records import CHUNK, Writer, read_records, reading
+
+GROUND_CLASS = 2
+RESETS = ("ground", "all", "none")
+EXTRAS = ("height", "slope", "angle", "elevation", "margin")
+"""Quantities of a FilterResult that can be written along with the points."""
+
+LAS_SUFFIXES = (".las", ".laz")
+
+
+def write(
+    path: str | Path,
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    *,
+    overwrite: bool = False,
+    in_place: bool = False,
+    ground_class: int = GROUND_CLASS,
+    other_class: int = 1,
+    reset: str = "ground",
+    only_ground: bool = False,
+    extra: Iterable[str] = (),
+) -> Path:
+    """Write the points of a cloud with their classes: .las and .laz, or .txt, .xyz and .csv with a label (0 = ground).
+
+    A cloud from a LAS file is streamed from that file again: only the classes of candidates change, everything else is
+    copied byte for byte (header with its dates, scales, records, extra bytes, flags, integer coordinates, waveforms).
+    Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep
+    their lines when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to 0.001 units (0.0001
+    if the text has more than three decimals). COPC cannot be written; its points go to plain .laz, in the file's order.
+
+    Args:
+        path: the output; it appears whole or not at all.
+        result: what a filter returned, or bool[n], True = ground.
+        overwrite: replace an existing file.
+        in_place: allow the output to be the file that the cloud came from.
+        ground_class: class of candidates that are ground.
+        other_class: class of candidates that are not ground and whose old class is reset.
+        reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
+        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
+        extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin.
+
+    Returns: the path.
+    Raises: OutputError (exists, is the input, cannot hold a class or a coordinate, disk), ParameterError, InputError
+    (result of another length, source file changed).
+    """
+    path, names = Path(path), tuple(extra)
+    kind = path.suffix.lower()
+    if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
+        raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
+    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names)
+    source: Source | None = cloud.source
+    if source is not None:
+        source.check_unchanged()
+        if source.points != len(cloud):
+            raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
+    if names and kind in text.SUFFIXES:
+        raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz")
+    origin = None if source is None else source.path
+    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary:
+        if kind in text.SUFFIXES:
+            _write_text(path, temporary, cloud, labels)
+        else:
+            with open(temporary, "xb") as file:
+                _write_las(path, file, cloud, labels)
+    return path
+
+
+class _Labels:
+    """The outcome of a run as new classes and extra values, for any run of points."""
+
+    def __init__(
+        self,
+        cloud: PointCloud,
+        result: FilterResult | np.ndarray,
+        ground_class: int,
+        other_class: int,
+        reset: str,
+        extra: tuple[str, ...],
+    ) -> None:
+        ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
+        if ground.shape != (len(cloud),) or ground.dtype != bool:
+            shape = list(ground.shape)
+            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{shape}")
+        if reset not in RESETS:
+            raise ParameterError(f"reset={reset!r}: choose one of {', '.join(RESETS)}")
+        for name, value in (("ground_class", ground_class), ("other_class", other_class)):
+            if not 0 <= value <= 255:
+                raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
+        unknown = set(extra) - set(EXTRAS)
+        if unknown or len(set(extra)) < len(extra):
+            raise ParameterError(f"extra={extra!r}: distinct names out of {', '.join(EXTRAS)} are needed")
+        if extra and not isinstance(result, FilterResult):
+            raise ParameterError(f"extra={extra!r}: labels alone hold no such quantities; pass the FilterResult")
+        self.ground, self.candidate = ground, cloud.candidate
+        self.ground_class, self.other_class = ground_class, other_class
+        self.resets = np.zeros(256, bool)
+        self.resets[{"ground": [0, GROUND_CLASS, ground_class], "all": slice(None), "none": []}[reset]] = True  # type: ignore[call-overload]
+        self.extra = {name: getattr(result, name) for name in extra}
+
+    def classes(self, old: np.ndarray, rows: slice) -> np.ndarray:
+        """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
+        ground, candidate = self.ground[rows], self.candidate[rows]
+        other = np.where(candidate & self.resets[old], np.uint8(self.other_class), old)
+        return np.where(candidate & ground, np.uint8(self.ground_class), other)
+
+    def texts(self, rows: slice) -> np.ndarray:
+        """Labels as text files have them."""
+        return np.where(self.ground[rows], text.GROUND, text.OBJECT)
+
+
+def _write_las(path: Path, file: BinaryIO, cloud: PointCloud, labels: _Labels) -> None:
+    source: Source | None = cloud.source
+    from_las = source is not None and source.kind == "las"
+    if source is not None and from_las:
+        with reading(source.path):
+            header = read_header(source.path)
+        chunks = read_records(header, source.bounds)
+    else:
+        header = _fresh_header(path, cloud)
+        chunks = _fresh_records(path, header, cloud)
+    number = header.point_format
+    largest = max(labels.ground_class, labels.other_class)
+    if number < 6 and largest > 31:
+        raise OutputError(
+            f"{path}: class {largest} does not fit into point format {number}, which holds 0 to 31; upgrade the input "
+            "to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
+        )
+    existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
+    for dimension in existing.values():
+        if dimension.data_type != FLOAT32:
+            raise OutputError(f"{path}: the input has extra bytes named {dimension.name!r} that are not float32")
+    added = tuple(name for name in labels.extra if name not in existing)
+    compressor = None
+    if path.suffix.lower() == ".laz":
+        width = header.record_length + 4 * len(added)
+        compressor = lazrs.LazVlr.new_for_compression(number, width - RECORD_LENGTHS[number]).record_data()
+    drop = ("copc",) if header.is_copc else ()
+    if header.is_copc:
+        kind = "LAS" if compressor is None else "LAZ"
+        warnings.warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree",
+                      JaxfilterWarning, stacklevel=4)
+    recount = not from_las or source.bounds is not None  # type: ignore[union-attr]
+    writer = Writer(file, header.rewritten(compressor, added, drop), recount)
+    packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
+    start, channels = 0, 0
+    for chunk in chunks:
+        rows = slice(start, start + len(chunk))
+        start = rows.stop
+        if packed_waves:
+            channels |= records.channels(chunk)
+            if channels.bit_count() > 1:  # lazrs 0.8 mixes up the wave packets of different channels
+                raise OutputError(
+                    f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
+                    ".las for input and output"
+                )
+        records.set_classes(chunk, number, labels.classes(records.classes(chunk, number), rows))
+        _fill(chunk, existing, labels, rows)
+        if added:
+            columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
+            chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
+        writer.write(chunk)
+    writer.finish(header if from_las else None, drop)
+
+
+def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Labels, rows: slice) -> None:
+    for name, dimension in existing.items():
+        values = labels.extra[name][rows].astype("<f4")
+        chunk[:, dimension.start : dimension.start + 4] = values.view(np.uint8).reshape(-1, 4)
+
+
+def _fresh_header(path: Path, cloud: PointCloud) -> Header:
+    decimals = 3
+    if cloud.source is not None:
+        layout = text.layout_of(cloud.source.path)
+        decimals = 4 if layout is not None and layout.decimals > 3 else 3
+    wkt = None
+    if cloud.crs is not None:
+        try:
+            wkt = cloud.crs.to_wkt("WKT1_GDAL")
+        except pyproj.exceptions.CRSError as error:
+            warnings.warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}",
+                          JaxfilterWarning, stacklevel=4)
+    today = datetime.date.today()
+    created = (today.timetuple().tm_yday, today.year)
+    return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)
+
+
+def _fresh_records(path: Path, header: Header, cloud: PointCloud) -> Iterator[np.ndarray]:
+    """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
+    start = 0
+    for xyz in _coordinates(cloud):
+        rows = slice(start, start + len(xyz))
+        start = rows.stop
+        ticks = np.rint((xyz - header.offsets) / header.scales)
+        bad = ~(np.abs(ticks) < 2**31)
+        if bad.any():
+            value = xyz[bad.any(axis=1).argmax()].tolist()
+            raise OutputError(
+                f"{path}: coordinate {value} does not fit into 32 bits at a scale of {header.scales[0]:g}; LAS cannot "
+                "hold this extent (or NaN): remove stray points"
+            )
+        chunk = np.zeros((len(xyz), header.record_length), np.uint8)
+        chunk[:, :12] = np.ascontiguousarray(ticks, "<i4").view(np.uint8)
+        one = np.ones(len(xyz), np.uint8)
+        number = one if cloud.return_number is None else cloud.return_number[rows] & 15
+        total = one if cloud.number_of_returns is None else cloud.number_of_returns[rows] & 15
+        chunk[:, 14] = number | total << 4
+        if cloud.withheld is not None:
+            chunk[:, 15] = cloud.withheld[rows].astype(np.uint8) << 2
+        if cloud.classification is not None:
+            chunk[:, 16] = cloud.classification[rows]
+        yield chunk
+
+
+def _coordinates(cloud: PointCloud) -> Iterator[np.ndarray]:
+    """Chunks of f64[k, 3] in file units: those of the source file where there is one, else the cloud's."""
+    source: Source | None = cloud.source
+    if source is None:
+        for start in range(0, len(cloud), CHUNK):
+            rows = slice(start, start + CHUNK)
+            valid = None if cloud.valid is None else cloud.valid[rows]
+            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
+            yield xyz if valid is None else np.where(valid[:, None], xyz, np.nan)
+    elif source.kind == "las":
+        with reading(source.path):
+            header = read_header(source.path)
+        for chunk in read_records(header, source.bounds, every_field=False):
+            yield records.coordinates(chunk, header)
+    else:
+        layout = text.layout_of(source.path)
+        for xyz, _ in () if layout is None else text.read_text(source.path, layout, source.bounds):
+            yield xyz
+
+
+def _write_text(path: Path, temporary: Path, cloud: PointCloud, labels: _Labels) -> None:
+    source: Source | None = cloud.source
+    with open(temporary, "x", encoding="latin-1", newline="") as file:
+        if source is not None and source.kind == "text":
+            layout = text.layout_of(source.path)
+            if layout is not None:
+                text.rewrite_text(source.path, layout, file, source.bounds, labels.texts, labels.classes)
+            return
+        decimals = 3 if source is None else _decimals(read_header(source.path).scales)
+        delimiter = "," if path.suffix.lower() == ".csv" else "\t"
+        if delimiter == ",":
+            file.write("x,y,z,label\n")
+        start = 0
+        for xyz in _coordinates(cloud):
+            text.write_table(file, xyz, labels.ground[start : start + len(xyz)], decimals, delimiter)
+            start += len(xyz)
+
+
+def _decimals(scales: np.ndarray) -> int:
+    """Decimals that show multiples of the scales exactly, 12 at most."""
+    for decimals in range(12):
+        steps = scales * 10.0**decimals
+        if np.allclose(steps, np.rint(steps), rtol=1e-9, atol=0) and (np.rint(steps) > 0).all():
+            return decimals
+    return 12

@@ -1,0 +1,437 @@
+"""Files that are damaged, odd or not what they seem: a typed error or warning that names the file, never a crash."""
+
+from __future__ import annotations
+
+import logging
+import struct
+import time
+import tracemalloc
+import warnings
+
+import laspy
+import numpy as np
+import pytest
+from las_files import make_copc, make_las, patch
+
+from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError
+from jaxfilter.host.las import info, read, write
+
+
+@pytest.fixture(autouse=True)
+def quiet_decoders():
+    """laspy logs what it also raises."""
+    logging.disable(logging.ERROR)
+    yield
+    logging.disable(logging.NOTSET)
+
+
+def offset_to_points(path):
+    return struct.unpack_from("<I", path.read_bytes(), 96)[0]
+
+
+def assert_refused(path, message):
+    """An InputError that names the file, at once and without much memory."""
+    tracemalloc.start()
+    began = time.perf_counter()
+    try:
+        with pytest.raises(InputError, match=message) as caught:
+            read(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert str(path) in str(caught.value)
+    assert time.perf_counter() - began < 2 and peak < 20e6
+    with pytest.raises(InputError):
+        info(path)
+
+
+# not a point cloud at all
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_empty_file(tmp_path, suffix):
+    path = tmp_path / f"in{suffix}"
+    path.write_bytes(b"")
+    assert_refused(path, "the file is empty")
+
+
+@pytest.mark.parametrize("content", [b"PK\x03\x04" + bytes(500), b"LAS", b"1 2 3\n4 5 6\n"])
+def test_wrong_signature(tmp_path, content):
+    path = tmp_path / "in.las"
+    path.write_bytes(content)
+    assert_refused(path, "not a LAS file")
+
+
+def test_signature_alone(tmp_path):
+    path = tmp_path / "in.las"
+    path.write_bytes(b"LASF" + bytes(100))
+    assert_refused(path, "too few for a LAS header")
+
+
+def test_missing_file_folder_and_unknown_suffix(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "none.las")
+    with pytest.raises(InputError, match="cannot be read"):
+        read(tmp_path)
+    (tmp_path / "in.ply").write_text("ply\n")
+    with pytest.raises(InputError, match="neither LAS nor one of"):
+        read(tmp_path / "in.ply")
+
+
+def test_las_by_its_signature(tmp_path):
+    make_las(tmp_path / "in.las")
+    (tmp_path / "in.las").rename(tmp_path / "in.bin")
+    assert len(read(tmp_path / "in.bin")) == 200
+
+
+# truncated
+
+
+@pytest.mark.parametrize("version, point_format", [("1.2", 1), ("1.4", 6)])
+def test_truncated_las(tmp_path, version, point_format):
+    path = tmp_path / "in.las"
+    make_las(path, point_format, version)
+    whole, start = path.read_bytes(), offset_to_points(path)
+    length = laspy.open(path).header.point_format.size
+    path.write_bytes(whole[: start + 10 * length + 3])
+    assert_refused(path, "announces 200 points, but the file holds 10")
+    path.write_bytes(whole[: start - 1])
+    assert_refused(path, "offset to point data")
+    path.write_bytes(whole[:240])
+    assert_refused(path, "header|offset to point data")
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+@pytest.mark.parametrize("keep", [0.0, 0.3, 0.9, 0.999])
+def test_truncated_laz(tmp_path, point_format, keep):
+    path = tmp_path / "in.laz"
+    make_las(path, point_format, "1.2" if point_format == 1 else None, n=3000)
+    if point_format == 6:
+        patch(path, "QI", 235, 0, 0)  # no extended records, whose absence would be noticed first
+        size = len(path.read_bytes()) - 60 - 256 * 300
+    else:
+        size = len(path.read_bytes())
+    start = offset_to_points(path)
+    path.write_bytes(path.read_bytes()[: start + int((size - start) * keep)])
+    assert_refused(path, "truncated|damaged")
+
+
+def test_damaged_chunk_table(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 1, n=3000)
+    start = offset_to_points(path)
+    table = struct.unpack_from("<q", path.read_bytes(), start)[0]
+    whole = path.read_bytes()
+    for at, layout, value in ((start, "q", table + 5), (start, "q", -7), (start, "q", 2**40), (start, "q", -1),
+                              (table + 4, "I", 0), (table + 4, "I", 2**31), (table + 8, "I", 0xFFFFFFFF)):  # fmt: skip
+        path.write_bytes(whole)
+        patch(path, layout, at, value)
+        assert_refused(path, "truncated|damaged|decoded")
+
+
+def test_truncated_extended_records(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 6)
+    path.write_bytes(path.read_bytes()[:-10])
+    assert_refused(path, "extended record 1 of 1")
+    patch(path, "I", 243, 2**31)
+    assert_refused(path, "announces 2147483648 extended records")
+
+
+def test_truncated_copc(tmp_path):
+    path = tmp_path / "in.copc.laz"
+    make_copc(path)
+    path.write_bytes(path.read_bytes()[:-40])
+    assert_refused(path, "extended record")
+
+
+# headers that lie
+
+
+def test_more_points_announced_than_held(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 1)
+    patch(path, "I", 107, 10_000_000)
+    assert_refused(path, "announces 10000000 points, but the file holds 200")
+    make_las(path, 6)
+    patch(path, "Q", 247, 2**62)
+    assert_refused(path, f"announces {2**62} points")
+
+
+@pytest.mark.parametrize("count", [2**31, 100_001, 50_000])
+def test_other_number_of_points_than_in_the_chunks(tmp_path, count):
+    path = tmp_path / "in.laz"
+    make_las(path, 1, n=60_000)
+    patch(path, "I", 107, count)
+    assert_refused(path, f"announces {count} points")
+
+
+def test_octree_that_names_other_chunks(tmp_path):
+    path = tmp_path / "in.copc.laz"
+    make_copc(path)
+    entries = struct.unpack_from("<Q", path.read_bytes(), 235)[0] + 60
+    patch(path, "i", entries + 28, 399)
+    with pytest.raises(InputError, match=r"in.copc.laz: the octree names chunks that are not in the table"):
+        read(path, bounds=(0, 0, 1e9, 1e9))
+    patch(path, "Qii", entries + 16, entries, 32, -1)  # the page itself
+    with pytest.raises(InputError, match=r"in.copc.laz: page of the octree"):
+        read(path, bounds=(0, 0, 1e9, 1e9))
+    assert len(read(path)) == 400
+
+
+def test_wrong_number_of_points_in_copc(tmp_path):
+    path = tmp_path / "in.copc.laz"
+    make_copc(path)
+    patch(path, "Q", 247, 401)
+    assert_refused(path, "announces 401 points")
+
+
+@pytest.mark.parametrize("count", [2**31, 1000])
+def test_many_variable_length_records(tmp_path, count):
+    path = tmp_path / "in.las"
+    make_las(path, 1)
+    patch(path, "I", 100, count)
+    assert_refused(path, f"announces {count} variable length records")
+
+
+def test_record_that_runs_into_the_points(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 1)
+    patch(path, "H", 227 + 20, 60_000)
+    assert_refused(path, "variable length record 1 of")
+
+
+@pytest.mark.parametrize("value", [0.0, -0.01, float("nan"), float("inf")])
+def test_scale(tmp_path, value):
+    path = tmp_path / "in.las"
+    make_las(path, 6)
+    patch(path, "d", 131 + 8, value)
+    assert_refused(path, "Y scale factor is")
+
+
+def test_offset(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 6)
+    patch(path, "d", 155 + 16, float("nan"))
+    assert_refused(path, "Z offset is nan")
+
+
+@pytest.mark.parametrize("at, layout, value, message", [
+    (24, "B", 2, "version 2.4 is not supported"), (25, "B", 5, "version 1.5 is not supported"),
+    (94, "H", 100, "header size 100"), (94, "H", 60_000, "header size 60000|offset to point data"),
+    (96, "I", 0, "offset to point data 0"), (96, "I", 2**32 - 1, "offset to point data"),
+    (104, "B", 11, "point format 11 is unknown"), (105, "H", 29, "records of 29 bytes are too short"),
+    (104, "B", 6 | 0x80, "laszip record is missing"),
+])  # fmt: skip
+def test_other_header_fields(tmp_path, at, layout, value, message):
+    path = tmp_path / "in.las"
+    make_las(path, 6)
+    patch(path, layout, at, value)
+    assert_refused(path, message)
+
+
+def test_laszip_record_of_another_point_size(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 1)
+    patch(path, "H", 105, 40)
+    assert_refused(path, "describes points of 28 bytes, the header of 40")
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz"])
+def test_damage_anywhere_is_refused_or_read(tmp_path, name):
+    """Random bytes of header and records are overwritten: nothing but our own errors may come out."""
+    path = tmp_path / name
+    if "copc" in name:
+        make_copc(path)
+    else:
+        make_las(path, 6, extra=True)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    limit = 375 if name == "in.las" else offset_to_points(path)
+    refused = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for trial in range(200):
+            content = bytearray(whole)
+            for at in rng.integers(0, limit if trial % 2 else len(whole), 4):
+                content[at] = rng.integers(256)
+            path.write_bytes(content)
+            bounds = (440010, 4750010, 440050, 4750050) if trial % 3 == 0 else None
+            try:
+                read(path, bounds=bounds)
+            except JaxfilterError as error:
+                assert str(path) in str(error)
+                refused += 1
+    assert refused > 5
+
+
+# content
+
+
+def test_no_points(tmp_path):
+    for name in ("in.las", "in.laz"):
+        make_las(tmp_path / name, 6, n=0)
+    (tmp_path / "in.txt").write_text("")
+    (tmp_path / "in.csv").write_text("# nothing yet\n\n")
+    for name in ("in.las", "in.laz", "in.txt", "in.csv"):
+        with pytest.warns(JaxfilterWarning, match=f"{name}: holds no points"):
+            cloud = read(tmp_path / name)
+        assert len(cloud) == 0 and cloud.candidate.shape == (0,)
+        for target in ("out.las", "out.laz", "out.txt"):
+            write(tmp_path / target, cloud, np.zeros(0, bool), overwrite=True)
+        assert laspy.read(tmp_path / "out.las").header.point_count == 0
+        assert laspy.read(tmp_path / "out.laz").header.point_count == 0
+        assert (tmp_path / "out.txt").read_text() == ""
+        with pytest.warns(JaxfilterWarning, match="holds no points"):
+            assert info(tmp_path / name)["bounds"] is None
+
+
+def test_echoes_all_zero(tmp_path):
+    zero = np.zeros(200, int)
+    fields = {"return_number": zero, "number_of_returns": zero, "classification": zero + 1, "withheld": zero}
+    las = make_las(tmp_path / "in.las", 6, **fields)
+    with pytest.warns(JaxfilterWarning, match=r"in.las: return number and number of returns are 0 throughout"):
+        cloud = read(tmp_path / "in.las")
+    assert cloud.candidate.all() and len(cloud) == len(las)
+
+
+def test_some_impossible_echoes(tmp_path):
+    number, total = np.ones(200, int), np.full(200, 2)
+    number[:3], total[:3] = (0, 3, 1), (0, 2, 0)
+    make_las(tmp_path / "in.las", 6, return_number=number, number_of_returns=total,
+             classification=np.ones(200, int), withheld=np.zeros(200, int))  # fmt: skip
+    with pytest.warns(JaxfilterWarning, match=r"in.las: 3 points have impossible return numbers"):
+        cloud = read(tmp_path / "in.las")
+    assert np.flatnonzero(cloud.candidate).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("token", ["nan", "inf", "-inf"])
+def test_coordinates_that_are_no_numbers(tmp_path, token):
+    path = tmp_path / "in.xyz"
+    path.write_text(f"0 0 0\n1 {token} 0\n2 2 2\n3 0 {token}\n")
+    with pytest.raises(InputError, match=r"in.xyz: 2 of 4 points have NaN or infinite coordinates"):
+        read(path)
+    with pytest.warns(JaxfilterWarning, match="2 points with NaN"):
+        cloud = read(path, drop_invalid=True)
+    assert cloud.candidate.tolist() == [True, False, True, False]
+    ground = cloud.candidate
+    write(tmp_path / "out.xyz", cloud, ground)
+    assert (tmp_path / "out.xyz").read_text() == f"0 0 0 0\n1 {token} 0 1\n2 2 2 0\n3 0 {token} 1\n"
+    with pytest.raises(OutputError, match="does not fit into 32 bits"):
+        write(tmp_path / "out.las", cloud, ground)
+    assert not (tmp_path / "out.las").exists()
+
+
+def test_coordinates_that_las_cannot_hold(tmp_path):
+    cloud = PointCloud.from_arrays(np.array([[0.0, 0, 0], [1e7, 0, 0], [0, 5, 0]]))
+    for suffix in (".las", ".laz"):
+        with pytest.raises(OutputError, match=r"coordinate \[10000000.0, 0.0, 0.0\] does not fit into 32 bits"):
+            write(tmp_path / f"out{suffix}", cloud, np.zeros(3, bool))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("content, message", [
+    ("1 2 3\n4 five 6\n", "line 2: y is 'five', not a number"),
+    ("1 2 3\n4 5\n", "line 2 has 2 columns, z is in column 3"),
+    ("a,b,c\n1,2,3\n", "names no columns x, y and z"),
+    ("1 2 3 4 5\n", "5 columns without names"), ("1 2\n", "no line holds three numbers"),
+    ("hello\nworld\n", "no line holds three numbers"), ("1 2 3 7\n", r"label 7: whole numbers, 0 \(ground\) or 1"),
+    ("x,y,z,class\n1,2,3,300\n", "classification 300"), ("x,y,z,return_number\n1,2,3,1.5\n", "return_number 1.5"),
+    ("\x00\x01\x02" * 500, "no line holds three numbers"),
+])  # fmt: skip
+def test_text(tmp_path, content, message):
+    path = tmp_path / "in.txt"
+    path.write_text(content)
+    assert_refused(path, message)
+
+
+# coordinate reference systems
+
+
+def test_no_crs(tmp_path):
+    make_las(tmp_path / "in.las", 6, crs=None)
+    with pytest.warns(JaxfilterWarning, match=r"in.las: no CRS states the units, metres are assumed"):
+        cloud = read(tmp_path / "in.las")
+    assert cloud.units.xy == cloud.units.z == 1 and cloud.crs is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", JaxfilterWarning)
+        warnings.filterwarnings("ignore", ".*impossible return numbers")
+        read(tmp_path / "in.las", units="m")
+
+
+def test_text_needs_no_crs(tmp_path, recwarn):
+    (tmp_path / "in.txt").write_text("1 2 3 0\n")
+    read(tmp_path / "in.txt")
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("crs, point_format", [(4326, 6), (4979, 6), (4978, 6), (4326, 1)])
+def test_angles(tmp_path, crs, point_format):
+    make_las(tmp_path / "in.las", point_format, crs=crs)
+    with pytest.raises(InputError, match=r"in.las: .*not in a projected system \(WGS 84\).*reproject"):
+        read(tmp_path / "in.las")
+    assert len(read(tmp_path / "in.las", units="m")) == 200
+
+
+def test_wkt_that_cannot_be_understood(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 6)
+    content = path.read_bytes().replace(b"PROJC", b"PR\xffJC", 1)
+    path.write_bytes(content)
+    with pytest.warns(JaxfilterWarning) as caught:
+        cloud = read(path)
+    messages = " | ".join(str(w.message) for w in caught)
+    assert "in.las: the WKT of its CRS cannot be understood" in messages and "metres are assumed" in messages
+    write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
+    assert (tmp_path / "out.las").read_bytes() == content
+
+
+def test_geotiff_keys_that_cannot_be_understood(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 1)
+    at = path.read_bytes().index(b"LASF_Projection") + 52
+    patch(path, "H", at + 6, 60_000)  # number of keys
+    content = path.read_bytes()
+    with pytest.warns(JaxfilterWarning, match="the GeoTIFF keys of its CRS cannot be understood"):
+        cloud = read(path, units="m")
+    write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
+    assert (tmp_path / "out.las").read_bytes() == content
+
+
+# extra bytes and classes
+
+
+@pytest.mark.parametrize("damage", ["type", "size"])
+def test_damaged_description_of_extra_bytes(tmp_path, damage):
+    path = tmp_path / "in.las"
+    make_las(path, 6, extra=True)
+    at = path.read_bytes().index(b"LASF_Spec") + 52
+    patch(path, "BB", at + 2, *((200, 0) if damage == "type" else (0, 255)))
+    content = path.read_bytes()
+    with pytest.warns(JaxfilterWarning, match="the description of its extra bytes is damaged; they are kept"):
+        cloud = read(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
+        assert (tmp_path / "out.las").read_bytes() == content
+
+
+def test_class_that_the_point_format_cannot_hold(tmp_path):
+    make_las(tmp_path / "old.las", 1)
+    make_las(tmp_path / "new.las", 6)
+    for options in ({"ground_class": 32}, {"other_class": 64}):
+        cloud = read(tmp_path / "old.las")
+        with pytest.raises(OutputError, match=r"does not fit into point format 1.*upgrade"):
+            write(tmp_path / "out.las", cloud, np.ones(200, bool), **options)
+        assert not (tmp_path / "out.las").exists()
+        cloud = read(tmp_path / "new.las")
+        write(tmp_path / "out.las", cloud, np.ones(200, bool), **options)
+        (tmp_path / "out.las").unlink()
+
+
+def test_input_as_output(tmp_path):
+    make_las(tmp_path / "in.las")
+    cloud = read(tmp_path / "in.las")
+    with pytest.raises(OutputError, match="pass in_place=True"):
+        write(tmp_path / "in.las", cloud, np.ones(200, bool), overwrite=True)

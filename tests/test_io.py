@@ -1,0 +1,692 @@
+"""Reading and lossless writing; laspy, numpy and the bytes themselves are the independent readers."""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import tracemalloc
+import warnings
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+import pytest
+from las_files import OFFSETS, SCALES, make_copc, make_las, patch
+
+from jaxfilter.core import cloud as core_cloud
+from jaxfilter.core.cloud import PointCloud, Units, parse_units
+from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
+from jaxfilter.core.filter import Labels, expand
+from jaxfilter.core.points import canonical_points
+from jaxfilter.host import records
+from jaxfilter.host.las import info, read, write
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
+
+VERSIONS = ("1.0", "1.1", "1.2", "1.3", "1.4")
+FIRST = (0, 0, 2, 2, 3, 3, 4, 4, 4, 4, 4)  # minor version in which each point format came
+EVERY = [(point_format, version) for point_format, first in enumerate(FIRST) for version in VERSIONS[first:]]
+
+
+def result_of(cloud, seed=0):
+    """A FilterResult with arbitrary labels, by the way every filter makes them."""
+    points = canonical_points(cloud)
+    rng = np.random.default_rng(seed)
+    value = rng.normal(size=len(points)).astype(np.float32)
+    return expand(cloud, points, Labels(value < 0, height=value + 1, margin=value))
+
+
+def any_version(path, point_format, version, **options):
+    """laspy writes 1.2 and later; earlier versions have the same layout and another number in the header."""
+    made = version if version > "1.1" else "1.2"
+    las = make_las(path, point_format, made, **options)
+    patch(path, "B", 25, int(version[-1]))
+    return las
+
+
+def one_channel(point_format, suffix):
+    """lazrs 0.8 does not give back wave packets of several scanner channels; see test_waveforms_of_several_channels."""
+    return {"scanner_channel": np.full(200, 2)} if point_format in (9, 10) and suffix == ".laz" else {}
+
+
+def expected_classes(las, candidate, ground, reset=(0, 2)):
+    old = np.asarray(las.classification)
+    new = np.where(candidate & np.isin(old, reset), 1, old)
+    return np.where(candidate & ground, 2, new)
+
+
+def expected_candidates(las):
+    number, total = np.asarray(las.return_number), np.asarray(las.number_of_returns)
+    return (number == total) & ~np.isin(las.classification, (7, 18)) & (np.asarray(las.withheld) == 0)
+
+
+def assert_same_but_classes(one, other):
+    assert one.point_format.id == other.point_format.id
+    for name in one.point_format.dimension_names:
+        if name != "classification":
+            a, b = np.asarray(one[name]), np.asarray(other[name])
+            assert a.tobytes() == b.tobytes(), name
+
+
+# LAS and LAZ
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("point_format, version", EVERY)
+def test_only_classes_of_candidates_change(tmp_path, point_format, version, suffix):
+    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    las = any_version(source, point_format, version, extra=True, **one_channel(point_format, suffix))
+    cloud = read(source)
+    local = PointCloud.from_arrays(np.stack([las.x, las.y, las.z], axis=1))
+    assert cloud.xyz.tobytes() == local.xyz.tobytes() and cloud.origin.tolist() == local.origin.tolist()
+    for name in ("return_number", "number_of_returns", "classification", "withheld"):
+        np.testing.assert_array_equal(getattr(cloud, name), np.asarray(las[name]), err_msg=name)
+    np.testing.assert_array_equal(cloud.candidate, expected_candidates(las))
+    np.testing.assert_array_equal(cloud.reference, np.asarray(las.classification) == 2)
+    result = result_of(cloud)
+    assert write(target, cloud, result) == target
+    out = laspy.read(target)
+    assert_same_but_classes(out, las)
+    np.testing.assert_array_equal(out.classification, expected_classes(las, cloud.candidate, result.ground))
+    assert not np.array_equal(out.classification, las.classification)
+    assert target.read_bytes()[:90] == source.read_bytes()[:90]  # ids, encoding, GUID, version, software
+    assert out.header.creation_date == las.header.creation_date
+    assert [v.record_data_bytes() for v in out.vlrs] == [v.record_data_bytes() for v in laspy.read(source).vlrs]
+    if version == "1.4":
+        assert out.evlrs[0].record_data == las.evlrs[0].record_data
+
+
+@pytest.mark.parametrize("point_format, version", EVERY)
+def test_las_differs_in_class_bytes_only(tmp_path, point_format, version):
+    source, target = tmp_path / "in.las", tmp_path / "out.las"
+    las = any_version(source, point_format, version)
+    cloud = read(source)
+    write(target, cloud, result_of(cloud))
+    old, new = (np.frombuffer(p.read_bytes(), np.uint8) for p in (source, target))
+    assert len(old) == len(new)
+    start, length = struct.unpack_from("<I", old, 96)[0], las.point_format.size
+    changed = np.flatnonzero(old != new) - start
+    assert len(changed) > 20
+    assert set(changed % length) == {15 if point_format < 6 else 16} and changed.max() < length * len(cloud)
+    if point_format < 6:
+        assert not ((old ^ new) & 0xE0).any()
+
+
+def test_what_laspy_would_not_keep(tmp_path):
+    """Odd bytes in text fields, a creation day 0, data after header and records: LAS to LAZ and back."""
+    source = tmp_path / "in.las"
+    make_las(source, 3)
+    content = source.read_bytes()
+    offset = struct.unpack_from("<I", content, 96)[0]
+    head = bytearray(content[:227] + b"after the header" + content[227:offset] + b"\xdd\xcc gap")
+    struct.pack_into("<32sHHHI", head, 58, b"caf\xe9 \xff", 0, 0, 227 + 16, len(head))
+    struct.pack_into("<H", head, 227 + 16, 0xAABB)  # the signature of LAS 1.0 records
+    source.write_bytes(bytes(head) + content[offset:] + b"trailing bytes")
+    cloud = read(source)
+    result = result_of(cloud)
+    write(tmp_path / "direct.las", cloud, result)
+    write(tmp_path / "packed.laz", cloud, result)
+    direct, packed = (tmp_path / "direct.las").read_bytes(), tmp_path / "packed.laz"
+    assert direct[: offset + 16 + 6] == bytes(head) and direct.endswith(b"trailing bytes")
+    assert packed.read_bytes()[:94] == bytes(head[:94])
+    again = read(packed)
+    write(tmp_path / "unpacked.las", again, result)
+    assert (tmp_path / "unpacked.las").read_bytes() == direct.removesuffix(b"trailing bytes")
+
+
+@pytest.mark.parametrize("point_format", [0, 3, 5, 6, 7, 10])
+def test_las_to_laz_and_back_is_the_same_file(tmp_path, point_format):
+    source = tmp_path / "in.las"
+    make_las(source, point_format, extra=True, **one_channel(point_format, ".laz"))
+    cloud = read(source)
+    write(tmp_path / "direct.las", cloud, result_of(cloud))
+    write(tmp_path / "packed.laz", cloud, result_of(cloud))
+    packed = read(tmp_path / "packed.laz")
+    write(tmp_path / "unpacked.las", packed, np.zeros(len(packed), bool), reset="none")
+    assert (tmp_path / "unpacked.las").read_bytes() == (tmp_path / "direct.las").read_bytes()
+
+
+def test_internal_waveforms_move_with_their_start(tmp_path):
+    """LAS 1.3 keeps waveforms behind the points, at a byte that the header names."""
+    source = tmp_path / "in.las"
+    make_las(source, 4)
+    end = source.stat().st_size
+    with open(source, "ab") as file:
+        file.write(b"W" * 1000)
+    patch(source, "Q", 227, end)
+    cloud = read(source)
+    write(tmp_path / "out.laz", cloud, result_of(cloud))
+    content = (tmp_path / "out.laz").read_bytes()
+    start = struct.unpack_from("<Q", content, 227)[0]
+    assert start != end and content[start:] == b"W" * 1000
+
+
+def test_waveforms_of_several_channels(tmp_path):
+    make_las(tmp_path / "in.las", 9)
+    make_las(tmp_path / "in.laz", 9)
+    for source, target in (("in.las", "out.laz"), ("in.laz", "out.las")):
+        cloud = read(tmp_path / source)
+        with pytest.raises(OutputError, match="several scanner channels"):
+            write(tmp_path / target, cloud, result_of(cloud))
+        assert not (tmp_path / target).exists()
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+@pytest.mark.parametrize("reset, changed", [("ground", (0, 2)), ("all", range(32)), ("none", ())])
+def test_reset(tmp_path, point_format, reset, changed):
+    las = make_las(tmp_path / "in.las", point_format, n=600)
+    cloud = read(tmp_path / "in.las")
+    ground = np.random.default_rng(1).random(len(cloud)) < 0.5
+    write(tmp_path / "out.las", cloud, ground, reset=reset)
+    out = laspy.read(tmp_path / "out.las").classification
+    np.testing.assert_array_equal(out, expected_classes(las, cloud.candidate, ground, tuple(changed)))
+    np.testing.assert_array_equal(out[~cloud.candidate], las.classification[~cloud.candidate])
+
+
+def test_classes_of_choice(tmp_path):
+    las = make_las(tmp_path / "in.las", 6, n=600)
+    cloud = read(tmp_path / "in.las")
+    ground = np.arange(len(cloud)) % 2 == 0
+    write(tmp_path / "out.las", cloud, ground, ground_class=70, other_class=64)
+    out, old = np.asarray(laspy.read(tmp_path / "out.las").classification), np.asarray(las.classification)
+    assert (out[cloud.candidate & ground] == 70).all()
+    assert (out[cloud.candidate & ~ground & np.isin(old, (0, 2))] == 64).all()
+    write(tmp_path / "only.las", cloud, ground, only_ground=True)
+    only = np.asarray(laspy.read(tmp_path / "only.las").classification)
+    np.testing.assert_array_equal(only, np.where(cloud.candidate & ground, 2, old))
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("described", [True, False])
+def test_extra_dimensions(tmp_path, suffix, described):
+    las = make_las(tmp_path / "in.las", 6, extra=True)
+    if not described:  # another owner of the record: the extra bytes stay, what they mean is unknown
+        content = (tmp_path / "in.las").read_bytes()
+        at = content.index(b"LASF_Spec")
+        patch(tmp_path / "in.las", "9s", at, b"elsewhere")
+    cloud = read(tmp_path / "in.las")
+    result = result_of(cloud)
+    first, second = tmp_path / f"first{suffix}", tmp_path / f"second{suffix}"
+    write(first, cloud, result, extra=("height", "margin"))
+    out = laspy.read(first)
+    np.testing.assert_array_equal(out.height, result.height)
+    np.testing.assert_array_equal(out.margin, result.margin)
+    assert out.height.dtype == np.float32
+    if described:
+        assert_same_but_classes(las, out)
+    else:
+        held = las.points.array.view(np.uint8).reshape(len(las), -1)[:, 30:]
+        kept = np.stack([out[f"undescribed {i + 1}"] for i in range(held.shape[1])], axis=1)
+        np.testing.assert_array_equal(kept, held)
+    again = read(first)
+    other = result_of(again, seed=5)
+    write(second, again, other, extra=("margin", "slope"))
+    out = laspy.read(second)
+    np.testing.assert_array_equal(out.margin, other.margin)  # replaced, not added twice
+    np.testing.assert_array_equal(out.height, result.height)
+    assert np.isnan(out.slope).all()
+    assert list(out.point_format.dimension_names).count("margin") == 1
+
+
+def test_extra_dimension_of_another_type(tmp_path):
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.add_extra_dim(laspy.ExtraBytesParams("height", "u2"))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = np.random.default_rng(0).uniform(0, 9, (3, 50))
+    las.write(tmp_path / "in.las")
+    cloud = read(tmp_path / "in.las", units="m", returns="all")
+    with pytest.raises(OutputError, match=r"'height'.*not float32"):
+        write(tmp_path / "out.las", cloud, result_of(cloud), extra=("height",))
+    assert list(tmp_path.iterdir()) == [tmp_path / "in.las"]
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_many_chunks(tmp_path, monkeypatch, suffix):
+    las = make_las(tmp_path / f"in{suffix}", 6, n=1000)
+    whole = read(tmp_path / f"in{suffix}")
+    monkeypatch.setattr(records, "CHUNK", 33)
+    monkeypatch.setattr(core_cloud, "_ROWS", 47)
+    cloud = read(tmp_path / f"in{suffix}")
+    assert cloud.xyz.tobytes() == whole.xyz.tobytes() and (cloud.candidate == whole.candidate).all()
+    result = result_of(cloud)
+    write(tmp_path / f"out{suffix}", cloud, result, extra=("height",))
+    out = laspy.read(tmp_path / f"out{suffix}")
+    np.testing.assert_array_equal(out.classification, expected_classes(las, cloud.candidate, result.ground))
+    np.testing.assert_array_equal(out.height, result.height)
+
+
+def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
+    n = 200_000
+    make_las(tmp_path / "in.laz", 6, n=n)
+    monkeypatch.setattr(records, "CHUNK", 10_000)
+    monkeypatch.setattr(core_cloud, "_ROWS", 10_000)
+    tracemalloc.start()
+    try:
+        cloud = read(tmp_path / "in.laz")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        write(tmp_path / "out.laz", cloud, np.zeros(n, bool))
+        extra = tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()
+    assert peak < 32 * n, "float64 coordinates alone would be 24 bytes a point on top of 18"
+    assert extra < 10 * n, "writing holds a chunk at a time, not the file"
+
+
+# integers to local coordinates
+
+
+@pytest.mark.parametrize("units", ["m", "us-ft,ft"])
+@pytest.mark.parametrize("anchor", [None, (439000.25, 4751000.0)])
+@pytest.mark.parametrize("scale", [0.01, 0.00025, 1e-7])
+def test_from_integers_is_from_arrays(units, anchor, scale):
+    rng = np.random.default_rng(3)
+    ticks = rng.integers(-(2**31), 2**31, (5000, 3)).astype(np.int32) // (1000 if scale > 1e-3 else 1)
+    scales = np.array([scale, scale, scale / 2])
+    arrays = PointCloud.from_arrays(ticks * scales + OFFSETS, units=units, anchor=anchor)
+    cloud = PointCloud.from_integers(ticks, scales, OFFSETS, units=units, anchor=anchor)
+    assert cloud.xyz.tobytes() == arrays.xyz.tobytes()
+    assert cloud.origin.tolist() == arrays.origin.tolist()
+    assert np.shares_memory(cloud.xyz, ticks)
+    with pytest.raises(InputError, match="return_number has 2 entries for 5000 points"):
+        PointCloud.from_integers(ticks, scales, OFFSETS, return_number=np.ones(2, np.uint8))
+
+
+# bounds
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz", "in.xyz"])
+def test_adjoining_bounds_share_no_point(tmp_path, name):
+    path = tmp_path / name
+    if "copc" in name:
+        make_copc(path)
+    elif name == "in.xyz":
+        xyz = np.random.default_rng(0).integers(0, 10_000, (300, 3)) * 0.01 + OFFSETS
+        np.savetxt(path, xyz, fmt="%.2f")
+    else:
+        make_las(path, 6, n=500)
+    whole = read(path)
+    x, y = OFFSETS[0] + 50.0, OFFSETS[1] + 40.0
+    xy = whole.coordinates()[:, :2]
+    split = np.round(np.sort(xy[:, 0])[len(xy) // 2], 2)  # a coordinate that occurs: it belongs to the upper part only
+    columns, rows = ((x - 500, split), (split, x + 500)), ((y - 500, y), (y, y + 500))
+    parts = [read(path, bounds=(x0, y0, x1, y1)) for x0, x1 in columns for y0, y1 in rows]
+    assert sum(map(len, parts)) == len(whole) and all(map(len, parts))
+    found = np.concatenate([p.coordinates() for p in parts])
+    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(whole.coordinates(), axis=0), atol=1.1e-3)
+
+
+@pytest.mark.parametrize("version, point_format", [("1.2", 1), ("1.4", 6), ("1.4", 1)])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_a_cut_is_written_with_its_own_counts(tmp_path, version, point_format, suffix):
+    las = make_las(tmp_path / "in.laz", point_format, version, n=500)
+    x, y = OFFSETS[:2] + 30
+    cloud = read(tmp_path / "in.laz", bounds=(x, y, x + 40, y + 40))
+    keep = (las.x >= x) & (las.x < x + 40) & (las.y >= y) & (las.y < y + 40)
+    result = result_of(cloud)
+    write(tmp_path / f"out{suffix}", cloud, result, extra=("height",))
+    out = laspy.read(tmp_path / f"out{suffix}")
+    for name in ("X", "Y", "Z", "intensity", "gps_time", "user_data"):
+        np.testing.assert_array_equal(out[name], las[name][keep])
+    np.testing.assert_array_equal(out.classification, expected_classes(las[keep], cloud.candidate, result.ground))
+    np.testing.assert_array_equal(out.height, result.height)
+    number = np.asarray(las.return_number)[keep]
+    assert out.header.point_count == keep.sum()
+    assert out.header.number_of_points_by_return[:5].tolist() == [int((number == i).sum()) for i in range(1, 6)]
+    np.testing.assert_allclose(out.header.mins, [las.x[keep].min(), las.y[keep].min(), las.z[keep].min()], atol=1e-9)
+    np.testing.assert_allclose(out.header.maxs, [las.x[keep].max(), las.y[keep].max(), las.z[keep].max()], atol=1e-9)
+    if version == "1.4":
+        assert out.evlrs[0].record_data == las.evlrs[0].record_data
+
+
+@pytest.mark.parametrize("bounds", [(0, 0, 1), (1, 0, 0, 1), (0, 0, float("nan"), 1), "abcd", 3])
+def test_wrong_bounds(tmp_path, bounds):
+    make_las(tmp_path / "in.las")
+    with pytest.raises(InputError, match="bounds="):
+        read(tmp_path / "in.las", bounds=bounds)
+
+
+def test_bounds_without_points(tmp_path):
+    make_copc(tmp_path / "in.copc.laz")
+    make_las(tmp_path / "in.las")
+    for path in tmp_path.iterdir():
+        with pytest.warns(JaxfilterWarning, match="holds no points within bounds"):
+            cloud = read(path, bounds=(0, 0, 1, 1))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            write(tmp_path / "out.las", cloud, np.zeros(0, bool), overwrite=True)
+        assert laspy.read(tmp_path / "out.las").header.point_count == 0
+
+
+# COPC
+
+
+def test_copc(tmp_path):
+    source = tmp_path / "in.copc.laz"
+    held = make_copc(source)
+    cloud = read(source)
+    ticks = held[:, :12].copy().view("<i4")
+    assert cloud.xyz.tobytes() == PointCloud.from_arrays(ticks * 0.01 + OFFSETS).xyz.tobytes()
+    assert cloud.source.format.startswith("COPC 1.4")
+    ground = np.arange(len(cloud)) % 3 == 0
+    with pytest.warns(JaxfilterWarning, match="COPC, the output is plain LAZ"):
+        write(tmp_path / "out.laz", cloud, ground)
+    out = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_array_equal(np.stack([out.X, out.Y, out.Z], axis=1), ticks)
+    np.testing.assert_array_equal(out.classification, np.where(ground, 2, 1))
+    assert not any(v.user_id == "copc" for v in [*out.vlrs, *out.evlrs])
+    with pytest.raises(OutputError, match=r"not .copc.laz"):
+        write(tmp_path / "out.copc.laz", cloud, ground)
+
+
+def test_copc_cut_is_written_in_the_order_it_was_read(tmp_path):
+    make_copc(tmp_path / "in.copc.laz")
+    x, y = OFFSETS[:2]
+    cloud = read(tmp_path / "in.copc.laz", bounds=(x + 20, y + 20, x + 70, y + 90))
+    with laspy.CopcReader.open(tmp_path / "in.copc.laz") as reader:
+        points = reader.query(laspy.copc.Bounds(np.array([x + 20, y + 20]), np.array([x + 69.99, y + 89.99])))
+    other = np.stack([points.x, points.y, points.z], axis=1)
+    found = cloud.coordinates()
+    np.testing.assert_allclose(found[np.lexsort(found.round(2).T)], other[np.lexsort(other.round(2).T)], atol=1e-3)
+    ground = cloud.xyz[:, 2] < np.median(cloud.xyz[:, 2])
+    with pytest.warns(JaxfilterWarning, match="COPC"):
+        write(tmp_path / "out.laz", cloud, ground)
+    out = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_allclose(np.stack([out.x, out.y, out.z], axis=1), cloud.coordinates(), atol=1e-3)
+    np.testing.assert_array_equal(out.classification == 2, ground)
+
+
+# text
+
+
+def test_isprs_text_keeps_its_lines(tmp_path):
+    lines = ["512743.63\t5403547.33\t308.68\t0", "512743.60\t5403548.30\t308.7\t1", "512744.1\t5403549.33\t318.68\t1"]
+    source = tmp_path / "samp.txt"
+    source.write_bytes("\r\n".join(lines).encode() + b"\r\n")
+    cloud = read(source)
+    assert cloud.reference.tolist() == [True, False, False] and cloud.candidate.all()
+    np.testing.assert_allclose(cloud.coordinates()[:, 2], [308.68, 308.7, 318.68], atol=5e-4)
+    write(tmp_path / "out.txt", cloud, np.array([False, True, False]))
+    expected = "\r\n".join(line[:-1] + label for line, label in zip(lines, "101", strict=True)) + "\r\n"
+    assert (tmp_path / "out.txt").read_bytes() == expected.encode()
+
+
+@pytest.mark.parametrize("content, expected", [
+    ("1.50 2 3\n4 5.0 6", "1.50 2 3 0\n4 5.0 6 1\n"),
+    ("# made by hand\n\n1.50 2 3\n# half way\n4 5.0 6\n", "# made by hand\n\n1.50 2 3 0\n# half way\n4 5.0 6 1\n"),
+    ("//X Y Z\n1.50 2 3\n4 5 6\n", "//X Y Z label\n1.50 2 3 0\n4 5 6 1\n"),
+    ("x,y,z\n1.50,2,3\n4,5,6\n", "x,y,z,label\n1.50,2,3,0\n4,5,6,1\n"),
+    ('"name";"X";"Y";"Z"\na;1.50;2;3\nb;4;5;6\n', '"name";"X";"Y";"Z";label\na;1.50;2;3;0\nb;4;5;6;1\n'),
+    ("x,label,y,z\n1.50,1,2,3\n4,1,5,6\n", "x,label,y,z\n1.50,0,2,3\n4,1,5,6\n"),
+    ("\ufeffx\ty\tz\n1.50\t2\t3\n4\t5\t6\n", "\ufeffx\ty\tz\tlabel\n1.50\t2\t3\t0\n4\t5\t6\t1\n"),
+    ("X;Y;Z;Classification\n1.50;2;3;5\n4;5;6;2\n", "X;Y;Z;Classification\n1.50;2;3;2\n4;5;6;1\n"),
+])  # fmt: skip
+def test_text_layouts(tmp_path, content, expected):
+    (tmp_path / "in.csv").write_bytes(content.encode())
+    cloud = read(tmp_path / "in.csv")
+    np.testing.assert_array_equal(cloud.coordinates(), [[1.5, 2, 3], [4, 5, 6]])
+    write(tmp_path / "out.csv", cloud, np.array([True, False]))
+    assert (tmp_path / "out.csv").read_bytes() == expected.encode()
+
+
+def test_csv_attributes(tmp_path):
+    (tmp_path / "in.csv").write_text(
+        "Return Number,NumberOfReturns,x,y,z,class,withheld,intensity\n"
+        "1,1,0,0,0,1,0,9\n1,2,1,0,0,2,0,9\n2,2,2,0,0,2,1,9\n1,1,3,0,0,18,0,9\n"
+    )
+    cloud = read(tmp_path / "in.csv")
+    assert cloud.return_number.tolist() == [1, 1, 2, 1] and cloud.number_of_returns.tolist() == [1, 2, 2, 1]
+    assert cloud.candidate.tolist() == [True, False, False, False]
+    assert read(tmp_path / "in.csv", returns="all", keep_withheld=True, ignore_classes=()).candidate.all()
+    assert cloud.reference.tolist() == [False, True, True, False] and cloud.classification.tolist() == [1, 2, 2, 18]
+
+
+def test_text_in_chunks_and_cut(tmp_path, monkeypatch):
+    from jaxfilter.host import text
+
+    xyz = np.random.default_rng(0).integers(0, 1000, (200, 3)) / 10
+    np.savetxt(tmp_path / "in.csv", xyz, fmt="%.1f", delimiter=",", header="x,y,z")
+    monkeypatch.setattr(text, "_LINES", 7)
+    cloud = read(tmp_path / "in.csv", bounds=(20, 0, 70, 101))
+    keep = (xyz[:, 0] >= 20) & (xyz[:, 0] < 70)
+    np.testing.assert_allclose(cloud.coordinates(), xyz[keep], atol=5e-4)
+    ground = cloud.xyz[:, 1] > 50
+    write(tmp_path / "out.csv", cloud, ground)
+    out = np.genfromtxt(tmp_path / "out.csv", delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(out, np.column_stack([xyz[keep], ~ground]))
+
+
+@pytest.mark.parametrize("decimals, scale", [(2, 0.001), (4, 0.0001)])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_text_to_las(tmp_path, decimals, scale, suffix):
+    xyz = np.random.default_rng(0).uniform(0, 300, (50, 3)) + np.array([512000, 5403000, 300])
+    np.savetxt(tmp_path / "in.txt", xyz, fmt=f"%.{decimals}f")
+    cloud = read(tmp_path / "in.txt")
+    ground = np.arange(50) % 2 == 0
+    write(tmp_path / f"out{suffix}", cloud, ground)
+    out = laspy.read(tmp_path / f"out{suffix}")
+    assert (out.header.version, out.point_format.id, out.header.point_count) == ("1.4", 6, 50)
+    np.testing.assert_allclose(out.header.scales, scale)
+    np.testing.assert_allclose(np.stack([out.x, out.y, out.z], axis=1), np.round(xyz, decimals), atol=1e-6)
+    np.testing.assert_array_equal(out.classification, np.where(ground, 2, 1))
+    np.testing.assert_allclose(out.header.maxs, np.round(xyz, decimals).max(axis=0), atol=1e-6)
+    assert out.header.number_of_points_by_return[0] == 50 and out.header.global_encoding.wkt
+
+
+def test_arrays_to_las_and_text(tmp_path):
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform(0, 300, (60, 3)) + np.array([512000, 5403000, 300])
+    number = rng.integers(1, 3, 60).astype(np.uint8)
+    cloud = PointCloud.from_arrays(
+        xyz, return_number=number, number_of_returns=np.full(60, 2, np.uint8), crs=pyproj.CRS.from_epsg(25832),
+        classification=np.full(60, 5, np.uint8), withheld=rng.random(60) < 0.2)  # fmt: skip
+    result = result_of(cloud)
+    write(tmp_path / "out.laz", cloud, result, extra=("height",))
+    out = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_allclose(np.stack([out.x, out.y, out.z], axis=1), xyz, atol=1.0e-3)
+    np.testing.assert_array_equal(out.return_number, number)
+    np.testing.assert_array_equal(out.withheld, cloud.withheld)
+    np.testing.assert_array_equal(out.classification, np.where(result.ground, 2, 5))
+    np.testing.assert_array_equal(out.height, result.height)
+    assert out.header.parse_crs().to_epsg() == 25832
+    again = read(tmp_path / "out.laz")
+    np.testing.assert_array_equal(again.candidate, cloud.candidate)
+    write(tmp_path / "out.csv", cloud, result)
+    table = read(tmp_path / "out.csv")
+    np.testing.assert_array_equal(table.reference, result.ground)
+    np.testing.assert_allclose(table.coordinates(), xyz, atol=2e-3)
+
+
+def test_las_to_text_shows_the_scale(tmp_path):
+    las = make_las(tmp_path / "in.las", 1)
+    cloud = read(tmp_path / "in.las")
+    result = result_of(cloud)
+    write(tmp_path / "out.xyz", cloud, result)
+    table = np.loadtxt(tmp_path / "out.xyz")
+    np.testing.assert_allclose(table[:, :3], np.stack([las.x, las.y, las.z], axis=1), atol=1e-9)
+    np.testing.assert_array_equal(table[:, 3] == 0, result.ground)
+    assert (tmp_path / "out.xyz").read_text().split("\t")[2].partition(".")[2] == f"{las.z[0]:.3f}".partition(".")[2]
+
+
+# coordinate reference systems and units
+
+
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
+
+
+@pytest.mark.parametrize("crs, xy, z", [
+    (32632, 1, 1), (2992, FOOT, FOOT), (2225, SURVEY_FOOT, SURVEY_FOOT), ("EPSG:2225+8228", SURVEY_FOOT, FOOT),
+    ("EPSG:32632+8228", 1, FOOT), ("EPSG:2225+5703", SURVEY_FOOT, 1),
+])  # fmt: skip
+def test_units_of_wkt(tmp_path, crs, xy, z):
+    las = make_las(tmp_path / "in.las", 6, crs=crs)
+    cloud = read(tmp_path / "in.las")
+    np.testing.assert_allclose([cloud.units.xy, cloud.units.z], [xy, z], rtol=1e-12)
+    local = (np.stack([las.x, las.y, las.z], axis=1) - [las.x.min(), las.y.min(), las.z.min()]) * [xy, xy, z]
+    np.testing.assert_allclose(cloud.xyz, local, atol=6e-4)
+    assert cloud.crs == pyproj.CRS.from_user_input(crs)
+
+
+@pytest.mark.parametrize("keys, xy, z", [
+    ({3072: 2225}, SURVEY_FOOT, SURVEY_FOOT),
+    ({3072: 32632, 4099: 9002}, 1, FOOT),
+    ({3072: 32632, 4096: 8228}, 1, FOOT),
+    ({1024: 1, 3072: 32767, 3076: 9003}, SURVEY_FOOT, SURVEY_FOOT),
+    ({3076: 9002, 4099: 9001}, FOOT, 1),
+])  # fmt: skip
+def test_units_of_geotiff_keys(tmp_path, keys, xy, z):
+    make_las(tmp_path / "in.las", 1)
+    set_geokeys(tmp_path / "in.las", keys)
+    cloud = read(tmp_path / "in.las")
+    np.testing.assert_allclose([cloud.units.xy, cloud.units.z], [xy, z], rtol=1e-12)
+
+
+def test_linear_unit_key_against_the_crs(tmp_path):
+    make_las(tmp_path / "in.las", 1)
+    set_geokeys(tmp_path / "in.las", {3072: 32632, 3076: 9002})
+    with pytest.warns(JaxfilterWarning, match="in metre, but its key of linear units says foot"):
+        assert read(tmp_path / "in.las").units.xy == FOOT
+
+
+def set_geokeys(path, keys):
+    """Replace the GeoTIFF keys, in a record of the same length or shorter."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"LASF_Projection")
+    assert struct.unpack_from("<H", content, at + 16)[0] == 34735
+    length = struct.unpack_from("<H", content, at + 18)[0]
+    payload = struct.pack("<4H", 1, 1, 0, len(keys))
+    payload += b"".join(struct.pack("<4H", key, 0, 1, value) for key, value in sorted(keys.items()))
+    assert len(payload) <= length
+    content[at + 52 : at + 52 + length] = payload.ljust(length, b"\0")
+    path.write_bytes(content)
+
+
+def test_feet_asked_for(tmp_path):
+    las = make_las(tmp_path / "in.las", 6, crs=None)
+    cloud = read(tmp_path / "in.las", units="us-ft,m")
+    assert cloud.units == parse_units("us-ft,m") and cloud.units != Units()
+    np.testing.assert_allclose(np.ptp(cloud.xyz[:, 0]), np.ptp(las.x) * SURVEY_FOOT, atol=1e-3)
+    np.testing.assert_allclose(np.ptp(cloud.xyz[:, 2]), np.ptp(las.z), atol=1e-3)
+    with pytest.raises(InputError, match="units 'yards'"):
+        read(tmp_path / "in.las", units="yards")
+
+
+def test_anchor(tmp_path):
+    make_las(tmp_path / "in.las")
+    cloud = read(tmp_path / "in.las", anchor=(440000.5, 4750000.0))
+    assert ((cloud.origin[:2] - [440000.5, 4750000.0]) % 1 == 0).all()
+    assert cloud.anchor.tolist() == [440000.5, 4750000.0]
+
+
+# files
+
+
+def test_nothing_is_replaced_by_accident(tmp_path):
+    las = make_las(tmp_path / "in.las")
+    cloud = read(tmp_path / "in.las")
+    result = result_of(cloud)
+    before = (tmp_path / "in.las").read_bytes()
+    for path in (tmp_path / "in.las", Path(os.path.relpath(tmp_path / "in.las"))):
+        with pytest.raises(OutputError, match="one file; pass in_place=True"):
+            write(path, cloud, result, overwrite=True)
+    (tmp_path / "other.las").write_bytes(b"precious")
+    with pytest.raises(OutputError, match="exists; pass overwrite=True"):
+        write(tmp_path / "other.las", cloud, result)
+    with pytest.raises(OutputError, match="exists; pass overwrite=True"):
+        write(tmp_path / "other.las", cloud, result, in_place=True)
+    assert (tmp_path / "in.las").read_bytes() == before and (tmp_path / "other.las").read_bytes() == b"precious"
+    write(tmp_path / "other.las", cloud, result, overwrite=True)
+    (tmp_path / "in.las").chmod(0o640)
+    write(tmp_path / "in.las", cloud, result, in_place=True)
+    assert (tmp_path / "in.las").read_bytes() == (tmp_path / "other.las").read_bytes() != before
+    assert (tmp_path / "in.las").stat().st_mode & 0o777 == 0o640
+    assert len(las) == len(cloud)
+    with pytest.raises(InputError, match="changed since"):
+        write(tmp_path / "third.las", cloud, result)
+    (tmp_path / "in.las").unlink()
+    with pytest.raises(InputError, match="cannot be read again"):
+        write(tmp_path / "third.las", cloud, result)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["other.las"]
+
+
+@pytest.mark.parametrize("error, raised", [(OSError(errno.ENOSPC, "No space left on device"), OutputError),
+                                           (KeyboardInterrupt(), KeyboardInterrupt)])
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_failing_run_leaves_nothing(tmp_path, monkeypatch, error, raised, existing):
+    make_las(tmp_path / "in.laz")
+    cloud = read(tmp_path / "in.laz")
+    if existing:
+        (tmp_path / "out.laz").write_bytes(b"old")
+
+    def fail(*_):
+        assert any(p.suffix == ".part" for p in tmp_path.iterdir())
+        raise error
+
+    monkeypatch.setattr(records.Writer, "finish", fail)
+    with pytest.raises(raised):
+        write(tmp_path / "out.laz", cloud, result_of(cloud), overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == (["in.laz", "out.laz"] if existing else ["in.laz"])
+    assert not existing or (tmp_path / "out.laz").read_bytes() == b"old"
+
+
+def test_arguments_of_write(tmp_path):
+    make_las(tmp_path / "in.las")
+    cloud = read(tmp_path / "in.las")
+    ground = np.zeros(len(cloud), bool)
+    for options, error, message in [
+        ({"reset": "some"}, ParameterError, "reset='some'"),
+        ({"ground_class": 256}, ParameterError, "ground_class=256"),
+        ({"extra": ("colour",)}, ParameterError, "extra=.*colour"),
+        ({"extra": ("height",)}, ParameterError, "pass the FilterResult"),
+    ]:
+        with pytest.raises(error, match=message):
+            write(tmp_path / "out.las", cloud, ground, **options)
+    with pytest.raises(InputError, match=r"bool\[200\]"):
+        write(tmp_path / "out.las", cloud, ground[1:])
+    with pytest.raises(InputError, match=r"not int64"):
+        write(tmp_path / "out.las", cloud, ground.astype(np.int64))
+    with pytest.raises(OutputError, match="suffix"):
+        write(tmp_path / "out.ply", cloud, ground)
+    with pytest.raises(OutputError, match="cannot be written: No such file"):
+        write(tmp_path / "missing" / "out.las", cloud, ground)
+    with pytest.raises(OutputError, match=r"needs .las or .laz"):
+        write(tmp_path / "out.txt", cloud, result_of(cloud), extra=("height",))
+    assert [p.name for p in tmp_path.iterdir()] == ["in.las"]
+
+
+# summary
+
+
+def test_info(tmp_path):
+    las = make_las(tmp_path / "in.laz", 6, n=2000, crs=2225)
+    found = info(tmp_path / "in.laz")
+    assert found["format"] == "LAZ 1.4, point format 6" and found["points"] == 2000
+    assert found["crs"] == "NAD83 / California zone 1 (ftUS)"
+    np.testing.assert_allclose(found["metres_per_unit"], [SURVEY_FOOT] * 2, rtol=1e-12)
+    np.testing.assert_allclose(found["bounds"], [las.x.min(), las.y.min(), las.x.max(), las.y.max()], atol=2e-3)
+    np.testing.assert_allclose(found["z"], [las.z.min(), las.z.max()], atol=2e-3)
+    assert found["scales"] == SCALES.tolist() and found["offsets"] == OFFSETS.tolist()
+    assert found["classes"] == {int(c): int((las.classification == c).sum()) for c in np.unique(las.classification)}
+    number, total = np.asarray(las.return_number), np.asarray(las.number_of_returns)
+    assert found["echoes"] == {
+        "only": int((total == 1).sum()), "first": int(((number == 1) & (total > 1)).sum()),
+        "intermediate": int(((number > 1) & (number < total)).sum()),
+        "last": int(((number == total) & (total > 1)).sum()),
+        "odd": 0}  # fmt: skip
+    assert found["candidates"] == expected_candidates(las).sum() and found["withheld"] == np.asarray(las.withheld).sum()
+    area = np.ptp(las.x) * np.ptp(las.y) * SURVEY_FOOT**2  # points all over it
+    assert found["density"] == pytest.approx(found["candidates"] / area, rel=0.1)
+    assert found["spacing"] == pytest.approx(found["density"] ** -0.5)
+
+
+def test_info_of_degrees_and_of_text(tmp_path):
+    make_las(tmp_path / "in.las", 6, crs=4326)
+    found = info(tmp_path / "in.las")
+    assert found["crs"] == "WGS 84" and found["units"] == "degree"
+    assert found["spacing"] is None and found["metres_per_unit"] is None
+    (tmp_path / "in.txt").write_text("1.25 2 3 0\n4 5 6.5 1\n9 9 9 1\n")
+    found = info(tmp_path / "in.txt")
+    assert found["points"] == 3 and found["bounds"] == [1.25, 2, 9, 9] and found["echoes"] is None
