@@ -67,7 +67,10 @@ def test_rules(scene):
 
     same(Rule(max_angle=20, max_elevation=1, signed=1), (angle <= 20) & (elevation <= 1))
     same(Rule(max_angle=20, max_distance=1.5), (np.abs(angle) <= 20) & (np.abs(d) <= 1.5))
-    same(Rule(max_angle=20, max_elevation=1, signed=1, max_below=0.5), (angle <= 20) & (elevation <= 1) & (height >= -0.5))
+    same(
+        Rule(max_angle=20, max_elevation=1, signed=1, max_below=0.5),
+        (angle <= 20) & (elevation <= 1) & (height >= -0.5),
+    )
     same(
         Rule(max_angle=20, max_elevation=1, signed=1, noise_floor=0.3),
         ((angle <= 20) & (elevation <= 1)) | (np.abs(height) <= 0.3),
@@ -85,7 +88,11 @@ def test_decision_and_margin_name_the_deciding_test():
     points = np.float32([[2, 2, 0.25], [2, 2, 2.0], [2, 2, -2.0], [0.25, 0.25, 0.5], [2, 2, -9.0]])
     v = run(Rule(max_angle=20, max_elevation=1, signed=1, max_below=5), points, np.repeat(facet[None], 5, axis=0))
     assert list(np.asarray(v.decision)) == [
-        Decision.ACCEPTED, Decision.ELEVATION, Decision.ACCEPTED, Decision.ANGLE, Decision.LOW,
+        Decision.ACCEPTED,
+        Decision.ELEVATION,
+        Decision.ACCEPTED,
+        Decision.ANGLE,
+        Decision.LOW,
     ]
     angle = np.degrees(np.arcsin(0.25 / np.sqrt(8 + 0.0625)))
     np.testing.assert_allclose(v.margin[0], angle - 20, atol=1e-4)

@@ -612,8 +612,10 @@ def test_nothing_is_replaced_by_accident(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["other.las"]
 
 
-@pytest.mark.parametrize("error, raised", [(OSError(errno.ENOSPC, "No space left on device"), OutputError),
-                                           (KeyboardInterrupt(), KeyboardInterrupt)])
+@pytest.mark.parametrize(
+    "error, raised",
+    [(OSError(errno.ENOSPC, "No space left on device"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)],
+)
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_failing_run_leaves_nothing(tmp_path, monkeypatch, error, raised, existing):
     make_las(tmp_path / "in.laz")

@@ -50,7 +50,9 @@ def parse_units(text: str | Units) -> Units:
         return text
     parts = [p.strip().lower() for p in text.split(",")]
     if not 1 <= len(parts) <= 2 or any(p not in UNITS for p in parts):
-        raise InputError(f"units {text!r} are not known: use one of {', '.join(UNITS)}, or a pair XY,Z such as 'us-ft,m'")
+        raise InputError(
+            f"units {text!r} are not known: use one of {', '.join(UNITS)}, or a pair XY,Z such as 'us-ft,m'"
+        )
     xy, z = UNITS[parts[0]], UNITS[parts[-1]]
     return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
 
@@ -132,8 +134,11 @@ class PointCloud:
                     f"{name}: {bad} of {len(xyz)} points have NaN or infinite coordinates; remove them, or pass "
                     "drop_invalid=True to label them non-ground"
                 )
-            warnings.warn(f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground",
-                          JaxfilterWarning, stacklevel=2)
+            warnings.warn(
+                f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground",
+                JaxfilterWarning,
+                stacklevel=2,
+            )
             valid = finite
         origin, local = localise(xyz if valid is None else np.where(finite[:, None], xyz, np.nan), scale, anchor)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
@@ -275,9 +280,7 @@ def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
 _ECHOES = ("first", "intermediate", "last", "only")
 
 
-def _echo_mask(
-    number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str
-) -> np.ndarray:
+def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str) -> np.ndarray:
     """bool[n]: which points are among the wanted echoes. Damaged echo numbers are treated as last, with a warning."""
     wanted = {r.strip().lower() for r in returns.split(",") if r.strip()}
     if not wanted or wanted - {*_ECHOES, "all"}:
@@ -286,13 +289,19 @@ def _echo_mask(
         return np.ones(n, bool)
     empty = (number == 0) & (total == 0)
     if empty.all():
-        warnings.warn(f"{name}: return number and number of returns are 0 throughout, so all points are candidates",
-                      JaxfilterWarning, stacklevel=3)
+        warnings.warn(
+            f"{name}: return number and number of returns are 0 throughout, so all points are candidates",
+            JaxfilterWarning,
+            stacklevel=3,
+        )
         return np.ones(n, bool)
     odd = (number == 0) | (total == 0) | (number > total)
     if odd.any():
-        warnings.warn(f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns",
-                      JaxfilterWarning, stacklevel=3)
+        warnings.warn(
+            f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns",
+            JaxfilterWarning,
+            stacklevel=3,
+        )
     mask = np.zeros(n, bool)
     several = (total > 1) & ~odd
     if "only" in wanted:

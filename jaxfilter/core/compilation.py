@@ -21,9 +21,9 @@ def bucket(n: int, smallest: int = 1024) -> int:
     return size
 
 
-def _listen(event: str, duration: float, **_: object) -> None:
+def _listen(event: str, duration_secs: float, **_: str | int) -> None:
     if event == _BACKEND_COMPILE:
-        _compiled.append(duration)
+        _compiled.append(duration_secs)
 
 
 def watch_compilations() -> None:
@@ -52,7 +52,7 @@ def use_persistent_cache() -> Path | None:
     A cache directory that JAX has already been given is left in place. Returns the directory, or None if it cannot
     be made (a read-only home, say), in which case compilation simply is not cached.
     """
-    configured = jax.config.jax_compilation_cache_dir
+    configured = jax.config.values.get("jax_compilation_cache_dir")
     directory = Path(configured) if configured else cache_directory()
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -81,9 +81,7 @@ class Filter:
         """Metres beyond a region that can change labels inside it."""
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
-    def classify(
-        self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool
-    ) -> Labels:
+    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify distinct candidate points in canonical order; at least three positions, not on a line, not flat."""
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
@@ -139,7 +137,9 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
         ground[order[first]] = True
         return Labels(ground, status=Status.TOO_FEW_POINTS)
     if np.ptp(z) == 0:
-        return Labels(np.ones(m, bool), height=np.zeros(m, np.float32), slope=np.zeros(m, np.float32), status=Status.FLAT)
+        return Labels(
+            np.ones(m, bool), height=np.zeros(m, np.float32), slope=np.zeros(m, np.float32), status=Status.FLAT
+        )
     return None
 
 

@@ -44,9 +44,7 @@ def grid_over(
     """
     low, high = xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)
     x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
-    nx, ny = (
-        max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True)
-    )
+    nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
     if nx * ny > limit:
         spread = ", ".join(f"{float(v):.6g}" for v in high - low)
         raise InputError(

@@ -32,8 +32,9 @@ class FPTD(Filter):
     ground if its elevation over the highest vertex of its facet (eq. 2) and its signed angle to the facet at the nearest
     vertex (eq. 3) are within their limits, so that points below the facet pass (II-E). Lengths in metres, angles in degrees.
 
-    Presets: "recommended" is the default. It triangulates all points together, and replaces the manual removal of low
-    outliers by :func:`jaxfilter.stages.outliers.low_clusters`. "paper" runs independent blocks with the radius filter only.
+    Presets: "recommended" is the default. It triangulates all points together, and takes the place of the radius filter and
+    of the manual removal of low outliers by :func:`jaxfilter.stages.outliers.low_clusters`. "paper" runs independent blocks
+    with the radius filter (r = 5 m, n = 10) only.
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.
 
@@ -42,24 +43,30 @@ class FPTD(Filter):
     """
 
     max_angle: float = param(22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle between facet and point")
-    max_elevation: float = param(1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex")
+    max_elevation: float = param(
+        1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex"
+    )
     window: float = static(60.0, symbol="w", unit="m", gt=0, doc="seed window and block size; larger than any building")
     stride: float = static(10.0, symbol="s", unit="m", gt=0, doc="step of the sliding window")
     blocks: str = static(
-        "global", choices=("global", "independent"), doc="one triangulation of all points, or blocks that grow on their own"
+        "global",
+        choices=("global", "independent"),
+        doc="one triangulation of all points, or blocks that grow on their own",
     )
     overlap: float = static(10.0, unit="m", ge=0, doc="how far independent blocks reach into their neighbours")
-    radius: float = static(5.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
     max_below: float = param(math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
     noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
-    vertex_spacing: float = static(0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points")
+    vertex_spacing: float = static(
+        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
+    )
     max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
-        "paper": {"blocks": "independent", "low_clusters": False},
+        "paper": {"blocks": "independent", "radius": 5.0, "low_clusters": False},
         "D1": {"max_angle": 18.0, "max_elevation": 1.0},
         "D2": {"max_angle": 22.0, "max_elevation": 1.2},
         "D3": {"max_angle": 30.0, "max_elevation": 0.8},
@@ -69,15 +76,17 @@ class FPTD(Filter):
     def check(self) -> None:
         super().check()
         if self.stride > self.window:
-            raise ParameterError(f"FPTD(stride={self.stride!r}): must not exceed window={self.window!r}, or points are skipped")
+            raise ParameterError(
+                f"FPTD(stride={self.stride!r}): must not exceed window={self.window!r}, or points are skipped"
+            )
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         dense = spacing < 0.5  # more than 4 points per square metre: ranging noise makes steep angles at short range
+        stride = math.ceil(largest_building / 0.6 - 1e-9) / 10.0  # a sixth of the window, which so is a multiple of it
         return {
-            "window": largest_building,
-            "stride": largest_building / 6.0,
-            "radius": 5.0 * max(1.0, spacing),
+            "window": round(6 * stride, 1),
+            "stride": stride,
             "noise_floor": 0.1 if dense else 0.0,
             "vertex_spacing": 0.5 if dense else 0.0,
         }

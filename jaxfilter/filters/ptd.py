@@ -31,8 +31,8 @@ class PTD(Filter):
     facet. Over a facet steeper than the terrain angle, the mirror image of the point about a vertex of the facet is tested
     instead. Lengths in metres, angles in degrees.
 
-    Presets: "recommended" is the default; it bars outliers and clusters of low points from the seeds. "paper" is the plain
-    method with neither. "D1" to "D4" take the thresholds of Li et al. (2021), Table I, with e as the distance, for the
+    Presets: "recommended" is the default; it bars clusters of low points from the seeds and lets the simulated border
+    points follow the growing ground. "paper" is the plain method with neither. "D1" to "D4" take the thresholds of Li et al. (2021), Table I, with e as the distance, for the
     comparison in their Table IV: they print no values for PTD, and these reproduce half of its rows within 0.5 points.
 
     Departure (docs/fidelity.md): all points that pass in a round are added together, so that their order does not matter.
@@ -46,16 +46,21 @@ class PTD(Filter):
     mirror_mode: str = static(
         "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
     )
-    radius: float = static(5.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    refresh_border: bool = static(
+        True, choices=(True, False), doc="simulated border points follow the growing ground, as in FPTD"
+    )
+    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
     noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
-    vertex_spacing: float = static(0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points")
+    vertex_spacing: float = static(
+        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
+    )
     max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
-        "paper": {"radius": 0.0, "low_clusters": False},
+        "paper": {"low_clusters": False, "refresh_border": False},
         "D1": {"max_angle": 18.0, "max_distance": 1.0},
         "D2": {"max_angle": 22.0, "max_distance": 1.2},
         "D3": {"max_angle": 30.0, "max_distance": 0.8},
@@ -67,7 +72,6 @@ class PTD(Filter):
         dense = spacing < 0.5
         return {
             "seed_cell": largest_building,
-            "radius": 5.0 * max(1.0, spacing),
             "noise_floor": 0.1 if dense else 0.0,
             "vertex_spacing": 0.5 if dense else 0.0,
         }
@@ -100,6 +104,7 @@ class PTD(Filter):
             network,
             rule,
             mirror=mirror,
+            refresh_border=self.refresh_border,
             vertex_spacing=self.vertex_spacing,
             max_rounds=self.max_rounds,
             workers=workers,

@@ -252,8 +252,11 @@ def read_header(path: Path) -> Header:
             if count:
                 header = dataclasses.replace(header, evlrs=_read_evlrs(path, file, start, count, size))
     if header.extra_dimensions() is None:
-        warnings.warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are",
-                      JaxfilterWarning, stacklevel=4)
+        warnings.warn(
+            f"{path}: the description of its extra bytes is damaged; they are kept as they are",
+            JaxfilterWarning,
+            stacklevel=4,
+        )
     return header
 
 

@@ -155,8 +155,16 @@ def _las_cloud(
     is_ground = columns["classification"] == GROUND_CLASS
     source = Source.of(header.path, "las", str(header), n, cut)
     return PointCloud.from_integers(
-        ticks, header.scales, header.offsets, units=units, name=name, crs=reference.crs, source=source,
-        reference=is_ground if is_ground.any() else None, **columns, **chosen,
+        ticks,
+        header.scales,
+        header.offsets,
+        units=units,
+        name=name,
+        crs=reference.crs,
+        source=source,
+        reference=is_ground if is_ground.any() else None,
+        **columns,
+        **chosen,
     )
 
 

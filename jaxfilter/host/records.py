@@ -126,6 +126,15 @@ def channels(records: np.ndarray) -> int:
     return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))
 
 
+@contextlib.contextmanager
+def _writing() -> Iterator[None]:
+    """Give what the LAZ encoder says of a full disk or the like the type that other writing errors have."""
+    try:
+        yield
+    except lazrs.LazrsError as error:
+        raise OSError(str(error)) from error
+
+
 class Writer:
     """Writes a header, then point records in chunks, then the tail of a source file.
 
@@ -154,14 +163,16 @@ class Writer:
             ticks = integers(records)
             self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))
         if self.encoder is not None:
-            self.encoder.compress_many(records.reshape(-1))
+            with _writing():
+                self.encoder.compress_many(records.reshape(-1))
         else:
             self.file.write(records.data)
 
     def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
         """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
         if self.encoder is not None:
-            self.encoder.done()
+            with _writing():
+                self.encoder.done()
         self.file.seek(0, 2)
         if source is not None:
             self._copy_tail(source, drop)

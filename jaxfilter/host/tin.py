@@ -149,7 +149,9 @@ class Tin:
         self.neighbours = np.concatenate(
             [np.where(p[1] < 0, -1, p[1] + s) for p, s in zip(parts, shift[:-1], strict=True)]
         ).astype(np.int32)
-        self.where[:] = np.concatenate([np.where(p[2] < 0, -1, p[2] + s) for p, s in zip(parts, shift[:-1], strict=True)])
+        self.where[:] = np.concatenate(
+            [np.where(p[2] < 0, -1, p[2] + s) for p, s in zip(parts, shift[:-1], strict=True)]
+        )
         self.vertex[np.concatenate(roots)] = True
         rest = vertices[~self.vertex[vertices]]
         if len(rest):

@@ -49,8 +49,11 @@ def reference_of(header: Header) -> Reference:
         except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
             kind = "WKT" if number == _WKT else "GeoTIFF keys"
             reason = str(error).splitlines()[0]
-            warnings.warn(f"{header.path}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}",
-                          JaxfilterWarning, stacklevel=4)
+            warnings.warn(
+                f"{header.path}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}",
+                JaxfilterWarning,
+                stacklevel=4,
+            )
     return Reference()
 
 
@@ -67,8 +70,11 @@ def linear_units(reference: Reference, asked: Units | None, name: str) -> Units:
             "reproject the file first, for example into its UTM zone, or pass units= if the CRS record is wrong"
         )
     if reference.units is None:
-        warnings.warn(f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong",
-                      JaxfilterWarning, stacklevel=4)
+        warnings.warn(
+            f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong",
+            JaxfilterWarning,
+            stacklevel=4,
+        )
         return Units()
     return reference.units
 
@@ -84,8 +90,13 @@ def _from_crs(crs: pyproj.CRS) -> Reference:
     if len(axes) < 2:
         return Reference(crs)
     horizontal, vertical = axes[0], axes[2] if len(axes) > 2 else axes[0]
-    return Reference(crs, _units((horizontal.unit_conversion_factor, horizontal.unit_name),
-                                 (vertical.unit_conversion_factor, vertical.unit_name)))
+    return Reference(
+        crs,
+        _units(
+            (horizontal.unit_conversion_factor, horizontal.unit_name),
+            (vertical.unit_conversion_factor, vertical.unit_name),
+        ),
+    )
 
 
 def _from_geokeys(data: bytes, name: str) -> Reference:
@@ -110,8 +121,11 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
     if xy is None:
         return found
     if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
-        warnings.warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used",
-                      JaxfilterWarning, stacklevel=5)
+        warnings.warn(
+            f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used",
+            JaxfilterWarning,
+            stacklevel=5,
+        )
     return dataclasses.replace(found, units=_units(xy, z or xy))
 
 

@@ -159,8 +159,9 @@ def _write_las(path: Path, file: BinaryIO, cloud: PointCloud, labels: _Labels) -
     drop = ("copc",) if header.is_copc else ()
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
-        warnings.warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree",
-                      JaxfilterWarning, stacklevel=4)
+        warnings.warn(
+            f"{path}: the input is COPC, the output is plain {kind}, without an octree", JaxfilterWarning, stacklevel=4
+        )
     recount = not from_las or source.bounds is not None  # type: ignore[union-attr]
     writer = Writer(file, header.rewritten(compressor, added, drop), recount)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
@@ -200,8 +201,9 @@ def _fresh_header(path: Path, cloud: PointCloud) -> Header:
         try:
             wkt = cloud.crs.to_wkt("WKT1_GDAL")
         except pyproj.exceptions.CRSError as error:
-            warnings.warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}",
-                          JaxfilterWarning, stacklevel=4)
+            warnings.warn(
+                f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}", JaxfilterWarning, stacklevel=4
+            )
     today = datetime.date.today()
     created = (today.timetuple().tm_yday, today.year)
     return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)

@@ -15,7 +15,9 @@ import jax.numpy as jnp
 
 from ..core.result import Decision
 
-_FLAT_AREA = 1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
+_FLAT_AREA = (
+    1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
+)
 
 
 class Rule(NamedTuple):

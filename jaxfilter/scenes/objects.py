@@ -65,8 +65,9 @@ class Town:
         x0, y0, x1, y1 = patch.box
         corner_east, corner_north = self._turn(np.array([x0, x1, x0, x1]), np.array([y0, y0, y1, y1]))
         self._i0, self._j0 = (math.floor(v.min() / _QUARTER) for v in (corner_east, corner_north))
-        ni, nj = (math.floor(v.max() / _QUARTER) + 1 - o
-                  for v, o in ((corner_east, self._i0), (corner_north, self._j0)))
+        ni, nj = (
+            math.floor(v.max() / _QUARTER) + 1 - o for v, o in ((corner_east, self._i0), (corner_north, self._j0))
+        )
         self._seed, self._shape = seed, (ni, nj)
         weights = np.cumsum(self._layout.quarters()) / (sum(self._layout.quarters()) or 1.0)
         draw = uniform(seed, Layer.QUARTERS, self._i0, self._j0, ni, nj)[..., 0]
@@ -144,8 +145,9 @@ class Town:
         per_side = np.array(_PLOTS)[quarter]
         side = (_QUARTER - 2 * _STREET) / per_side
         a, b = (np.clip(np.floor((v - _STREET) / side), 0, per_side - 1).astype(np.intp) for v in (east, north))
-        return Plot(quarter, east, north, i * 4 + a, j * 4 + b, side,
-                    east - _STREET - a * side, north - _STREET - b * side)
+        return Plot(
+            quarter, east, north, i * 4 + a, j * 4 + b, side, east - _STREET - a * side, north - _STREET - b * side
+        )
 
     def roof(self, plot: Plot) -> Roof:
         """The buildings' roofs."""

@@ -194,8 +194,10 @@ def _check(name: str, value: Any, low: float, high: float, unit: str) -> None:
 
 
 def _tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
-    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != length or not all(
-        _is_number(v) and math.isfinite(v) for v in value
+    if (
+        not isinstance(value, (tuple, list, np.ndarray))
+        or len(value) != length
+        or not all(_is_number(v) and math.isfinite(v) for v in value)
     ):
         raise ParameterError(f"make({name}={value!r}): must be {length} finite numbers")
     return tuple(value)

@@ -13,6 +13,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -201,7 +202,7 @@ class _Run:
     def _judge(self, nodes: np.ndarray, xyz: np.ndarray, facet: np.ndarray) -> dict[str, np.ndarray]:
         """The kernel over positions f32[n, 3] in facets i32[n], in padded batches; the result on the host."""
         parts: list[dict[str, np.ndarray]] = []
-        rule = Rule(*(np.float32(v) for v in self.rule))
+        rule = Rule(*(jnp.float32(v) for v in self.rule))
         for p, c, late, m in _batches(xyz, self.tin.corners(facet), self.net.late[nodes]):
             verdict: Verdict = judge(rule, late, p, c)
             score = verdict.score

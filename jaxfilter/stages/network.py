@@ -72,7 +72,14 @@ def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, late: np.
 
 
 def block_networks(
-    points: Points, seeds: np.ndarray, border: np.ndarray, late: np.ndarray, *, size: float, overlap: float, reach: float
+    points: Points,
+    seeds: np.ndarray,
+    border: np.ndarray,
+    late: np.ndarray,
+    *,
+    size: float,
+    overlap: float,
+    reach: float,
 ) -> Network:
     """One sheet per square block (Li et al. 2021, Sec. II-D): blocks share seeds, but not what grows from them.
 
@@ -107,7 +114,9 @@ def block_networks(
     for sheet, (number, start) in enumerate(zip(*np.unique(block, return_index=True), strict=True)):
         stop = np.searchsorted(block, number, side="right")
         inside = row[start:stop]
-        corner = np.array([[edges[0][number % nx], edges[1][number // nx]], [edges[0][number % nx + 1], edges[1][number // nx + 1]]])
+        corner = np.array(
+            [[edges[0][number % nx], edges[1][number // nx]], [edges[0][number % nx + 1], edges[1][number // nx + 1]]]
+        )
         centre = corner.mean(axis=0)
         close = ((seed_xyz[:, :2] - centre) ** 2).sum(axis=1) <= reach**2
         outside = np.setdiff1d(seeds[close], inside, assume_unique=True)

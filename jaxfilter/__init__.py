@@ -1,0 +1,69 @@
+"""Ground filtering of airborne lidar on JAX arrays: LAS in, classified LAS out.
+
+Public names are loaded when they are first used, so that ``jaxfilter --help`` does not wait for JAX.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from . import plots, scenes
+    from .citing import citation
+    from .core.cloud import PointCloud
+    from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
+    from .core.filter import Filter
+    from .core.result import Decision, FilterResult, GroundFilter, Status
+    from .filters import FILTERS, FPTD, PTD
+    from .host.las import read, write
+    from .scoring import Scores, evaluate
+
+_HOMES = {
+    "citing": ("citation",),
+    "core.cloud": ("PointCloud",),
+    "core.errors": ("InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
+    "core.filter": ("Filter",),
+    "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
+    "filters": ("FILTERS", "FPTD", "PTD"),
+    "host.las": ("info", "read", "write"),
+    "scoring": ("Scores", "evaluate"),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "FILTERS",
+    "FPTD",
+    "PTD",
+    "Decision",
+    "Filter",
+    "FilterResult",
+    "GroundFilter",
+    "InputError",
+    "JaxfilterError",
+    "JaxfilterWarning",
+    "OutputError",
+    "ParameterError",
+    "PointCloud",
+    "Scores",
+    "Status",
+    "citation",
+    "evaluate",
+    "info",
+    "plots",
+    "read",
+    "scenes",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    if name in __all__:
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,3 @@
+"""The ``jaxfilter`` command."""
+
+from .commands import main as main

@@ -1,0 +1,494 @@
+"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info.
+
+Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
+usage (which is found before any file is read). What needs JAX is imported where it is used, so that help stays quick.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..core.errors import JaxfilterError
+from .session import BadUsage, Session, session_options
+
+if TYPE_CHECKING:
+    from ..core.filter import Filter
+    from ..core.result import FilterResult
+    from ..scenes import Scene
+    from ..scoring import Scores
+
+DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="jaxfilter")
+def main() -> None:
+    """Ground filtering of airborne lidar: LAS in, classified LAS out."""
+
+
+class Methods(click.Group):
+    """A subcommand per registered filter."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the filters."""
+        from ..filters import FILTERS
+
+        return list(FILTERS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of one filter, with a flag per parameter."""
+        from ..filters import FILTERS
+
+        return _ground_command(FILTERS[cmd_name]) if cmd_name in FILTERS else None
+
+
+@main.group(cls=Methods, subcommand_metavar="METHOD IN OUT [OPTIONS]")
+def ground() -> None:
+    """Classify the ground points of a file.
+
+    Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
+    everything else in the file stays as it is.
+    """
+
+
+def _ground_command(method: type[Filter]) -> click.Command:
+    from ..host import writing
+    from . import flags
+
+    @click.pass_context
+    def run(ctx: click.Context, **arguments: Any) -> None:
+        _ground(method, flags.given(method, ctx), **arguments)
+
+    path = click.Path(dir_okay=False, path_type=Path)
+    parameters: list[click.Parameter] = [
+        click.Argument(["source"], metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
+        click.Argument(["target"], metavar="[OUT]", type=path, required=False),
+        *flags.options(method),
+        click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters."),
+        click.Option(
+            ["--largest-building"],
+            type=click.FloatRange(0, min_open=True),
+            metavar="METRES",
+            help="Set what depends on point spacing and on this width from the cloud.",
+        ),
+        click.Option(
+            ["--units"],
+            metavar="UNIT",
+            help="Of the coordinates: m, ft, us-ft, or XY,Z such as us-ft,m.  [default: as the CRS says]",
+        ),
+        click.Option(
+            ["--bounds"],
+            nargs=4,
+            type=float,
+            metavar="XMIN YMIN XMAX YMAX",
+            help="Read and write only the points within, file units.",
+        ),
+        click.Option(
+            ["--returns"],
+            default="last,only",
+            show_default=True,
+            help="Echoes to judge: first, intermediate, last, only, or all.",
+        ),
+        click.Option(
+            ["--ignore-class", "ignore_classes"],
+            type=flags.Value(int, optional=True),
+            multiple=True,
+            default=(7, 18),
+            show_default=True,
+            help="Leave points of this class alone; may be repeated.",
+        ),
+        click.Option(["--keep-withheld"], is_flag=True, help="Judge withheld points as well."),
+        click.Option(["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."),
+        click.Option(["--ground-class"], type=click.IntRange(0, 255), default=2, show_default=True, help="For ground."),
+        click.Option(
+            ["--other-class"],
+            type=click.IntRange(0, 255),
+            default=1,
+            show_default=True,
+            help="For judged points that lose their class.",
+        ),
+        click.Option(
+            ["--reset"],
+            type=click.Choice(writing.RESETS),
+            default="ground",
+            show_default=True,
+            help="Which classes judged non-ground points lose: ground and unclassified, all, or none.",
+        ),
+        click.Option(["--only-ground"], is_flag=True, help="Mark ground and leave every other class as it is."),
+        click.Option(
+            ["--extra"],
+            multiple=True,
+            type=click.Choice(writing.EXTRAS),
+            help="Also write this quantity of each point; may be repeated.",
+        ),
+        click.Option(["--workers"], type=click.IntRange(1), help="Threads for triangulation.  [default: one per core]"),
+        click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists."),
+        click.Option(["--in-place"], is_flag=True, help="Replace IN."),
+        *session_options(),
+    ]
+    return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
+
+
+def _ground(
+    method: type[Filter],
+    changes: dict[str, Any],
+    *,
+    source: Path,
+    target: Path | None,
+    preset: str | None,
+    largest_building: float | None,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+    workers: int | None,
+    **options: Any,
+) -> None:
+    from .. import read, write
+
+    reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
+    reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
+    writing = {
+        k: options[k] for k in ("overwrite", "in_place", "ground_class", "other_class", "reset", "only_ground", "extra")
+    }
+    with Session(quiet=quiet, debug=debug) as session:
+        filter_ = method.preset(preset, **changes) if preset else method(**changes)
+        target = _checked_target(source, target, options["overwrite"], options["in_place"])
+        _check_reading(reading["units"], reading["returns"])
+        with session.step("read"):
+            cloud = read(source, **reading)
+        if largest_building is not None:
+            filter_ = method.for_cloud(cloud, largest_building, preset=preset, **changes)
+        with session.step("filter"):
+            result = filter_(cloud, workers=workers, progress=session.progress)
+        with session.step("write"):
+            write(target, cloud, result, **writing)
+    report = _report(filter_, result, session) | {"input": str(source), "output": str(target)}
+    if as_json:
+        _print_json(report)
+    elif not quiet:
+        _print_report(report)
+
+
+def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool) -> Path:
+    """Where to write, or BadUsage if that would destroy something or cannot work."""
+    from ..host import text, writing
+
+    if target is None:
+        if not in_place:
+            raise BadUsage("OUT is missing: name a file to write, or pass --in-place")
+        return source
+    if target.exists() and os.path.samefile(source, target):
+        if not in_place:
+            raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
+    elif target.exists() and not overwrite:
+        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
+    if not target.absolute().parent.is_dir():
+        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    suffixes = writing.LAS_SUFFIXES + text.SUFFIXES
+    if target.suffix.lower() not in suffixes:
+        raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
+    return target
+
+
+def _check_reading(units: str | None, returns: str) -> None:
+    """Refuse words that ``read`` would refuse, before it reads."""
+    import numpy as np
+
+    from ..core.cloud import PointCloud
+
+    try:
+        PointCloud.from_arrays(np.empty((0, 3)), units=units or "m", returns=returns)
+    except JaxfilterError as error:
+        raise BadUsage(str(error)) from error
+
+
+def _report(filter_: Filter, result: FilterResult, session: Session) -> dict[str, Any]:
+    """The summary of a run, in plain Python values."""
+    return {
+        "method": type(filter_).__name__,
+        "status": result.status.name,
+        "message": result.status.message,
+        "points": len(result),
+        "candidates": int(result.info["candidates"]),
+        "ground": int(result.ground.sum()),
+        "barred": int(result.barred.sum()),
+        "barred_ground": int((result.barred & result.ground).sum()),
+        "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
+        "counts": result.info,
+        **session.as_dict(),
+    }
+
+
+def _print_report(report: dict[str, Any]) -> None:
+    share = 100 * report["ground"] / max(report["points"], 1)
+    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
+    compiled = report["compilations"]
+    click.echo(
+        f"{report['output']}: {report['ground']:,} of {report['points']:,} points are ground ({share:.1f} %), "
+        f"{report['candidates']:,} were judged"
+    )
+    if report["barred"]:
+        click.echo(
+            f"{report['barred']:,} points were barred from the seeds as outliers, of which "
+            f"{report['barred_ground']:,} are ground in the end"
+        )
+    click.echo(
+        f"{report['method']}: {report['message']}; {seconds}; "
+        f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
+    )
+
+
+@main.command()
+@click.argument("labelled", metavar="OUT", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("reference", metavar="REFERENCE", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--ignore-class",
+    "ignore_classes",
+    type=int,
+    multiple=True,
+    help="Leave points of this class of REFERENCE out; may be repeated.",
+)
+@click.option(
+    "--candidates-only",
+    is_flag=True,
+    help="Count only last and only echoes of OUT that are neither noise nor withheld.",
+)
+@click.option("--ground-class", type=click.IntRange(0, 255), default=2, show_default=True, help="Of OUT.")
+def evaluate(
+    labelled: Path,
+    reference: Path,
+    ignore_classes: tuple[int, ...],
+    candidates_only: bool,
+    ground_class: int,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Score the ground labels of OUT against those of REFERENCE.
+
+    Both are LAS, LAZ or labelled text files of the same points, in any order. Points of class 0 in REFERENCE were never
+    classified and do not count.
+    """
+    from .. import evaluate as score
+    from .. import read
+    from ..core.errors import InputError
+    from ..scoring import match_points
+
+    with Session(quiet=quiet, debug=debug) as session:
+        with session.step("read"):
+            cloud, truth = read(labelled, units="m"), read(reference, units="m")
+        result = cloud.reference if cloud.classification is None else cloud.classification == ground_class
+        if result is None:
+            raise InputError(f"{labelled} has neither classes nor labels: give the output of jaxfilter ground")
+        if truth.reference is None:
+            raise InputError(f"{reference} has no ground labels: give a file with class 2 or with a label column")
+        match = match_points(truth, cloud, (str(reference), str(labelled)))
+        classes = truth.classification
+        if classes is None and cloud.classification is not None:
+            classes = cloud.classification[match]
+        scores = score(
+            result[match],
+            truth,
+            classes=classes,
+            ignore_classes=ignore_classes,
+            ignore=~cloud.candidate[match] if candidates_only else None,
+        )
+    if as_json:
+        _print_json(scores.as_dict() | {"output": str(labelled), "reference": str(reference)} | session.as_dict())
+    else:
+        _print_scores(scores)
+
+
+evaluate.params += session_options()
+
+
+def _print_scores(scores: Scores) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("score", "percent")
+    for name, label in (
+        ("type1", "Type I error (ground lost)"),
+        ("type2", "Type II error (objects accepted)"),
+        ("total", "total error"),
+        ("kappa", "kappa"),
+        ("accuracy", "accuracy"),
+        ("precision", "precision (ground)"),
+        ("recall", "recall (ground)"),
+        ("f1", "F1 (ground)"),
+    ):
+        value = getattr(scores, name)
+        table.add_row(label, "undefined" if math.isnan(value) else f"{value:.2f}")
+    counts = Table("points", "labelled ground", "labelled object")
+    for label, row in zip(("reference ground", "reference object"), scores.confusion.tolist(), strict=True):
+        counts.add_row(label, *(f"{v:,}" for v in row))
+    for each in (table, counts):
+        for column in each.columns[1:]:
+            column.justify = "right"
+        Console().print(each)
+
+
+@main.command()
+@click.argument(
+    "directory", metavar="[DIR]", default="jaxfilter-demo", type=click.Path(file_okay=False, path_type=Path)
+)
+@click.option(
+    "--size", nargs=2, type=float, default=(400.0, 300.0), show_default=True, metavar="WIDTH HEIGHT", help="Metres."
+)
+@click.option("--density", type=float, default=1.5, show_default=True, help="Pulses per m2.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--method", default="fptd", show_default=True)
+@click.option("--overwrite", is_flag=True, help="Write into DIR even if it holds other files.")
+def demo(
+    directory: Path,
+    size: tuple[float, float],
+    density: float,
+    seed: int,
+    method: str,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Make a scene whose ground is known, filter it, score the result and draw it.
+
+    Writes into DIR (by default jaxfilter-demo): scene.laz, scene_ground.laz, and pictures of the true ground, of the
+    filtered ground and of the errors.
+    """
+    from .. import evaluate as score
+    from .. import read, scenes, write
+    from ..filters import FILTERS
+
+    with Session(quiet=quiet, debug=debug) as session:
+        others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
+        if others and not overwrite:
+            raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
+        if method not in FILTERS:
+            raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
+        filter_ = FILTERS[method].preset("recommended")
+        with session.step("scene"):
+            scene = scenes.make("mixed", size=size, density=density, seed=seed)
+            _write_scene(directory, scene)
+        with session.step("read"):
+            cloud = read(directory / "scene.laz", units="m")
+        with session.step("filter"):
+            result = filter_(cloud, progress=session.progress)
+        with session.step("write"):
+            target = write(directory / "scene_ground.laz", cloud, result, overwrite=True)
+        scores = score(result, scene.truth, candidates_only=True)
+        with session.step("pictures"):
+            _draw(directory, scene, result)
+    report = _report(filter_, result, session) | {"output": str(target)}
+    if as_json:
+        _print_json(report | {"scores": scores.as_dict(), "files": [str(directory / name) for name in DEMO_FILES]})
+    elif not quiet:
+        _print_report(report)
+        click.echo(scores)
+        click.echo(f"in {directory}: {', '.join(DEMO_FILES)}")
+
+
+def _write_scene(directory: Path, scene: Scene) -> None:
+    """The scene as delivered (never classified), and with its true classes."""
+    import numpy as np
+
+    from .. import write
+
+    directory.mkdir(parents=True, exist_ok=True)
+    nothing = np.zeros(len(scene), bool)
+    write(directory / "scene.laz", scene.cloud, nothing, reset="none", overwrite=True)
+    classified = dataclasses.replace(scene.cloud, classification=scene.classes)
+    write(directory / "scene_truth.laz", classified, nothing, reset="none", overwrite=True)
+
+
+def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
+    from .. import plots
+
+    cloud, truth = scene.cloud, scene.truth
+    terrain = scene.terrain_grid(1.0)
+    found = plots.rasterise(cloud.xyz[result.ground], terrain[1].cell, over=cloud.xyz)
+    pictures = {
+        "truth.png": plots.hillshade(terrain, title="true terrain").figure,
+        "result.png": plots.hillshade(found, title="filtered ground").figure,
+        "errors.png": plots.error_map(cloud, result, truth, surface=terrain, title="errors").figure,
+        "panel.png": plots.panel(cloud, result, truth),
+    }
+    for name, figure in pictures.items():
+        figure.savefig(directory / name)
+
+
+demo.params += session_options()
+
+
+@main.command()
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def methods(as_json: bool) -> None:
+    """List the methods with their parameters and presets."""
+    from ..citing import citation
+    from ..filters import FILTERS
+    from .flags import describe, fields
+
+    table: dict[str, dict[str, Any]] = {
+        name: {
+            "summary": _summary(method),
+            "presets": method.PRESETS,
+            "parameters": {field: describe(declared) for field, declared in fields(method).items()},
+            "citation": citation(method),
+        }
+        for name, method in FILTERS.items()
+    }
+    if as_json:
+        _print_json(table)
+        return
+    for name, entry in table.items():
+        click.echo(f"{name}  {entry['summary']}\n  presets: {', '.join(entry['presets'])}")
+        for field, text in entry["parameters"].items():
+            click.echo(f"  --{field.replace('_', '-')}: {text}")
+        click.echo()
+
+
+def _summary(method: type[Filter]) -> str:
+    """First paragraph of the docstring, on one line."""
+    return " ".join((method.__doc__ or "").strip().split("\n\n")[0].split())
+
+
+@main.command()
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+def info(file: Path, quiet: bool, as_json: bool, debug: bool) -> None:
+    """What a file says of itself: points, extent, CRS, units, classes and echoes."""
+    from ..host import las
+
+    with Session(quiet=quiet, debug=debug):
+        facts = las.info(file)
+    if as_json:
+        _print_json(facts)
+        return
+    width = max(len(k) for k in facts)
+    for key, value in facts.items():
+        click.echo(f"{key.replace('_', ' '):{width}}  {value}")
+
+
+info.params += session_options()
+
+
+def _print_json(value: Any) -> None:
+    click.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    """Values that JSON knows: NumPy values become numbers and lists, NaN becomes null, the rest strings."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)

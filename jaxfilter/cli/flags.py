@@ -1,0 +1,77 @@
+"""Command-line flags made from the fields of a filter, so that a parameter is declared once, in its class."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from ..core.filter import Filter
+
+_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+
+
+class Value(click.ParamType):
+    """A number or a word; ``none`` where the field may be None."""
+
+    def __init__(self, base: type, optional: bool) -> None:
+        self.base, self.optional = base, optional
+        self.name = base.__name__ + ("|none" if optional else "")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if self.optional and isinstance(value, str) and value.lower() == "none":
+            return None
+        try:
+            return self.base(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
+
+
+def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
+    """The parameters of a filter by name."""
+    return {f.name: f for f in dataclasses.fields(method)}  # type: ignore[arg-type]
+
+
+def options(method: type[Filter]) -> list[click.Option]:
+    """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool."""
+    types_of = typing.get_type_hints(method)
+    return [_option(field, types_of[name]) for name, field in fields(method).items()]
+
+
+def given(method: type[Filter], ctx: click.Context) -> dict[str, Any]:
+    """The fields that the command line sets, by name."""
+    said = [name for name in fields(method) if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE]
+    return {name: ctx.params[name] for name in said}
+
+
+def describe(field: dataclasses.Field[Any]) -> str:
+    """One sentence on a field: what it is, its symbol, unit, admissible range and default."""
+    meta = field.metadata
+    limits = " and ".join(f"{sign} {meta[key]:g}" for key, sign in _SIGNS.items() if meta.get(key) is not None)
+    choices = ", ".join(str(c) for c in meta.get("choices") or ())
+    unit = f"{limits} {meta.get('unit', '')}".strip()
+    default = "none" if field.default is None else str(field.default)
+    notes = [f"symbol {meta['symbol']}" if meta.get("symbol") else "", unit, choices, f"default {default}"]
+    return f"{str(meta.get('doc', '')).rstrip('.')} [{'; '.join(n for n in notes if n)}]"
+
+
+def _option(field: dataclasses.Field[Any], annotation: Any) -> click.Option:
+    flag = "--" + field.name.replace("_", "-")
+    choices = field.metadata.get("choices")
+    if annotation is bool:
+        return click.Option([f"{flag}/--no-{flag[2:]}", field.name], default=None, help=describe(field))
+    kind: click.ParamType = Value(_base(annotation), bool(field.metadata.get("optional")))
+    if choices is not None and all(isinstance(c, str) for c in choices):
+        kind = click.Choice(choices)
+    return click.Option([flag, field.name], type=kind, default=None, help=describe(field))
+
+
+def _base(annotation: Any) -> type:
+    """``float`` of ``float`` and of ``float | None``."""
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
+        annotation = next(a for a in typing.get_args(annotation) if a is not type(None))
+    return annotation

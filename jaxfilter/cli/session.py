@@ -1,0 +1,115 @@
+"""What every command that works has in common: progress, warnings and errors as lines, timing, the compile cache."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import warnings
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
+
+
+class BadUsage(click.ClickException):
+    """Wrong usage that is found before anything is read: one line, exit code 2."""
+
+    exit_code = 2
+
+
+def session_options() -> list[click.Parameter]:
+    """The options of every command that works."""
+    return [
+        click.Option(["--quiet", "-q"], is_flag=True, help="No progress and no summary; warnings remain."),
+        click.Option(["--json", "as_json"], is_flag=True, help="Print the result as JSON."),
+        click.Option(["--debug"], is_flag=True, help="Show the traceback of an error."),
+    ]
+
+
+class Session:
+    """A context in which a command runs.
+
+    Messages go to standard error, one line each. Errors of this package and of the system become one line and an exit
+    code: 2 for parameters, 1 for the rest. Compilations are counted and kept for the next process.
+    """
+
+    def __init__(self, *, quiet: bool, debug: bool) -> None:
+        self.debug = debug
+        self.seconds: dict[str, float] = {}
+        self.steps: dict[str, float] = {}
+        self.warnings: list[str] = []
+        self._console = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
+        self._bar = Progress(
+            TextColumn("{task.description:24}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            transient=True,
+            console=self._console,
+            disable=quiet or not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0)
+        self._stack = contextlib.ExitStack()
+        self._mark = ("", 0.0)
+
+    def __enter__(self) -> Self:
+        from ..core import compilation
+
+        compilation.watch_compilations()
+        compilation.use_persistent_cache()
+        self._stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("always", JaxfilterWarning)
+        warnings.showwarning = self._warn
+        self._stack.enter_context(self._bar)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._stack.close()
+        if error is None or self.debug or not isinstance(error, Exception) or isinstance(error, click.ClickException):
+            return
+        if isinstance(error, ParameterError):
+            raise BadUsage(str(error)) from error
+        text = str(error) if isinstance(error, JaxfilterError) else f"{type(error).__name__}: {error}"
+        raise click.ClickException(" ".join(text.split())) from error
+
+    @contextlib.contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Show and time a step of the command."""
+        start = time.perf_counter()
+        self._bar.update(self._task, description=name, completed=0.0)
+        yield
+        self._next("")
+        self.seconds[name] = time.perf_counter() - start
+
+    def progress(self, fraction: float, step: str) -> None:
+        """The callback for a filter: shows the fraction done and adds up seconds by step."""
+        self._next(step)
+        self._bar.update(self._task, description=step, completed=fraction)
+
+    def _next(self, step: str) -> None:
+        now = time.perf_counter()
+        running, since = self._mark
+        if running:
+            self.steps[running] = self.steps.get(running, 0.0) + now - since
+        self._mark = (step, now)
+
+    def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        text = " ".join(str(message).split())
+        self.warnings.append(text)
+        self._console.print(f"warning: {text}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Seconds by step of the command and of the filter, compilations, and warnings."""
+        from ..core.compilation import compilations
+
+        count, seconds = compilations()
+        return {
+            "seconds": self.seconds,
+            "filter_seconds": self.steps,
+            "compilations": {"count": count, "seconds": seconds},
+            "warnings": self.warnings,
+        }

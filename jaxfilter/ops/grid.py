@@ -1,0 +1,73 @@
+"""Points to grid cells: padded grid sizes, cell index, lowest point and number of points per cell.
+
+A grid array has shape [rows, columns]; row 0 is the southern edge. Arrays are padded to a few sizes, so that grids of
+nearly equal size share one compilation; the true number of rows and columns is a traced argument.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+
+
+def padded_length(n: int) -> int:
+    """The padded number of rows or columns that holds ``n``: the next multiple of 128, of 256 from 2048, of 512 from 4096."""
+    step = max(128, 2 ** (max(n - 1, 1).bit_length() - 4))
+    return -(-max(n, 1) // step) * step
+
+
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """:func:`padded_length` of rows and columns."""
+    return padded_length(shape[0]), padded_length(shape[1])
+
+
+def inside(shape: tuple[int, int], extent: jax.Array) -> jax.Array:
+    """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns)."""
+    row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
+    return (row < extent[0]) & (column < extent[1])
+
+
+@functools.partial(jax.jit, static_argnames="columns")
+def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Array, columns: int) -> jax.Array:
+    """Row-major cell of every point in a padded grid; points outside the extent go to the nearest cell.
+
+    Args:
+        xy: f32[n, >=2], local metres.
+        corner: f32[2], x and y of the lower left corner of cell (0, 0), metres.
+        cell: f32[], side of a cell, metres.
+        extent: i32[2], true number of rows and columns.
+        columns: padded number of columns.
+
+    Returns: i32[n].
+    """
+    step = jnp.floor((xy[:, :2] - corner) / cell).astype(jnp.int32)
+    column = jnp.clip(step[:, 0], 0, extent[1] - 1)
+    row = jnp.clip(step[:, 1], 0, extent[0] - 1)
+    return row * columns + column
+
+
+@functools.partial(jax.jit, static_argnames="cells")
+def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array, jax.Array]:
+    """Lowest elevation of every cell, and the first point that has it.
+
+    Args:
+        index: i32[n], cell of every point.
+        z: f32[n], metres; +inf for points that do not count (padding).
+        cells: number of cells of the padded grid.
+
+    Returns: f32[cells], +inf in empty cells, and i32[cells], the lowest index among equally low points, ``n`` in empty
+        cells. With points in canonical order the choice depends on coordinates alone.
+    """
+    n = len(z)
+    lowest = jnp.full(cells, jnp.inf, z.dtype).at[index].min(z)
+    is_lowest = (z == lowest[index]) & (z < jnp.inf)
+    first = jnp.full(cells, n, jnp.int32).at[index].min(jnp.where(is_lowest, jnp.arange(n, dtype=jnp.int32), n))
+    return lowest, first
+
+
+@functools.partial(jax.jit, static_argnames="cells")
+def block_counts(index: jax.Array, counted: jax.Array, cells: int) -> jax.Array:
+    """i32[cells]: number of points per cell, of those with ``counted``, bool[n]; ``index`` is i32[n]."""
+    return jnp.zeros(cells, jnp.int32).at[index].add(counted.astype(jnp.int32))

@@ -1,0 +1,84 @@
+"""Least-squares planes through padded blocks of points, their residuals and inliers, and the test of planarity."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+_DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
+
+
+class Planes(NamedTuple):
+    """One plane z = z0 + a (x - x0) + b (y - y0) per block.
+
+    Attributes:
+        centre: f32[B, 3], mean of the points, metres.
+        gradient: f32[B, 2], a and b; zero for blocks that determine no plane.
+        determined: bool[B], False with fewer than three points or with all of them on a vertical plane.
+    """
+
+    centre: jax.Array
+    gradient: jax.Array
+    determined: jax.Array
+
+    @property
+    def normal(self) -> jax.Array:
+        """f32[B, 3], unit normals, pointing upward."""
+        up = jnp.concatenate([-self.gradient, jnp.ones_like(self.gradient[..., :1])], axis=-1)
+        return up / jnp.linalg.norm(up, axis=-1, keepdims=True)
+
+    @property
+    def slope(self) -> jax.Array:
+        """f32[B], degrees."""
+        return jnp.rad2deg(jnp.arctan(jnp.linalg.norm(self.gradient, axis=-1)))
+
+
+@jax.jit
+def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
+    """Planes with the least sum of squared vertical residuals, in closed form about the mean of each block.
+
+    Args:
+        xyz: f32[B, N, 3], local metres.
+        mask: bool[B, N], the points that count; the others (padding) may hold any finite value.
+    """
+    weight = mask.astype(xyz.dtype)[..., None]
+    count = jnp.maximum(weight.sum(axis=1), 1)
+    origin = jnp.take_along_axis(xyz, jnp.argmax(mask, axis=1)[:, None, None], axis=1)
+    mean = ((xyz - origin) * weight).sum(axis=1) / count
+    centre = origin[:, 0] + mean
+    x, y, z = jnp.moveaxis((xyz - origin - mean[:, None]) * weight, -1, 0)
+    xx, xy, yy, xz, yz = ((p * q).sum(axis=1) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
+    determinant = xx * yy - xy * xy
+    determined = (determinant > _DEGENERATE * (xx + yy) ** 2) & (weight[..., 0].sum(axis=1) >= 3)
+    divisor = jnp.where(determined, determinant, 1)
+    gradient = jnp.stack([yy * xz - xy * yz, xx * yz - xy * xz], axis=-1) / divisor[:, None]
+    return Planes(centre, jnp.where(determined[:, None], gradient, 0), determined)
+
+
+@jax.jit
+def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
+    """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0."""
+    return jnp.einsum("bni,bi->bn", xyz - planes.centre[:, None], planes.normal)
+
+
+@jax.jit
+def plane_inliers(planes: Planes, xyz: jax.Array, mask: jax.Array, distance: jax.Array | float) -> jax.Array:
+    """bool[B, N], the points of ``mask`` within ``distance`` metres of the plane; none where it is undetermined."""
+    return mask & planes.determined[:, None] & (jnp.abs(plane_residuals(planes, xyz)) <= distance)
+
+
+@jax.jit
+def is_planar(
+    planes: Planes,
+    xyz: jax.Array,
+    mask: jax.Array,
+    distance: jax.Array | float,
+    share: jax.Array | float = 1.0,
+    max_slope: jax.Array | float = 90.0,
+) -> jax.Array:
+    """bool[B]: at least ``share`` (0..1) of the points lie within ``distance`` metres of a plane of at most ``max_slope``
+    degrees. False for blocks that determine no plane."""
+    inliers = plane_inliers(planes, xyz, mask, distance).sum(axis=1)
+    return planes.determined & (inliers >= share * mask.sum(axis=1)) & (planes.slope <= max_slope)

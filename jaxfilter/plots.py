@@ -1,0 +1,292 @@
+"""Pictures for papers: hillshades, error maps and profiles. Needs matplotlib, the extra ``jaxfilter[plots]``.
+
+Every function draws into the given Axes, or into a figure of its own, and returns the Axes; ``ax.figure.savefig`` saves
+it. No global matplotlib state is touched. Coordinates are local metres, as in ``PointCloud.xyz``. The colours of
+errors are from Okabe and Ito's palette, which stay apart for colour-blind readers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from .core.cloud import QUANTUM, PointCloud
+from .core.errors import InputError
+from .core.grid import Grid, grid_over
+from .core.result import FilterResult
+
+TYPE_1 = "#D55E00"
+TYPE_2 = "#0072B2"
+OBJECT = "#E8D9A0"
+GROUND = "#8C6D46"
+MAX_PIXELS = 600
+REACH = 30.0
+"""Metres: a picture's surface extends this far into places without points."""
+_NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
+
+
+def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | None = None) -> tuple[np.ndarray, Grid]:
+    """A picture's surface through points: the lowest point per cell, and smooth interpolation between those.
+
+    Args:
+        xyz: f32[n, 3], local metres.
+        cell: metres; by default what gives about one point per cell and at most 600 cells along the longer side.
+        over: points that the grid has to cover; by default ``xyz``.
+
+    Returns: z f32[ny, nx] in metres, NaN farther than :data:`REACH` from every point; and the grid.
+    Raises: InputError if there are no points.
+    """
+    if len(xyz) == 0:
+        raise InputError("rasterise: there are no points to draw")
+    if cell is None:
+        width, height = (max(float(v), QUANTUM) for v in np.ptp(xyz[:, :2], axis=0))
+        cell = max(math.sqrt(width * height / len(xyz)), max(width, height) / MAX_PIXELS)
+    grid = grid_over(xyz if over is None else over, cell)
+    lowest = np.full(grid.ny * grid.nx, np.inf, np.float32)
+    np.minimum.at(lowest, grid.flat(xyz), xyz[:, 2])
+    z = np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
+    far = ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > REACH
+    return np.where(far, np.nan, _fill(z)), grid
+
+
+def _fill(z: np.ndarray) -> np.ndarray:
+    """Every NaN replaced, smoothly: from the grid at half the resolution, filled alike, then relaxed."""
+    empty = np.isnan(z)
+    if not empty.any() or empty.all():
+        return z
+    ny, nx = z.shape
+    padded = np.pad(z, ((0, ny % 2), (0, nx % 2)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // 2, 2, -1, 2)
+    known = (~np.isnan(blocks)).sum(axis=(1, 3))
+    half = np.where(known > 0, np.nansum(blocks, axis=(1, 3)) / np.maximum(known, 1), np.nan)
+    rows, columns = np.mgrid[:ny, :nx] / 2 - 0.25
+    out = np.where(empty, ndimage.map_coordinates(_fill(half), (rows, columns), order=1, mode="nearest"), z)
+    for _ in range(8):
+        out[empty] = ndimage.convolve(out, _NEIGHBOURS, mode="nearest")[empty]
+    return out
+
+
+def _axes(ax: Any, size: tuple[float, float]) -> Any:
+    if ax is not None:
+        return ax
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("jaxfilter.plots needs matplotlib: pip install 'jaxfilter[plots]'") from error
+    figure = Figure(figsize=size, dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure.add_subplot()
+
+
+def _map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
+    """Inches of a figure for a map, with room for labels."""
+    return 5.0, float(np.clip(4.3 * grid.ny / grid.nx, 1.5, 9.0)) + 0.8 + legend
+
+
+def _shade(z: np.ndarray, cell: float) -> np.ndarray:
+    """f32[ny, nx], 0 (dark) to 1: light from the north-west at 45 degrees; NaN where the surface is."""
+    dy, dx = np.gradient(z, cell)
+    light = np.array([-0.5, 0.5, math.sqrt(0.5)])
+    return np.clip((light[2] - light[0] * dx - light[1] * dy) / np.sqrt(1.0 + dx**2 + dy**2), 0.0, 1.0)
+
+
+def _extent(grid: Grid) -> tuple[float, float, float, float]:
+    return grid.x0, grid.x0 + grid.nx * grid.cell, grid.y0, grid.y0 + grid.ny * grid.cell
+
+
+def _frame(ax: Any, title: str) -> None:
+    """Equal axes in metres and a scale bar of a round length."""
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    ax.set_aspect("equal")
+    ax.set_xlabel("x (m)")
+    ax.set_ylabel("y (m)")
+    ax.set_title(title, fontsize=10)
+    low, high = ax.get_xlim()
+    power = 10.0 ** math.floor(math.log10((high - low) / 4))
+    length = max(f * power for f in (1, 2, 5) if f * power <= (high - low) / 4)
+    ax.add_artist(
+        AnchoredSizeBar(
+            ax.transData,
+            length,
+            f"{length:g} m",
+            "lower right",
+            pad=0.3,
+            borderpad=0.4,
+            sep=3,
+            frameon=True,
+            size_vertical=(high - low) / 250,
+            fontproperties={"size": 7},
+        )
+    )
+
+
+def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, title: str = "") -> Any:
+    """Shaded relief of a surface, lit from the north-west at 45 degrees.
+
+    Args:
+        surface: points f32[n, 3] in local metres, drawn through :func:`rasterise`; or (z f32[ny, nx], Grid).
+        ax: matplotlib Axes; by default those of a new figure.
+
+    Returns: the Axes.
+    """
+    z, grid = surface if isinstance(surface, tuple) else rasterise(surface)
+    ax = _axes(ax, _map_size(grid))
+    ax.imshow(
+        _shade(z, grid.cell), cmap="gray", vmin=0, vmax=1, extent=_extent(grid), origin="lower", interpolation="nearest"
+    )
+    _frame(ax, title)
+    return ax
+
+
+def error_map(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    reference: np.ndarray,
+    *,
+    surface: tuple[np.ndarray, Grid] | None = None,
+    ax: Any = None,
+    title: str = "",
+) -> Any:
+    """Where a labelling errs: Type I and Type II errors as points over the shaded relief of the reference ground.
+
+    Cells with an object that was found are tinted.
+
+    Args:
+        cloud: n points.
+        result: FilterResult or bool[n], True = ground.
+        reference: bool[n], True = ground.
+        surface: (z, Grid) to shade instead of the reference ground points.
+        ax: matplotlib Axes; by default those of a new figure.
+
+    Returns: the Axes.
+    """
+    ground = _labels(result)
+    z, grid = surface or rasterise(cloud.xyz[reference], over=cloud.xyz)
+    ax = _axes(ax, _map_size(grid, legend=0.4))
+    from matplotlib.colors import to_rgb
+    from matplotlib.patches import Patch
+    from matplotlib.transforms import ScaledTranslation
+
+    picture = np.repeat(np.nan_to_num(_shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
+    real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    objects = np.unique(grid.flat(cloud.xyz[~ground & ~reference & real]))
+    pixels = picture.reshape(-1, 3)
+    pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT))
+    ax.imshow(picture, extent=_extent(grid), origin="lower", interpolation="nearest")
+    handles = [Patch(color=OBJECT, label="objects found")]
+    for where, colour, label in (
+        (reference & ~ground & real, TYPE_1, "Type I, ground lost"),
+        (ground & ~reference & real, TYPE_2, "Type II, object accepted"),
+    ):
+        ax.scatter(*cloud.xyz[where, :2].T, s=1.6, c=colour, linewidths=0, rasterized=True)
+        handles.append(Patch(color=colour, label=f"{label} ({int(where.sum()):,})"))
+    _frame(ax, title)
+    below_label = ax.transAxes + ScaledTranslation(0.0, -0.42, ax.figure.dpi_scale_trans)
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=below_label,
+        ncols=2,
+        frameon=False,
+        fontsize=7,
+        handlelength=1.2,
+        columnspacing=1.0,
+    )
+    return ax
+
+
+def profile(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    line: tuple[tuple[float, float], tuple[float, float]],
+    width: float = 2.0,
+    *,
+    reference: np.ndarray | None = None,
+    ax: Any = None,
+    title: str = "",
+) -> Any:
+    """A vertical section: the points within half of ``width`` of a line, by distance along it.
+
+    Args:
+        cloud: n points.
+        result: FilterResult or bool[n], True = ground.
+        line: two points (x, y) in local metres.
+        width: metres, of the strip.
+        reference: bool[n]; if given, errors are marked apart.
+        ax: matplotlib Axes; by default those of a new figure.
+
+    Returns: the Axes. Raises: InputError if the line has no length.
+    """
+    start, end = np.asarray(line, np.float64)
+    length = float(np.hypot(*(end - start)))
+    if length == 0:
+        raise InputError(f"profile: line {line} has no length")
+    along = (end - start) / length
+    offset = cloud.xyz[:, :2] - start
+    s = offset @ along
+    near = (np.abs(offset @ np.array([-along[1], along[0]])) <= width / 2) & (s >= 0) & (s <= length)
+    if cloud.valid is not None:
+        near &= cloud.valid
+    ground = _labels(result)
+    ax = _axes(ax, (7.0, 2.6))
+    groups: list[tuple[str, np.ndarray, str, float]]
+    groups = [("non-ground", ~ground, "0.7", 2.0), ("ground", ground, GROUND, 2.0)]
+    if reference is not None:
+        groups += [
+            ("Type I, ground lost", reference & ~ground, TYPE_1, 7.0),
+            ("Type II, object accepted", ground & ~reference, TYPE_2, 7.0),
+        ]
+    for label, where, colour, size in groups:
+        chosen = near & where
+        ax.scatter(s[chosen], cloud.xyz[chosen, 2], s=size, c=colour, linewidths=0, label=label, rasterized=True)
+    ax.set_xlim(0, length)
+    ax.set_xlabel("distance along the profile (m)")
+    ax.set_ylabel("height (m)")
+    ax.set_title(title, fontsize=10, loc="left")
+    ax.legend(
+        fontsize=7,
+        frameon=False,
+        markerscale=2,
+        ncols=len(groups),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        borderaxespad=0.1,
+    )
+    return ax
+
+
+def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.ndarray) -> Any:
+    """A figure of four: ground surface of the reference, of the result, the error map, and a west-east profile.
+
+    Args:
+        cloud: n points.
+        result: FilterResult or bool[n], True = ground.
+        reference: bool[n], True = ground.
+
+    Returns: the matplotlib Figure.
+    """
+    truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
+    map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))
+    figure = _axes(None, (11.0, map_height + 3.1)).figure
+    figure.clear()
+    places = figure.add_gridspec(2, 3, height_ratios=(map_height + 1.0, 1.7))
+    middle = float(np.median(cloud.xyz[reference, 1]))
+    ends = (0.0, middle), (float(cloud.xyz[:, 0].max()), middle)
+    top = [figure.add_subplot(places[0, i]) for i in range(3)]
+    hillshade(truth, ax=top[0], title="reference ground")
+    found = rasterise(cloud.xyz[_labels(result)], truth[1].cell, over=cloud.xyz)
+    hillshade(found, ax=top[1], title="filtered ground")
+    error_map(cloud, result, reference, surface=truth, ax=top[2], title="errors")
+    bottom = figure.add_subplot(places[1, :])
+    profile(cloud, result, ends, reference=reference, ax=bottom, title=f"section at y = {middle:.0f} m")
+    return figure
+
+
+def _labels(result: FilterResult | np.ndarray) -> np.ndarray:
+    return result.ground if isinstance(result, FilterResult) else np.asarray(result)

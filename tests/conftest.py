@@ -1,0 +1,30 @@
+"""Where the ISPRS samples are, if they are anywhere."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data():
+    """The folder with isprs/, isprs_sites/ and tiles/: JAXFILTER_DATA, or a copy beside the checkout."""
+    places = [os.environ.get("JAXFILTER_DATA"), Path(__file__).resolve().parents[2] / "shared" / "data"]
+    for place in places:
+        if place and (Path(place) / "isprs" / "samp11.txt").exists():
+            return Path(place)
+    pytest.skip("the ISPRS samples are not here: point JAXFILTER_DATA to a folder with isprs/samp11.txt and the rest")
+
+
+@pytest.fixture(scope="session")
+def town():
+    """A small simulated town with every kind of object, 9 000 pulses."""
+    from jaxfilter import scenes
+
+    return scenes.make("town", size=(90, 80), density=1.3, seed=4)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20210)

@@ -1,0 +1,296 @@
+"""The command line: exit codes, what goes where, and files that must not be lost."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import resource
+import subprocess
+import sys
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import jaxfilter
+from jaxfilter.cli import flags, main
+from jaxfilter.core.filter import Filter
+from jaxfilter.filters import FILTERS
+from jaxfilter.host.las import read, write
+
+METHODS = pytest.mark.parametrize("method", list(FILTERS))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    """Compilations of these tests go to a folder of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAXFILTER_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jaxfilter.scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
+
+
+@pytest.fixture
+def folder(tmp_path, scene):
+    """scene.laz as delivered, truth.laz with its true classes, and truth.txt: the same points in another order."""
+    nothing = np.zeros(len(scene), bool)
+    write(tmp_path / "scene.laz", scene.cloud, nothing, reset="none")
+    classified = dataclasses.replace(scene.cloud, classification=scene.classes)
+    write(tmp_path / "truth.laz", classified, nothing, reset="none")
+    order = np.random.default_rng(0).permutation(len(scene))
+    table = np.column_stack([scene.xyz, ~scene.truth])[order]
+    np.savetxt(tmp_path / "truth.txt", table, fmt=("%.3f", "%.3f", "%.3f", "%d"))
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def ground(folder, *arguments, source="scene.laz", target="out.laz", method="fptd"):
+    return run("ground", method, folder / source, folder / target, *arguments)
+
+
+def assert_one_line(result, exit_code, *words):
+    assert result.exit_code == exit_code, result.output
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1 and lines[0].startswith("Error: "), result.stderr
+    for word in words:
+        assert word in lines[0]
+
+
+def everything(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@METHODS
+def test_ground_writes_what_the_library_finds(folder, method):
+    result = ground(folder, "--json", method=method)
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    cloud = read(folder / "scene.laz", units="m")
+    expected = FILTERS[method]()(cloud).ground
+    written = laspy.read(folder / "out.laz")
+    np.testing.assert_array_equal(np.asarray(written.classification) == 2, expected)
+    assert report["ground"] == expected.sum() and report["points"] == len(cloud)
+    assert report["candidates"] == cloud.candidate.sum()
+    assert report["status"] == "CONVERGED"
+    assert set(report["parameters"]) == {f.name for f in dataclasses.fields(FILTERS[method])}
+    assert set(report["seconds"]) == {"read", "filter", "write"} and min(report["seconds"].values()) > 0
+    assert report["compilations"]["count"] >= 0
+    assert any("metres are assumed" in text for text in report["warnings"])
+    assert "warning: " in result.stderr and "warning: " not in result.stdout
+
+
+@METHODS
+def test_flags_reach_the_filter(folder, method):
+    name = next(f.name for f in dataclasses.fields(FILTERS[method]) if isinstance(f.default, float) and f.default > 0)
+    value = getattr(FILTERS[method](), name) / 2
+    result = ground(folder, f"--{name.replace('_', '-')}", value, "--json", method=method)
+    assert json.loads(result.stdout)["parameters"][name] == value
+
+
+@METHODS
+def test_flags_cover_every_field_once(method):
+    command = main.commands["ground"].get_command(None, method)
+    names = [p.name for p in command.params]
+    assert len(names) == len(set(names)), "a parameter has the name of an option of the command"
+    assert {f.name for f in dataclasses.fields(FILTERS[method])} <= set(names)
+
+
+def test_fields_of_every_kind_become_flags():
+    @dataclasses.dataclass(frozen=True)
+    class Toy(Filter):
+        number: float = dataclasses.field(default=1.0, metadata={"doc": "a number", "unit": "m", "gt": 0})
+        count: int = 3
+        switch: bool = True
+        mode: str = dataclasses.field(default="a", metadata={"choices": ("a", "b")})
+        off: float | None = dataclasses.field(default=2.0, metadata={"optional": True})
+
+    def given(*arguments):
+        command = flags.click.Command("toy", params=flags.options(Toy))
+        with command.make_context("toy", list(arguments)) as ctx:
+            return flags.given(Toy, ctx)
+
+    assert given() == {}
+    assert given("--number", "2", "--count", "4") == {"number": 2.0, "count": 4}
+    assert given("--no-switch") == {"switch": False} and given("--switch") == {"switch": True}
+    assert given("--off", "none") == {"off": None} and given("--off", "3") == {"off": 3.0}
+    assert given("--mode", "b") == {"mode": "b"}
+    for wrong in (("--count", "1.5"), ("--mode", "c"), ("--off", "nothing"), ("--number", "none")):
+        with pytest.raises(flags.click.UsageError):
+            given(*wrong)
+    assert flags.describe(dataclasses.fields(Toy)[0]) == "a number [> 0 m; default 1.0]"
+
+
+def test_presets_and_the_largest_building_set_parameters(folder):
+    result = ground(folder, "--preset", "recommended", "--largest-building", 25, "--json")
+    spacing = FILTERS["fptd"].for_cloud(read(folder / "scene.laz", units="m"), 25.0, preset="recommended")
+    given = json.loads(result.stdout)["parameters"]
+    for name, value in dataclasses.asdict(spacing).items():
+        assert given[name] == value or float(given[name]) == value  # infinity is a string in JSON
+
+
+def test_quiet_and_plain_output(folder):
+    plain = ground(folder)
+    assert plain.exit_code == 0 and "points are ground" in plain.stdout
+    quiet = ground(folder, "--quiet", "--overwrite")
+    assert quiet.exit_code == 0 and quiet.stdout == ""
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--max-angle", "-1"), ("FPTD(max_angle=-1.0)", "must be > 0 and < 90")),
+        (("--window", "nan"), ("window=nan",)),
+        (("--units", "parsec"), ("parsec", "us-ft")),
+        (("--returns", "second"), ("second", "intermediate")),
+    ],
+)
+def test_bad_parameters_are_usage_errors_found_before_reading(folder, arguments, words):
+    (folder / "scene.laz").write_bytes(b"not a point cloud")
+    before = everything(folder)
+    assert_one_line(ground(folder, *arguments), 2, *words)
+    assert everything(folder) == before
+
+
+@pytest.mark.parametrize(
+    "target, word",
+    [("truth.laz", "--overwrite"), ("scene.laz", "--in-place"), ("no/out.laz", "not a folder"), ("out.tif", "suffix")],
+)
+def test_outputs_that_cannot_be_are_usage_errors_found_before_reading(folder, target, word):
+    (folder / "scene.laz").write_bytes(b"not a point cloud")
+    before = everything(folder)
+    assert_one_line(ground(folder, target=target), 2, word)
+    assert everything(folder) == before
+
+
+def test_a_missing_output_a_missing_input_and_an_unknown_method_are_usage_errors(folder):
+    assert_one_line(run("ground", "fptd", folder / "scene.laz"), 2, "OUT is missing")
+    assert run("ground", "fptd", folder / "nothing.laz", folder / "out.laz").exit_code == 2
+    assert ground(folder, method="nosuch").exit_code == 2
+    assert ground(folder, "--nosuch", 3).exit_code == 2
+
+
+def test_overwrite_and_in_place_do_as_told(folder):
+    assert ground(folder, "--overwrite", target="truth.laz").exit_code == 0
+    assert run("ground", "fptd", folder / "scene.laz", "--in-place").exit_code == 0
+    for name in ("truth.laz", "scene.laz"):
+        assert (np.asarray(laspy.read(folder / name).classification) == 2).any()
+    assert sorted(everything(folder)) == ["scene.laz", "truth.laz", "truth.txt"]
+
+
+def test_a_damaged_file_is_one_line_and_exit_code_1(folder):
+    whole = (folder / "scene.laz").read_bytes()
+    (folder / "scene.laz").write_bytes(whole[: len(whole) // 2])
+    assert_one_line(ground(folder), 1, "scene.laz")
+    assert not (folder / "out.laz").exists()
+
+
+@pytest.mark.parametrize("error, code", [(MemoryError("no room"), 1), (KeyboardInterrupt(), 1), (ValueError("odd"), 1)])
+def test_a_run_that_fails_leaves_nothing(folder, monkeypatch, error, code):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(FILTERS["fptd"], "classify", fails)
+    before = everything(folder)
+    for arguments in ((), ("--in-place",)):
+        result = ground(folder, *arguments, target="scene.laz" if arguments else "out.laz")
+        assert result.exit_code == code
+        assert "Traceback" not in result.output
+        assert everything(folder) == before
+    if not isinstance(error, KeyboardInterrupt):
+        assert type(ground(folder, "--debug").exception) is type(error)
+
+
+def test_a_full_disk_leaves_nothing(folder):
+    before = everything(folder)
+    ground(folder, target="warm.laz")
+    (folder / "warm.laz").unlink()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # writing beyond it fails as on a full disk
+    try:
+        result = ground(folder)
+        again = ground(folder, "--in-place", target="scene.laz")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert_one_line(result, 1, "out.laz", "cannot be written")
+    assert_one_line(again, 1, "scene.laz", "cannot be written")
+    assert everything(folder) == before
+
+
+@pytest.mark.parametrize("source, reference", [("scene.laz", "truth.laz"), ("truth.laz", "truth.txt")])
+def test_evaluate_counts_points_in_any_order(folder, scene, source, reference):
+    ground(folder, source=source)
+    labels = np.asarray(laspy.read(folder / "out.laz").classification) == 2
+    for arguments, counted in (
+        ((), np.ones(len(scene), bool)),
+        (("--candidates-only",), read(folder / source, units="m").candidate),
+        (("--ignore-class", "5", "--ignore-class", "6"), ~np.isin(scene.classes, (5, 6))),
+    ):
+        result = run("evaluate", folder / "out.laz", folder / reference, "--json", *arguments)
+        assert result.exit_code == 0, result.output
+        confusion = json.loads(result.stdout)["confusion"]
+        for row, truth in zip(confusion, (scene.truth, ~scene.truth), strict=True):
+            assert row == [(counted & truth & labels).sum(), (counted & truth & ~labels).sum()]
+
+
+def test_evaluate_prints_a_table_and_undefined_figures_as_null(folder, scene):
+    nothing = np.zeros(len(scene), bool)
+    write(folder / "empty.laz", scene.cloud, nothing, reset="all")
+    plain = run("evaluate", folder / "empty.laz", folder / "truth.laz")
+    assert plain.exit_code == 0 and "undefined" in plain.stdout and "100.00" in plain.stdout
+    assert json.loads(run("evaluate", folder / "empty.laz", folder / "truth.laz", "--json").stdout)["precision"] is None
+
+
+def test_evaluate_refuses_other_points_and_missing_labels(folder):
+    cut = np.loadtxt(folder / "truth.txt")
+    np.savetxt(folder / "cut.txt", cut[1:], fmt=("%.3f", "%.3f", "%.3f", "%d"))
+    cut[0, 2] += 1
+    np.savetxt(folder / "moved.txt", cut, fmt=("%.3f", "%.3f", "%.3f", "%d"))
+    assert_one_line(run("evaluate", folder / "truth.laz", folder / "cut.txt"), 1, "cut.txt", "the same points")
+    assert_one_line(run("evaluate", folder / "truth.laz", folder / "moved.txt"), 1, "do not hold the same points")
+    assert_one_line(run("evaluate", folder / "truth.laz", folder / "scene.laz"), 1, "no ground labels")
+
+
+def test_methods_and_info_speak_json(folder, scene):
+    table = json.loads(run("methods", "--json").stdout)
+    assert list(table) == list(FILTERS)
+    assert all(name in run("methods").stdout for name in FILTERS)
+    facts = json.loads(run("info", folder / "scene.laz", "--json").stdout)
+    assert facts["points"] == len(scene)
+    assert run("info", folder / "scene.laz").exit_code == 0
+
+
+def demo(folder, cache, *arguments):
+    code = "from jaxfilter.cli import main; main()"
+    call = [sys.executable, "-c", code, "demo", str(folder), "--size", "120", "120", *arguments]
+    return subprocess.run(call, capture_output=True, text=True, env=os.environ | {"JAXFILTER_CACHE": str(cache)})
+
+
+def test_demo_runs_again_from_the_compilation_cache(tmp_path):
+    """The second process spends less than a fifth of the first one's compile time."""
+    pytest.importorskip("matplotlib")
+    first, second = (json.loads(demo(tmp_path / "demo", tmp_path / "cache", "--json").stdout) for _ in range(2))
+    assert first["compilations"]["count"] > 0
+    assert second["compilations"]["seconds"] < first["compilations"]["seconds"] / 5
+    assert first["scores"] == second["scores"] and first["scores"]["kappa"] > 50
+    assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(os.path.basename(f) for f in first["files"])
+
+
+def test_demo_spares_folders_with_other_files(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    assert_one_line(run("demo", tmp_path), 2, "mine.txt", "--overwrite")
+    assert run("demo", tmp_path / "demo", "--method", "nosuch").exit_code == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt"]
+
+
+def test_help_does_not_wait_for_jax():
+    code = "import sys, jaxfilter.cli; sys.exit(any(m in sys.modules for m in ('jax', 'scipy', 'laspy', 'matplotlib')))"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -1,0 +1,290 @@
+"""What every filter owes: the same suite for all of them."""
+
+import dataclasses
+import warnings
+
+import jax
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.core import compilation
+from jaxfilter.core.points import canonical_points
+
+FILTERS = sorted(jf.FILTERS)
+SHIFT = (500000.37, 4800000.81, 300.0)
+
+
+@pytest.fixture(scope="module", params=FILTERS)
+def method(request):
+    return jf.FILTERS[request.param]
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Coordinates in decimetre steps (ties and cocircular positions everywhere), with a house, bushes and a pit."""
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(0, 80, (6000, 2)).round(1)
+    z = 0.05 * xy[:, 0] + np.sin(xy[:, 1] / 15) + rng.normal(0, 0.03, 6000)
+    truth = np.ones(6000, bool)
+    house = (np.abs(xy[:, 0] - 40) < 9) & (np.abs(xy[:, 1] - 30) < 7)
+    bush = (rng.random(6000) < 0.15) & ~house
+    z[house] += 5
+    z[bush] += rng.uniform(0.8, 3, bush.sum())
+    truth[house | bush] = False
+    return np.column_stack([xy, z]).round(2), truth
+
+
+def labels(method, xyz, **options):
+    return method()(jf.PointCloud.from_arrays(xyz, **options)).ground
+
+
+def test_protocol(method, small):
+    f = method()
+    assert isinstance(f, jf.GroundFilter)
+    assert 0 < f.halo() < 1000
+    seen = []
+    result = f(small[0], key=jax.random.key(0), workers=1, progress=lambda share, step: seen.append((share, step)))
+    assert result.ground.dtype == bool and len(result) == len(small[0])
+    for name in ("height", "slope", "angle", "elevation", "margin", "decision", "barred"):
+        assert len(getattr(result, name)) == len(result)
+    assert seen and all(0 <= share <= 1 and isinstance(step, str) for share, step in seen)
+    assert result.status == jf.Status.CONVERGED and result.status.message
+    assert np.isfinite(result.height).all()
+    assert ((result.slope >= 0) & (result.slope <= 90)).all()
+
+
+def test_it_finds_the_ground(method, small):
+    scores = jf.evaluate(method()(small[0]), small[1])
+    assert scores.total < 6 and scores.kappa > 80
+
+
+def test_presets_and_registry(method):
+    assert jf.FILTERS[method.__name__.upper()] is method
+    assert {"paper", "recommended"} <= set(method.PRESETS)
+    assert method.preset("recommended") == method()
+    for name in method.PRESETS:
+        assert isinstance(method.preset(name), method)
+    with pytest.raises(jf.ParameterError, match="no preset 'moon'.*recommended"):
+        method.preset("moon")
+    for field in dataclasses.fields(method):
+        assert field.metadata["doc"], field.name
+    assert jf.citation(method).startswith("@")
+
+
+def test_a_filter_is_a_pytree_of_its_thresholds(method):
+    f = method()
+    leaves, tree = jax.tree_util.tree_flatten(f)
+    traced = [d.name for d in dataclasses.fields(method) if not d.metadata["static"]]
+    assert leaves == [getattr(f, name) for name in traced] and len(traced) >= 2
+    assert jax.tree_util.tree_unflatten(tree, leaves) == f
+    doubled = jax.vmap(lambda p: jax.tree_util.tree_map(lambda leaf: leaf * 2, p))(
+        jax.tree_util.tree_map(lambda leaf: np.full(3, leaf, np.float32), f)
+    )
+    np.testing.assert_allclose(getattr(doubled, traced[0]), 2 * np.full(3, getattr(f, traced[0])), rtol=1e-6)
+
+
+def test_out_of_range_values_are_named(method):
+    for field in dataclasses.fields(method):
+        low = field.metadata.get("gt") if field.metadata.get("gt") is not None else field.metadata.get("ge")
+        if low is not None:
+            with pytest.raises(jf.ParameterError, match=rf"{method.__name__}\({field.name}=-?[\d.]+\)"):
+                method(**{field.name: low - 1})
+            with pytest.raises(jf.ParameterError, match=field.name):
+                method(**{field.name: float("nan")})
+    with pytest.raises(jf.ParameterError, match="workers=0"):
+        method()(np.zeros((5, 3)), workers=0)
+
+
+def test_any_order_of_the_points_gives_the_same_labels(method, small, rng):
+    xyz = small[0]
+    order = rng.permutation(len(xyz))
+    cloud, shuffled = jf.PointCloud.from_arrays(xyz), jf.PointCloud.from_arrays(xyz[order])
+    one, two = method()(cloud), method()(shuffled)
+    assert (one.ground[order] == two.ground).all()
+    np.testing.assert_array_equal(one.height[order], two.height)
+    np.testing.assert_array_equal(one.decision[order], two.decision)
+
+
+def test_a_shift_of_the_coordinates_gives_the_same_labels(method, small):
+    xyz = small[0]
+    expected = labels(method, xyz)
+    for shift in (SHIFT, (-3.0e6, -1.2e7, -450.0), (1.0e7, 1.0e7, 8000.0)):
+        assert (labels(method, xyz + np.array(shift)) == expected).all()
+
+
+def test_threads_give_the_same_labels(method, small):
+    assert (method()(small[0], workers=1).ground == method()(small[0], workers=4).ground).all()
+
+
+@pytest.mark.parametrize("unit", ["ft", "us-ft", "us-ft,m"])
+def test_feet_and_metres_agree(method, small, unit):
+    xyz = small[0]
+    xy, z = jf.core.cloud.parse_units(unit).xy, jf.core.cloud.parse_units(unit).z
+    feet = np.column_stack([xyz[:, :2] / xy, xyz[:, 2] / z]).round(3)
+    assert (labels(method, feet, units=unit) == labels(method, xyz)).mean() >= 0.999
+
+
+def test_points_that_coincide_get_one_label(method, small, rng):
+    xyz, _ = small
+    twice = np.concatenate([xyz, xyz[::3]])
+    ground = labels(method, twice)
+    assert (ground[: len(xyz)][::3] == ground[len(xyz) :]).all()
+
+
+def test_input_is_not_modified(method, small):
+    xyz = small[0].copy()
+    cloud = jf.PointCloud.from_arrays(xyz)
+    before = cloud.xyz.copy()
+    method()(cloud)
+    assert (xyz == small[0]).all() and (cloud.xyz == before).all()
+
+
+def test_only_candidates_become_ground(method, town):
+    cloud = town.cloud
+    result = method()(cloud)
+    assert not result.ground[~cloud.candidate].any()
+    assert (result.decision[~cloud.candidate] == jf.Decision.SET_ASIDE).all()
+    assert np.isnan(result.height[~cloud.candidate]).all()
+    everything = method()(cloud.select(returns="all", ignore_classes=(), keep_withheld=True))
+    assert (everything.decision != jf.Decision.SET_ASIDE).all()
+
+
+def test_a_second_cloud_of_another_size_compiles_nothing(method, small):
+    compilation.watch_compilations()
+    method()(small[0])
+    before = compilation.compilations()[0]
+    method()(small[0][:5600] * [0.97, 0.98, 1.0])
+    assert compilation.compilations()[0] == before
+
+
+# Bad and odd input
+
+
+def test_no_points(method):
+    with pytest.warns(jf.JaxfilterWarning, match="no points"):
+        result = method()(np.zeros((0, 3)))
+    assert len(result) == 0 and result.status == jf.Status.NO_POINTS
+
+
+@pytest.mark.parametrize(
+    "xyz",
+    [
+        [[5, 5, 5]],
+        [[0, 0, 0], [1, 1, 2]],
+        [[0, 0, 0], [1, 1, 2], [2, 2, 1]],
+        [[3, 3, 9], [3, 3, 1], [3, 3, 4]],
+        [[k, 2 * k, k % 3] for k in range(30)],
+    ],
+)
+def test_too_few_points_or_points_on_a_line(method, xyz):
+    xyz = np.array(xyz, float)
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than three"):
+        result = method()(xyz)
+    assert result.status == jf.Status.TOO_FEW_POINTS
+    lowest = [not any((p[:2] == q[:2]).all() and q[2] < p[2] for q in xyz) for p in xyz]
+    assert result.ground.tolist() == lowest
+
+
+def test_three_points_in_a_triangle(method):
+    assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2]]))) == 3
+
+
+def test_one_elevation_is_all_ground(method, rng):
+    xyz = np.column_stack([rng.uniform(0, 50, (400, 2)), np.full(400, 7.25)])
+    with pytest.warns(jf.JaxfilterWarning, match="one elevation"):
+        result = method()(xyz)
+    assert result.ground.all() and result.status == jf.Status.FLAT
+
+
+def test_all_set_aside(method, small):
+    cloud = jf.PointCloud.from_arrays(small[0], classification=np.full(len(small[0]), 7, np.uint8))
+    with pytest.warns(jf.JaxfilterWarning, match="no point is a candidate"):
+        result = method()(cloud)
+    assert not result.ground.any() and result.status == jf.Status.NO_CANDIDATES
+
+
+def test_invalid_coordinates(method, small):
+    xyz = small[0].copy()
+    xyz[[3, 40], 2] = np.nan
+    xyz[77, 0] = np.inf
+    with pytest.raises(jf.InputError, match="3 of 6000 points"):
+        method()(xyz)
+    with pytest.warns(jf.JaxfilterWarning, match="3 points"):
+        cloud = jf.PointCloud.from_arrays(xyz, drop_invalid=True)
+    result = method()(cloud)
+    keep = np.ones(len(xyz), bool)
+    keep[[3, 40, 77]] = False
+    assert not result.ground[~keep].any()
+    assert (result.ground[keep] == labels(method, small[0][keep])).all()
+
+
+def test_the_lowest_of_points_at_one_position_is_taken(method, small):
+    xyz, truth = small
+    above = xyz[truth][:200] + [0, 0, 4.0]
+    ground = labels(method, np.concatenate([xyz, above]))
+    assert not ground[len(xyz) :].any()
+    assert (ground[: len(xyz)] == labels(method, xyz)).mean() > 0.99
+
+
+def test_a_deep_low_outlier_does_bounded_damage(method, small):
+    xyz = small[0]
+    low = np.concatenate([xyz, [[41.0, 61.0, -500.0], [20.0, 20.0, -80.0]]])
+    result = method()(low)
+    assert not result.ground[-2:].any()
+    assert (result.ground[:-2] != labels(method, xyz)).mean() < 0.01
+
+
+def test_high_outliers_change_nothing(method, small):
+    xyz, _ = small
+    birds = np.concatenate([xyz, [[30.0, 30.0, 10000.0], [10.0, 60.0, 300.0]]])
+    ground = labels(method, birds)
+    assert not ground[-2:].any()
+    assert (ground[:-2] == labels(method, xyz)).all()
+
+
+def test_a_stray_point_far_away_is_an_error_with_a_size(method, small):
+    with pytest.raises(jf.InputError, match=r"cells.*stray points"):
+        method()(np.concatenate([small[0], [[4.0e6, 4.0e6, 0.0]]]))
+
+
+def test_single_building_and_two_levels(method, rng):
+    xy = rng.uniform(0, 120, (9000, 2)).round(2)
+    roof = (np.abs(xy[:, 0] - 60) < 7) & (np.abs(xy[:, 1] - 60) < 7)
+    z = rng.normal(0, 0.02, 9000) + np.where(roof, 6.0, 0.0)
+    ground = labels(method, np.column_stack([xy, z.round(2)]))
+    assert ground[~roof].mean() > 0.97 and ground[roof].mean() < 0.03
+
+
+def test_parameters_follow_spacing_and_building_size(method, small):
+    xyz = small[0]
+    near, far = method.for_cloud(xyz, largest_building=20.0), method.for_cloud(xyz, largest_building=90.0)
+    assert far.halo() > near.halo()
+    assert isinstance(near(xyz), jf.FilterResult)
+    for size in (25.0, 33.3, 50.0):
+        assert len(method.for_cloud(xyz, largest_building=size)(xyz)) == len(xyz)
+    with pytest.raises(jf.ParameterError, match="largest_building=-1"):
+        method.for_cloud(xyz, largest_building=-1)
+
+
+def test_an_anchor_moves_grids_not_labels_much(method, small):
+    xyz = small[0] + [1003.3, 2004.4, 0]
+    ground = labels(method, xyz, anchor=(1000.0, 2000.0))
+    assert (ground == labels(method, xyz)).mean() > 0.97
+    assert (ground == labels(method, xyz, anchor=(880.0, 1880.0))).all()
+
+
+def test_order_of_candidates_is_decided_by_coordinates(small, rng):
+    cloud = jf.PointCloud.from_arrays(small[0])
+    order = rng.permutation(len(small[0]))
+    other = jf.PointCloud.from_arrays(small[0][order] + np.array(SHIFT))
+    one, two = canonical_points(cloud), canonical_points(other)
+    assert (one.xyz == two.xyz).all() and (one.weight == two.weight).all()
+    assert (one.xyz[one.member] == cloud.xyz).all()
+    assert one.weight.sum() == len(cloud)
+
+
+def test_no_warnings_on_ordinary_input(method, small):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        method()(small[0])

@@ -1,0 +1,138 @@
+"""Parameters: validation from the declaration, the pytree, and the registry."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxfilter.citing import citation
+from jaxfilter.core.errors import ParameterError
+from jaxfilter.core.params import check_fields, filter_params, param, static
+from jaxfilter.filters import FILTERS
+
+METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
+
+
+@filter_params
+class Toy:
+    """A parameter set of every kind; without ``classify`` it stays out of the registry."""
+
+    angle: float = param(20.0, doc="steepest angle", symbol="a", unit="degrees", gt=0, le=90)
+    floor: float = param(0.0, doc="noise floor", unit="m", ge=0)
+    window: float | None = static(18.0, doc="window", unit="m", gt=0, optional=True)
+    rounds: int = static(10, doc="rounds", ge=1, lt=1000)
+    mode: str = static("global", doc="mode", choices=("global", "blocks"))
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"angle": 0}, r"Toy\(angle=0\): must be > 0 and <= 90 degrees"),
+        ({"angle": 90.5}, "angle=90.5"),
+        ({"angle": math.nan}, "angle=nan"),
+        ({"angle": "20"}, "angle='20'.*number"),
+        ({"angle": None}, "angle=None.*number"),
+        ({"angle": True}, "angle=True.*number"),
+        ({"floor": -1e-9}, "must be >= 0 m"),
+        ({"window": 0.0}, "window=0.0"),
+        ({"rounds": 1000}, "must be >= 1 and < 1000"),
+        ({"mode": "tiles"}, "choose one of 'global', 'blocks'"),
+    ],
+)
+def test_values_out_of_range_are_named(changes, message):
+    with pytest.raises(ParameterError, match=message):
+        Toy(**changes)
+
+
+def test_limits_are_inclusive_where_declared_and_optional_fields_may_be_none():
+    assert Toy(angle=90, floor=0, window=None, rounds=1).window is None
+    assert Toy(angle=np.float32(45)).angle == 45
+
+
+def test_thresholds_are_leaves_and_static_fields_are_structure():
+    leaves, structure = jax.tree_util.tree_flatten(Toy(angle=33.0))
+    assert leaves == [33.0, 0.0]
+    assert jax.tree_util.tree_unflatten(structure, leaves) == Toy(angle=33.0)
+    assert structure == jax.tree_util.tree_structure(Toy(angle=1.0))
+    assert structure != jax.tree_util.tree_structure(Toy(window=19.0))
+
+
+def test_a_threshold_does_not_compile_anew_and_a_static_field_does():
+    traces = []
+
+    @jax.jit
+    def scaled(toy: Toy) -> jax.Array:
+        traces.append(toy.window)
+        return jnp.float32(toy.angle) * (toy.window or 0.0)
+
+    assert [float(scaled(Toy(angle=float(a)))) for a in (10, 20, 30)] == [180, 360, 540]
+    assert traces == [18.0]
+    scaled(Toy(window=19.0))
+    assert traces == [18.0, 19.0]
+
+
+def test_thresholds_can_be_swept_by_vmap():
+    sweep = dataclasses.replace(Toy(), angle=jnp.array([10.0, 20.0]), floor=jnp.zeros(2))
+    np.testing.assert_allclose(jax.vmap(lambda toy: toy.angle + toy.floor)(sweep), [10, 20])
+
+
+def test_parameters_are_immutable():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Toy().angle = 3.0  # type: ignore[misc]
+
+
+def test_registry_looks_up_by_name_in_any_case():
+    assert FILTERS["FPTD"] is FILTERS["fptd"]
+    assert "Fptd" in FILTERS and "toy" not in FILTERS and 3 not in FILTERS
+    assert all(name == name.lower() for name in FILTERS)
+    with pytest.raises(KeyError, match=r"no filter named 'nosuch'; known filters: .*fptd"):
+        FILTERS["nosuch"]
+
+
+@METHODS
+def test_every_method_is_documented_cited_and_has_both_presets(method):
+    assert {"paper", "recommended"} <= set(method.PRESETS)
+    assert "=" not in method.__doc__.splitlines()[0], "a dataclass without docstring gets its signature"
+    assert "@article{" in citation(method()) == citation(method.__name__)
+    for f in dataclasses.fields(method):
+        assert f.metadata.get("doc"), f"{method.__name__}.{f.name} says nothing"
+        assert "static" in f.metadata
+
+
+@METHODS
+def test_presets_are_valid_and_changes_go_on_top(method):
+    for name in method.PRESETS:
+        method.preset(name)
+    first = dataclasses.fields(method)[0].name
+    value = getattr(method(), first)
+    assert getattr(method.preset("paper", **{first: value / 2}), first) == value / 2
+    with pytest.raises(ParameterError, match="no preset 'nosuch'"):
+        method.preset("nosuch")
+
+
+@METHODS
+def test_parameters_from_the_cloud_are_valid(method):
+    for spacing in (0.05, 0.5, 5.0):
+        for building in (5.0, 60.0, 300.0):
+            method(**method.from_spacing(spacing, building))
+    with pytest.raises(ParameterError, match="largest_building=0"):
+        method.for_cloud(np.zeros((0, 3)), largest_building=0)
+
+
+@METHODS
+def test_every_method_survives_the_pytree_round_trip(method):
+    leaves, structure = jax.tree_util.tree_flatten(method())
+    assert jax.tree_util.tree_unflatten(structure, leaves) == method()
+
+
+def test_an_unknown_citation_names_the_known_ones():
+    with pytest.raises(ParameterError, match=r"no citation for 'nosuch'; .*fptd"):
+        citation("nosuch")
