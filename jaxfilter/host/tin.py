@@ -21,6 +21,7 @@ history of the network.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import Any
@@ -30,8 +31,10 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from ..core.cloud import QUANTUM
 
-CHUNK = 8192
+CHUNK = 4096
 """New vertices per Delaunay call: small sets are triangulated fastest, large ones repeat less along their seams."""
+_SMALLEST_CHUNK = 512
+_CROWD = 8
 _ROOT = 4096
 
 
@@ -114,12 +117,15 @@ class Tin:
         where: i32[k], the triangle that contains each node that is not a vertex; -1 outside its sheet's hull.
     """
 
-    def __init__(self, xyz: np.ndarray, sheet: np.ndarray, vertices: np.ndarray, pool: Executor) -> None:
+    def __init__(
+        self, xyz: np.ndarray, sheet: np.ndarray, vertices: np.ndarray, pool: Executor, workers: int = 2
+    ) -> None:
         """Triangulate ``vertices`` (i64, ascending; every sheet has three or more, not on a line) and locate the rest."""
         self.xyz = xyz
         self.sheet = sheet
         self.xy = perturbed(xyz)
         self.pool = pool
+        self.workers = workers
         self.rebuilt = 0
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
@@ -170,9 +176,18 @@ class Tin:
         if len(nodes) == 0:
             return np.zeros(len(self.triangles), bool)
         nodes = np.asarray(nodes)
+        if len(nodes) > CHUNK and len(nodes) > _CROWD * len(_distinct(self.where[nodes])):
+            # Cavities are as large as the triangles: with many nodes in each, patches would overlap widely.
+            sparse = np.zeros(len(nodes), bool)
+            sparse[::_CROWD] = True
+            early = self.insert(nodes[sparse])
+            changed = self.insert(nodes[~sparse])
+            changed[: len(early)] |= early
+            return changed
         cuts = np.flatnonzero(np.diff(self.sheet[nodes]) != 0) + 1
-        edges = np.unique(np.concatenate([[0, len(nodes)], cuts, np.arange(0, len(nodes), CHUNK)]))
-        chunks = list(zip(edges[:-1], edges[1:], strict=True))
+        size = min(CHUNK, max(_SMALLEST_CHUNK, -(-len(nodes) // self.workers)))
+        edges = np.unique(np.concatenate([[0, len(nodes)], cuts, np.arange(0, len(nodes), size)]))
+        chunks = list(itertools.pairwise(edges))
         self._stamp[nodes] = np.arange(len(nodes), dtype=np.int32)
 
         cavities = list(self.pool.map(lambda c: self._cavities(nodes[c[0] : c[1]]), chunks))
@@ -183,6 +198,7 @@ class Tin:
         self.vertex[nodes] = True
         moved = np.flatnonzero((self.where >= 0) & ~self.vertex)
         moved = moved[gone[self.where[moved]]]
+        corner = self.triangles[self.where[moved], 0]
         slot = np.cumsum(gone) - 1
         points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
         hit = np.concatenate([tri for _, tri in cavities])
@@ -204,14 +220,15 @@ class Tin:
             self._build(vertices, root=len(vertices))
             return np.ones(len(self.triangles), bool)
         self.where[nodes] = -1
-        before = self.where[moved]
         self.where[moved] = -1
         for p in patches:
             self.where[p.located] = p.inside
         lost = self.where[moved] < 0
         if lost.any():  # in a triangle that reaches beyond the cavities of its own chunk
             rest = moved[lost]
-            self.where[rest] = self.walk(self.xy[rest], before[lost], self.sheet[rest])
+            near = np.empty(len(self.xy), np.int32)  # a new triangle at each vertex of a removed one
+            near[self.triangles[changed].ravel()] = np.repeat(np.flatnonzero(changed), 3)
+            self.where[rest] = self.walk(self.xy[rest], near[corner[lost]], self.sheet[rest])
         return changed
 
     def _cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

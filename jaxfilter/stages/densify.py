@@ -99,8 +99,10 @@ def densify(
         max_rounds: give up after so many rounds.
         keep_labels: record the labels after every round in the trace.
     """
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        return _Run(network, rule, mirror, refresh_border, vertex_spacing, pool, keep_labels).run(max_rounds, progress)
+    threads = workers or os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        run = _Run(network, rule, mirror, refresh_border, vertex_spacing, pool, threads, keep_labels)
+        return run.run(max_rounds, progress)
 
 
 class _Run:
@@ -114,10 +116,12 @@ class _Run:
         refresh_border: bool,
         vertex_spacing: float,
         pool: ThreadPoolExecutor,
+        threads: int,
         keep_labels: bool,
     ) -> None:
         k = len(network.xyz)
-        self.net, self.rule, self.mirror, self.keep_labels = network, rule, mirror, keep_labels
+        self.net, self.mirror, self.keep_labels = network, mirror, keep_labels
+        self.rule = Rule(*(jnp.float32(v) for v in rule))
         self.ground = network.seed.copy()
         self.virtual = np.flatnonzero(network.row < 0)
         self.head = _same_position(network.xyz, network.sheet)
@@ -125,7 +129,7 @@ class _Run:
         self.square = _squares(network, vertex_spacing) if vertex_spacing > 0 else None
         self.taken = np.zeros(0 if self.square is None else int(self.square.max(initial=-1)) + 1, bool)
         seeds = self._to_insert(np.flatnonzero(network.seed))
-        self.tin = Tin(network.xyz.copy(), network.sheet, seeds, pool)
+        self.tin = Tin(network.xyz.copy(), network.sheet, seeds, pool, threads)
         self.refresh_border = refresh_border and len(self.virtual) > 0
         self.border_gap = np.full(len(self.virtual), np.inf)
         self._refresh(seeds[network.row[seeds] >= 0])
@@ -202,9 +206,8 @@ class _Run:
     def _judge(self, nodes: np.ndarray, xyz: np.ndarray, facet: np.ndarray) -> dict[str, np.ndarray]:
         """The kernel over positions f32[n, 3] in facets i32[n], in padded batches; the result on the host."""
         parts: list[dict[str, np.ndarray]] = []
-        rule = Rule(*(jnp.float32(v) for v in self.rule))
         for p, c, late, m in _batches(xyz, self.tin.corners(facet), self.net.late[nodes]):
-            verdict: Verdict = judge(rule, late, p, c)
+            verdict: Verdict = judge(self.rule, late, p, c)
             score = verdict.score
             out = {
                 "accepted": verdict.accepted,
