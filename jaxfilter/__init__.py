@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import FILTERS, FPTD, PTD
-    from .host.las import read, write
+    from .filters import FILTERS, FPTD, PTD, SMRF
+    from .host.las import info, read, write
     from .scoring import Scores, evaluate
 
 _HOMES = {
@@ -25,7 +25,7 @@ _HOMES = {
     "core.errors": ("InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
-    "filters": ("FILTERS", "FPTD", "PTD"),
+    "filters": ("FILTERS", "FPTD", "PTD", "SMRF"),
     "host.las": ("info", "read", "write"),
     "scoring": ("Scores", "evaluate"),
 }
@@ -35,6 +35,7 @@ __all__ = [
     "FILTERS",
     "FPTD",
     "PTD",
+    "SMRF",
     "Decision",
     "Filter",
     "FilterResult",

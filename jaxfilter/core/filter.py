@@ -11,13 +11,13 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .errors import JaxfilterWarning, ParameterError
 from .params import check_fields
-from .points import Points, canonical_points
+from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status
 
 
 @dataclasses.dataclass
 class Labels:
-    """What a method's ``classify`` gives back, per canonical point (length m); absent quantities stay None."""
+    """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None."""
 
     ground: np.ndarray
     height: np.ndarray | None = None
@@ -36,9 +36,11 @@ class Filter:
     """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
 
     ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
+    ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     """
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
+    ORDER_FREE: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         self.check()
@@ -82,7 +84,10 @@ class Filter:
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
-        """Classify distinct candidate points in canonical order; at least three positions, not on a line, not flat."""
+        """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
+
+        There are at least three positions, not on a line, and not all of one elevation.
+        """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
     def __call__(
@@ -110,7 +115,7 @@ class Filter:
         if workers is not None and workers < 1:
             raise ParameterError(f"workers={workers!r}: must be at least 1")
         cloud = as_cloud(cloud)
-        points = canonical_points(cloud)
+        points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
             labels = self.classify(
@@ -128,8 +133,9 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
         return Labels(np.zeros(0, bool), status=Status.NO_POINTS)
     if m == 0:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
-    xy, z = points.xyz[:, :2].astype(np.float64), points.xyz[:, 2]
+    z = points.xyz[:, 2]
     if not points.has_area():
+        xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
         first = np.ones(m, bool)
         first[1:] = (np.diff(xy[order], axis=0) != 0).any(axis=1)

@@ -42,7 +42,7 @@ def grid_over(
     A point on the upper edge of the extent belongs to the last cell. Raises InputError, before anything is allocated,
     when more than ``limit`` cells would be needed: the cell is too fine, or a stray point lies far away.
     """
-    low, high = xy[:, :2].min(axis=0), xy[:, :2].max(axis=0)
+    low, high = (np.array([pick(xy[:, axis]) for axis in range(2)]) for pick in (np.min, np.max))
     x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
     nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
     if nx * ny > limit:

@@ -12,11 +12,11 @@ from .cloud import QUANTUM, PointCloud
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Points:
-    """The distinct candidate points of a cloud.
+    """The candidate points of a cloud: distinct and in canonical order, unless made by :func:`plain_points`.
 
     Attributes:
         cloud: where they come from.
-        xyz: f32[m, 3], local metres, in canonical order. Points with equal x, y and z are one row.
+        xyz: f32[m, 3], local metres. In canonical order, points with equal x, y and z are one row.
         index: i64[c], the cloud's candidates.
         member: i64[c], which row of ``xyz`` each candidate is.
         weight: i32[m], how many candidates each row stands for.
@@ -39,15 +39,8 @@ class Points:
         """Whether there are three positions that do not lie on one line (to the quantum of the coordinates)."""
         if len(self.xyz) < 3:
             return False
-        xy = self.xyz[:, :2].astype(np.float64)
-        a = xy[0]
-        far = xy[np.argmax(((xy - a) ** 2).sum(axis=1))]
-        along = far - a
-        length = float(np.hypot(*along))
-        if length == 0:
-            return False
-        off = np.abs((xy[:, 0] - a[0]) * along[1] - (xy[:, 1] - a[1]) * along[0]) / length
-        return bool(off.max() > 2 * QUANTUM)
+        few = self.xyz[:: max(1, len(self.xyz) // 1000), :2]
+        return _spread_across(few) > 8 * QUANTUM or _spread_across(self.xyz) > 2 * QUANTUM
 
     def spacing(self) -> float:
         """Mean point spacing in metres: square root of occupied area per point.
@@ -71,6 +64,14 @@ class Points:
         return spacing
 
 
+def _spread_across(xy: np.ndarray) -> float:
+    """Largest distance of any point from the line through the first one and the one farthest from it, metres."""
+    x, y = (xy[:, axis].astype(np.float64) - float(xy[0, axis]) for axis in range(2))
+    far = int(np.argmax(x * x + y * y))
+    length = float(np.hypot(x[far], y[far]))
+    return float(np.abs(x * y[far] - y * x[far]).max()) / length if length > 0 else 0.0
+
+
 def morton(xy: np.ndarray) -> np.ndarray:
     """u64[n] Z-order code of local points [n, >=2]; neighbours in the plane are mostly neighbours in this order."""
     code = np.zeros(len(xy), np.uint64)
@@ -86,6 +87,13 @@ def morton(xy: np.ndarray) -> np.ndarray:
             v = (v | (v << np.uint64(shift))) & np.uint64(mask)
         code |= v << np.uint64(axis)
     return code
+
+
+def plain_points(cloud: PointCloud) -> Points:
+    """The candidates of a cloud in file order, repeated points included: for methods whose labels ignore the order."""
+    index = np.flatnonzero(cloud.candidate)
+    xyz = cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
+    return Points(cloud, xyz, index, np.arange(len(index)), np.ones(len(index), np.int32))
 
 
 def canonical_points(cloud: PointCloud) -> Points:

@@ -1,0 +1,220 @@
+"""Filling the holes of a grid: by a membrane of springs, or with the nearest known cell.
+
+The membrane joins every hole to its four neighbours by equal springs, known cells being fixed; at rest it satisfies
+Laplace's equation in the holes, with a free border. This is the "springs" metaphor of J. D'Errico's inpaint_nans
+(MATLAB Central 4551, 2004), which SMRF uses. It is solved by conjugate gradients, preconditioned by one V-cycle of
+multigrid on square aggregates (Trottenberg, Oosterlee & Schueller, Multigrid, 2001).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+_COARSEST = 96  # rows and columns at which coarsening stops
+_FACTOR = 2  # cells of one level along the side of a cell of the next
+_DAMPING = 0.8  # of the Jacobi smoother
+_SWEEPS = 2  # of it before and after a correction
+_COARSE_SWEEPS = 150  # cheaper than to compile two more levels
+_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0))
+
+
+class Membrane(NamedTuple):
+    """A filled grid.
+
+    Attributes:
+        z: f32[rows, columns].
+        error: f32[], estimate of the largest remaining error in the holes, in the unit of z.
+        rounds: i32[], steps of conjugate gradients taken.
+    """
+
+    z: jax.Array
+    error: jax.Array
+    rounds: jax.Array
+
+
+class _Springs(NamedTuple):
+    """Stiffness of the springs of one level, f32[rows, columns] each; zero outside the holes."""
+
+    right: jax.Array  # between a hole and the hole to its right
+    up: jax.Array  # between a hole and the hole in the next row
+    total: jax.Array  # of all springs at a hole, those to known cells included
+
+
+def _shifted(a: jax.Array, rows: int, columns: int) -> jax.Array:
+    """a[i + rows, j + columns]; zero beyond the border."""
+    return lax.pad(a, jnp.zeros((), a.dtype), ((-rows, rows, 0), (-columns, columns, 0)))
+
+
+def _block_sums(a: jax.Array, axis: int) -> jax.Array:
+    return sum(lax.slice_in_dim(a, k, None, _FACTOR, axis) for k in range(_FACTOR))  # type: ignore[return-value]
+
+
+def _pool(a: jax.Array) -> jax.Array:
+    """Sums over the cells that make up one of the next level."""
+    return _block_sums(lax.optimization_barrier(_block_sums(a, 0)), 1)
+
+
+def _spread(a: jax.Array) -> jax.Array:
+    """The transpose of :func:`_pool`: every cell's value for the cells that it is made of."""
+    return jnp.repeat(jnp.repeat(a, _FACTOR, axis=1), _FACTOR, axis=0)
+
+
+def _springs(hole: jax.Array, inside: jax.Array) -> _Springs:
+    def count(cells: jax.Array) -> jax.Array:
+        return (hole & cells).astype(jnp.float32)
+
+    total = jnp.stack([count(_shifted(inside, *s)) for s in _STEPS]).sum(axis=0)
+    return _Springs(count(_shifted(hole, 0, 1)), count(_shifted(hole, 1, 0)), total)
+
+
+def _coarser(springs: _Springs) -> _Springs:
+    """Springs of the next level: those that cross between its cells, weakened in proportion to their new length."""
+    right, up, total = springs
+    to_holes = right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0)
+    anchors = _pool(total - to_holes)
+    right = _block_sums(right[:, _FACTOR - 1 :: _FACTOR], 0) / _FACTOR
+    up = _block_sums(up[_FACTOR - 1 :: _FACTOR], 1) / _FACTOR
+    return _Springs(right, up, anchors + right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0))
+
+
+def _forces(springs: _Springs, x: jax.Array) -> jax.Array:
+    """The stiffness matrix times x."""
+    right, up, total = springs
+    neighbours = right * _shifted(x, 0, 1) + _shifted(right * x, 0, -1) + up * _shifted(x, 1, 0) + _shifted(up * x, -1, 0)
+    return total * x - neighbours
+
+
+def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], force: jax.Array) -> jax.Array:
+    """Approximate solution of ``forces(x) = force``; linear and symmetric in ``force``."""
+    springs, inverse = levels[0], inverses[0]
+
+    def smooth(_: int, x: jax.Array) -> jax.Array:
+        return x + _DAMPING * inverse * (force - _forces(springs, x))
+
+    if len(levels) == 1:
+        return lax.fori_loop(0, _COARSE_SWEEPS, smooth, jnp.zeros_like(force))
+    x = lax.fori_loop(1, _SWEEPS, smooth, _DAMPING * inverse * force)
+    rest = lax.optimization_barrier(force - _forces(springs, x))
+    correction = _spread(_v_cycle(levels[1:], inverses[1:], _pool(rest)))
+    return lax.fori_loop(0, _SWEEPS, smooth, x + jnp.where(inverse > 0, correction, 0))
+
+
+def _first_guess(z: jax.Array, known: jax.Array, depth: int) -> jax.Array:
+    """Known cells averaged over ever larger blocks, then spread back into the holes ("pull-push")."""
+    sums, counts = [jnp.where(known, z, 0)], [known.astype(z.dtype)]
+    for _ in range(depth):
+        sums.append(_pool(sums[-1]))
+        counts.append(_pool(counts[-1]))
+    guess = jnp.full_like(sums[-1], sums[-1].sum() / jnp.maximum(counts[-1].sum(), 1))
+    for level in range(depth, -1, -1):
+        if level < depth:
+            guess = _spread(guess)
+        guess = jnp.where(counts[level] > 0, sums[level] / jnp.maximum(counts[level], 1), guess)
+    return guess
+
+
+def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
+    return jnp.vdot(*lax.optimization_barrier((a, b)))  # a reduction fused with stencils would run on one core
+
+
+@functools.partial(jax.jit, static_argnames="max_rounds")
+def fill_membrane(
+    z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array | float = 1e-3, max_rounds: int = 100
+) -> Membrane:
+    """Fill holes with the membrane through the known cells.
+
+    Args:
+        z: f32[rows, columns]; values of unknown cells are ignored but must not be NaN.
+        known: bool[rows, columns], the cells that are kept.
+        inside: bool[rows, columns], the cells that exist; the membrane ends at their border, without force. Every
+            connected part of them needs a known cell.
+        tolerance: stop when the estimated error of every cell is below this, in the unit of z. The estimate is the last
+            correction by the preconditioner; the true error can be several times as large.
+        max_rounds: limit of steps.
+
+    Returns: Membrane; outside cells are zero.
+    """
+    depth = max(0, math.ceil(math.log(max(z.shape) / _COARSEST, _FACTOR)))
+    rows, columns = z.shape
+    margin = [(0, -n % _FACTOR**depth) for n in z.shape]
+    z, known, inside = (jnp.pad(a, margin) for a in (z, known, inside))
+    known = known & inside
+    hole = inside & ~known
+
+    start = jnp.where(hole, _first_guess(z, known, depth), jnp.where(known, z, 0))
+    levels = [_springs(hole, inside)]
+    for _ in range(depth):
+        levels.append(_coarser(levels[-1]))
+    inverses = [jnp.where(s.total > 0, 1 / jnp.maximum(s.total, 1e-6), 0) for s in levels]
+    levels, inverses = lax.optimization_barrier((levels, inverses))
+
+    # The unknown is the correction to the first guess; differences of neighbours keep the forces exact in float32.
+    force = jnp.zeros_like(z)
+    for s in _STEPS:
+        force += jnp.where(hole & _shifted(inside, *s), _shifted(start, *s) - start, 0)
+
+    def unfinished(state: tuple[jax.Array, ...]) -> jax.Array:
+        *_, error, rounds = state
+        return (error > tolerance) & (rounds < max_rounds)
+
+    def advance(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        x, force, direction, product, _, rounds = state
+        step = lax.optimization_barrier(_v_cycle(levels, inverses, force))
+        new_product = _dot(force, step)
+        direction = lax.optimization_barrier(step + new_product / product * direction)
+        pull = lax.optimization_barrier(_forces(levels[0], direction))
+        length = new_product / jnp.maximum(_dot(direction, pull), jnp.finfo(z.dtype).tiny)
+        error = jnp.abs(step).max()
+        return x + length * direction, force - length * pull, direction, new_product, error, rounds + 1
+
+    zero = jnp.zeros_like(z)
+    state: tuple[jax.Array, ...] = (zero, force, zero, jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0))
+    x, *_, error, rounds = lax.while_loop(unfinished, advance, state)
+    return Membrane((start + x)[:rows, :columns], error, rounds)
+
+
+@jax.jit
+def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
+    """Give every hole the value of a nearest known cell, by Euclidean distance between cell centres.
+
+    The exact two-pass distance transform: nearest known cell in the column, then along the row out to the largest
+    distance found. Of equally near cells the one with the smaller column offset is taken (left before right), then the
+    one in the lower row.
+
+    Args: z f32, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
+    Returns: f32[rows, columns]; unknown cells are unchanged if there is no known cell, outside cells always.
+    """
+    known = known & inside
+    rows, columns = z.shape
+    far = rows + columns
+    row = lax.broadcasted_iota(jnp.int32, z.shape, 0)
+    below = lax.cummax(jnp.where(known, row, -far), axis=0)
+    above = lax.cummin(jnp.where(known, row, rows + far), axis=0, reverse=True)
+    nearest = jnp.where(row - below <= above - row, below, above)
+    gap = jnp.minimum(jnp.abs(nearest - row), far)
+    value = jnp.take_along_axis(z, jnp.clip(nearest, 0, rows - 1), axis=0)
+    column_gap, column_value = gap * gap, value
+
+    def unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+        offset, best, _ = state
+        return (offset < columns) & jnp.any(inside & (best > offset * offset))
+
+    def look(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        offset, best, value = state
+        column = lax.broadcasted_iota(jnp.int32, z.shape, 1)
+        for side in (-offset, offset):
+            there = column + side
+            distance = jnp.roll(column_gap, -side, axis=1) + offset * offset
+            closer = (there >= 0) & (there < columns) & (distance < best)
+            best = jnp.where(closer, distance, best)
+            value = jnp.where(closer, jnp.roll(column_value, -side, axis=1), value)
+        return offset + 1, best, value
+
+    _, _, value = lax.while_loop(unfinished, look, (jnp.int32(1), column_gap, column_value))
+    return jnp.where(inside & ~known & known.any(), value, z)

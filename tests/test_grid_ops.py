@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from jaxfilter.ops.grid import block_counts, block_minima, cell_index, inside, padded_length, padded_shape
+
+
+def test_cell_index_counts_from_the_corner_and_clips_to_the_extent():
+    xy = np.array([[0, 0], [1.99, 0], [2, 0], [5, 3.9], [-9, 99], [99, -9]], np.float32)
+    index = cell_index(xy, np.float32([0, 0]), np.float32(2), np.int32([2, 3]), 128)
+    np.testing.assert_array_equal(index, [0, 0, 1, 128 + 2, 128, 2])
+
+
+def test_block_minima_equal_a_loop_and_ties_go_to_the_lowest_index():
+    rng = np.random.default_rng(0)
+    index = rng.integers(0, 40, 500).astype(np.int32)
+    index[index == 7] = 8
+    z = rng.integers(0, 5, 500).astype(np.float32)
+    z[::9] = np.inf  # padding
+    lowest, first = map(np.asarray, block_minima(index, z, 40))
+    for cell in range(40):
+        rows = np.flatnonzero((index == cell) & np.isfinite(z))
+        if len(rows):
+            assert lowest[cell] == z[rows].min() and first[cell] == rows[np.argmin(z[rows])]
+        else:
+            assert lowest[cell] == np.inf and first[cell] == 500
+    assert np.isinf(lowest[7])
+
+
+def test_a_cell_with_padding_only_is_empty():
+    lowest, first = block_minima(np.zeros(3, np.int32), np.full(3, np.inf, np.float32), 2)
+    assert np.isinf(lowest).all() and (np.asarray(first) == 3).all()
+
+
+def test_block_counts_equal_bincount():
+    rng = np.random.default_rng(1)
+    index, counted = rng.integers(0, 30, 400).astype(np.int32), rng.random(400) < 0.7
+    np.testing.assert_array_equal(block_counts(index, counted, 30), np.bincount(index[counted], minlength=30))
+
+
+def test_inside_marks_the_true_extent():
+    mask = np.asarray(inside((6, 5), np.int32([4, 2])))
+    assert mask.sum() == 8 and mask[:4, :2].all()
+
+
+@pytest.mark.parametrize("n, padded", [(1, 128), (128, 128), (129, 256), (1000, 1024), (2236, 2304), (5000, 5120)])
+def test_padded_length(n, padded):
+    assert padded_length(n) == padded
+    assert padded_shape((n, 1)) == (padded, 128)
+
+
+def test_padding_wastes_little_on_large_grids():
+    lengths = np.arange(1024, 20000, 7)
+    assert max(padded_length(int(n)) / n for n in lengths) <= 1.126

@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import spsolve
+
+from jaxfilter.core.compilation import compilations, watch_compilations
+from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
+
+SIZE = 150
+
+
+def direct(z, known):
+    """The membrane by a sparse direct solver in double precision."""
+    rows, columns = z.shape
+    number = np.arange(z.size).reshape(z.shape)
+    pairs = np.concatenate([
+        np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], 1),
+        np.stack([number[:-1].ravel(), number[1:].ravel()], 1),
+    ])
+    ends = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(z.size, z.size))
+    graph = sparse.csgraph.laplacian(ends + ends.T).tocsr()
+    hole, fixed = ~known.ravel(), known.ravel()
+    out = z.astype(float).ravel().copy()
+    out[hole] = spsolve(graph[hole][:, hole].tocsc(), -graph[hole][:, fixed] @ out[fixed])
+    return out.reshape(rows, columns)
+
+
+def terrain(kind, seed=0):
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:SIZE, :SIZE]
+    z = 40 * np.sin(x / 31) * np.cos(y / 23) + 0.1 * x + rng.normal(0, 0.2, x.shape) + 300
+    known = rng.random(z.shape) > 0.4
+    if kind == "lake":
+        known &= np.hypot(x - 80, y - 70) > 45
+    if kind == "shore":
+        known &= x + y < 170
+    if kind == "few":
+        known[:] = False
+        known[3, 5] = known[90, 140] = known[147, 2] = True
+    return z.astype(np.float32), known
+
+
+def padded(z, known, size=256):
+    out = np.full((size, size), 77, np.float32), np.zeros((size, size), bool), np.zeros((size, size), bool)
+    for array, values in zip(out, (z, known, True), strict=True):
+        array[:SIZE, :SIZE] = values
+    return out
+
+
+@pytest.mark.parametrize("kind", ["dots", "lake", "shore", "few"])
+def test_membrane_equals_the_direct_solution(kind):
+    z, known = terrain(kind)
+    filled = fill_membrane(*padded(np.where(known, z, 1e4), known), tolerance=1e-3)
+    np.testing.assert_allclose(np.asarray(filled.z)[:SIZE, :SIZE], direct(z, known), atol=4e-3, rtol=0)
+    assert filled.error <= 1e-3 and filled.rounds < 40
+    assert np.asarray(filled.z)[SIZE:].max() == 0
+    np.testing.assert_array_equal(np.asarray(filled.z)[:SIZE, :SIZE][known], z[known])
+
+
+def test_membrane_without_padding_agrees_within_the_tolerance():
+    z, known = terrain("lake")
+    whole = fill_membrane(*padded(z, known)).z[:SIZE, :SIZE]
+    np.testing.assert_allclose(fill_membrane(z, known, np.ones_like(known)).z, whole, atol=3e-3, rtol=0)
+
+
+def test_membrane_obeys_the_maximum_principle_and_keeps_planes_between_opposite_walls():
+    known = np.zeros((60, 90), bool)
+    known[:, 0] = known[:, -1] = True
+    z = np.broadcast_to(np.arange(90, dtype=np.float32), known.shape)
+    np.testing.assert_allclose(fill_membrane(np.where(known, z, 0), known, np.ones_like(known)).z, z, atol=2e-2)
+
+
+def test_nothing_to_fill():
+    z, known = terrain("dots")
+    all_known = np.ones_like(known)
+    np.testing.assert_array_equal(fill_membrane(z, all_known, all_known).z, z)
+    assert np.isfinite(fill_membrane(z, ~all_known, all_known).z).all()
+
+
+def test_another_extent_in_the_same_padding_compiles_nothing():
+    watch_compilations()
+    z, known, inside = padded(*terrain("dots"))
+    fill_membrane(z, known, inside, 1e-3).z.block_until_ready()
+    before = compilations()[0]
+    inside[:, 100:] = False
+    fill_membrane(z, known, inside, 2e-3).z.block_until_ready()
+    assert compilations()[0] == before
+
+
+@pytest.mark.parametrize("kind", ["dots", "lake", "few"])
+def test_nearest_fill_takes_a_nearest_known_cell(kind):
+    z, known = terrain(kind)
+    z = np.arange(z.size, dtype=np.float32).reshape(z.shape)  # every value says where it comes from
+    filled = np.asarray(fill_nearest(*padded(z, known)))[:SIZE, :SIZE].astype(int)
+    assert known.ravel()[filled].all()
+    y, x = np.mgrid[:SIZE, :SIZE]
+    distance = np.hypot(y - filled // SIZE, x - filled % SIZE)
+    np.testing.assert_allclose(distance, ndimage.distance_transform_edt(~known), atol=1e-9)
+
+
+def test_nearest_fill_without_known_cells_changes_nothing():
+    z, known = terrain("dots")
+    np.testing.assert_array_equal(fill_nearest(z, np.zeros_like(known), np.ones_like(known)), z)

@@ -1,0 +1,68 @@
+"""The published and agreed figures on the 15 labelled samples of ISPRS Working Group III/3 (Sithole and Vosselman 2004)."""
+
+import functools
+
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+
+pytestmark = pytest.mark.data
+
+SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
+CLASSES = dict(zip(SAMPLES, "D2 D1 D1 D2 D3 D3 D1 D3 D1 D2 D4 D4 D1 D2 D2".split(), strict=True))  # Li et al., Table I
+PTD_PRINTED = (18.32, 6.26, 2.89, 8.92, 14.25, 31.37, 2.06, 29.6, 2.32, 8.65, 11.37, 16.79, 9.55, 4.25, 1.85)  # Table IV
+
+
+@pytest.fixture(scope="module")
+def samples(data):
+    return {s: jf.read(data / "isprs" / f"samp{s}.txt") for s in SAMPLES}
+
+
+@functools.cache
+def _scores(kind, cloud):
+    return jf.evaluate(kind(cloud), cloud.reference)
+
+
+def scores(samples, make):
+    return {s: _scores(make(s), cloud) for s, cloud in samples.items()}
+
+
+def mean(table, name):
+    return float(np.mean([getattr(row, name) for row in table.values()]))
+
+
+def test_the_samples_are_the_published_ones(samples):
+    assert sum(len(cloud) for cloud in samples.values()) == 384955
+    assert (int(samples[11].reference.sum()), len(samples[11])) == (21786, 38010)
+
+
+def test_fptd_reaches_its_paper_without_labels_or_manual_edits(samples):
+    table = scores(samples, lambda s: jf.FPTD.preset(CLASSES[s]))
+    assert mean(table, "total") <= 6.12 and mean(table, "kappa") >= 79.8
+    assert table[24].total <= 17.71 + 3 and table[41].total <= 3.12 + 3
+
+
+def test_fptd_in_independent_blocks(samples):
+    table = scores(samples, lambda s: jf.FPTD.preset(CLASSES[s], blocks="independent"))
+    assert mean(table, "total") <= 6.12 and mean(table, "kappa") >= 79.8
+
+
+def test_ptd_with_class_thresholds(samples):
+    assert mean(scores(samples, lambda s: jf.PTD.preset(CLASSES[s])), "total") <= 11.2
+
+
+def test_ptd_with_a_static_border_reproduces_table_four(samples):
+    table = scores(samples, lambda s: jf.PTD.preset(CLASSES[s], refresh_border=False))
+    off = np.abs([table[s].total - printed for s, printed in zip(SAMPLES, PTD_PRINTED, strict=True)])
+    assert np.median(off) < 0.6 and (off < 0.75).sum() >= 10  # s24 and s41 hang on two seeds each
+
+
+def test_smrf_single_set(samples):
+    table = scores(samples, lambda s: jf.SMRF(cell=1, slope=0.15, window=18, threshold=0.5, scaling=1.25))
+    assert mean(table, "total") <= 4.5 and abs(mean(table, "kappa") - 85.4) <= 0.5
+
+
+def test_smrf_with_the_authors_optima(samples):
+    table = scores(samples, lambda s: jf.SMRF.preset(f"samp{s}"))
+    assert mean(table, "total") <= 3.6 and mean(table, "kappa") >= 88.5

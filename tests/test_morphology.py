@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from jaxfilter.core.compilation import compilations, watch_compilations
+from jaxfilter.ops.morphology import dilation, erosion, opening
+
+REACH = 9
+
+
+def footprint(radius, element):
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    return x * x + y * y <= radius * radius if element == "disk" else np.ones(x.shape, bool)
+
+
+def surface(shape=(41, 57), seed=0):
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+@pytest.mark.parametrize("element", ["disk", "square"])
+@pytest.mark.parametrize("radius", [0, 1, 2, 3, 5, 8, 9])
+def test_equals_scipy_bit_for_bit(radius, element):
+    z, cells = surface(), footprint(radius, element)
+    eroded = ndimage.grey_erosion(z, footprint=cells, mode="constant", cval=np.inf)
+    dilated = ndimage.grey_dilation(z, footprint=cells, mode="constant", cval=-np.inf)
+    opened = ndimage.grey_dilation(eroded, footprint=cells, mode="constant", cval=-np.inf)
+    np.testing.assert_array_equal(erosion(z, radius, REACH, element), eroded)
+    np.testing.assert_array_equal(dilation(z, radius, REACH, element), dilated)
+    np.testing.assert_array_equal(opening(z, radius, REACH, element), opened)
+
+
+def test_disk_wider_than_the_grid():
+    z = surface((5, 8))
+    expected = ndimage.grey_erosion(z, footprint=footprint(30, "disk"), mode="constant", cval=np.inf)
+    np.testing.assert_array_equal(erosion(z, 30, 49), expected)
+
+
+def test_radius_one_disk_is_the_cross():
+    z = np.zeros((5, 5), np.float32)
+    z[2, 2] = -1
+    cross = np.zeros((5, 5), bool)
+    cross[2, 1:4] = cross[1:4, 2] = True
+    np.testing.assert_array_equal(np.asarray(erosion(z, 1, 1)) < 0, cross)
+
+
+@pytest.mark.parametrize("element", ["disk", "square"])
+def test_opening_is_below_its_input_and_idempotent(element):
+    z = surface(seed=3)
+    opened = np.asarray(opening(z, 4, REACH, element))
+    assert (opened <= z).all() and (opened < z).any()
+    np.testing.assert_array_equal(opening(opened, 4, REACH, element), opened)
+
+
+def test_opening_with_a_smaller_disk_lies_above():
+    z = surface(seed=4)
+    small, large = (np.asarray(opening(z, r, REACH, "square")) for r in (2, 5))
+    assert (large <= small).all()
+
+
+def test_padding_beyond_the_valid_cells_changes_nothing():
+    z = surface()
+    padded = np.full((64, 80), -1e6, np.float32)
+    valid = np.zeros(padded.shape, bool)
+    padded[:41, :57], valid[:41, :57] = z, True
+    opened = np.asarray(opening(padded, 6, REACH, valid=valid))
+    np.testing.assert_array_equal(opened[:41, :57], opening(z, 6, REACH))
+    np.testing.assert_array_equal(opened[~valid], padded[~valid])
+
+
+def test_all_radii_share_one_compilation():
+    watch_compilations()
+    z = surface((33, 35))
+    erosion(z, 1, 7).block_until_ready()
+    before = compilations()[0]
+    for radius in range(8):
+        erosion(z, radius, 7).block_until_ready()
+    assert compilations()[0] == before
+
+
+def test_unknown_element_is_named():
+    with pytest.raises(ValueError, match="hexagon"):
+        erosion(surface(), 1, 1, "hexagon")

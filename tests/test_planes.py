@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from jaxfilter.ops.planes import fit_planes, is_planar, plane_inliers, plane_residuals
+
+
+def blocks(count=20, size=30, seed=0):
+    rng = np.random.default_rng(seed)
+    xyz = rng.random((count, size, 3)) * [20, 20, 3] + rng.random((count, 1, 3)) * [4000, 4000, 900]
+    mask = rng.random((count, size)) < 0.7
+    mask[:, :4] = True
+    return xyz.astype(np.float32), mask
+
+
+def test_equals_least_squares_in_double_precision():
+    xyz, mask = blocks()
+    planes = fit_planes(xyz, mask)
+    centres, gradients, residuals, slopes = map(
+        np.asarray, (planes.centre, planes.gradient, plane_residuals(planes, xyz), planes.slope)
+    )
+    for b in range(len(xyz)):
+        p = xyz[b, mask[b]].astype(float)
+        centre = p.mean(axis=0)
+        gradient = np.linalg.lstsq(p[:, :2] - centre[:2], p[:, 2] - centre[2], rcond=None)[0]
+        np.testing.assert_allclose(gradients[b], gradient, atol=2e-4)
+        np.testing.assert_allclose(centres[b], centre, atol=1e-3)
+        normal = np.append(-gradient, 1) / np.hypot(1, np.hypot(*gradient))
+        np.testing.assert_allclose(residuals[b, mask[b]], (p - centre) @ normal, atol=2e-3)
+        assert slopes[b] == pytest.approx(np.degrees(np.arctan(np.hypot(*gradient))), abs=0.02)
+
+
+def test_padding_values_and_length_do_not_matter():
+    xyz, mask = blocks()
+    other = np.where(mask[..., None], xyz, np.float32(1e5))
+    longer = np.concatenate([other, np.zeros_like(other)], axis=1), np.concatenate([mask, np.zeros_like(mask)], axis=1)
+    np.testing.assert_allclose(fit_planes(*longer).gradient, fit_planes(xyz, mask).gradient, atol=1e-5)
+
+
+def test_exact_plane_has_no_residuals_and_an_outlier_is_no_inlier():
+    xyz, mask = blocks(seed=2)
+    xyz[..., 2] = 0.25 * xyz[..., 0] - 0.5 * xyz[..., 1]
+    planes = fit_planes(xyz, mask)
+    np.testing.assert_allclose(planes.gradient, np.tile([0.25, -0.5], (20, 1)), atol=1e-3)
+    assert np.asarray(plane_inliers(planes, xyz, mask, 0.05)).sum() == mask.sum()
+    assert np.asarray(is_planar(planes, xyz, mask, 0.05)).all()
+    assert not np.asarray(is_planar(planes, xyz, mask, 0.05, max_slope=20.0)).any()
+    xyz[:, 0, 2] += 2
+    inliers = np.asarray(plane_inliers(planes, xyz, mask, 0.05))
+    assert not inliers[:, 0].any() and inliers[:, 1:].sum() == mask[:, 1:].sum()
+    assert not np.asarray(is_planar(planes, xyz, mask, 0.05)).any()
+    assert np.asarray(is_planar(planes, xyz, mask, 0.05, share=0.75)).all()
+
+
+def test_collinear_and_short_blocks_determine_no_plane():
+    xyz = np.zeros((3, 5, 3), np.float32)
+    xyz[0, :, 0] = xyz[0, :, 1] = np.arange(5)
+    xyz[1] = np.random.default_rng(0).random((5, 3))
+    mask = np.ones((3, 5), bool)
+    mask[1, 2:] = False
+    planes = fit_planes(xyz, mask)
+    assert not np.asarray(planes.determined).any() and np.isfinite(planes.gradient).all()
+    assert not np.asarray(is_planar(planes, xyz, mask, 100.0)).any()

@@ -1,0 +1,75 @@
+import math
+
+import numpy as np
+import pytest
+
+from jaxfilter.core.errors import ParameterError
+from jaxfilter.ops.grid import block_minima, cell_index
+from jaxfilter.ops.windows import window_layout, window_minima
+
+
+def by_brute_force(xyz, extent, window, stride):
+    """Lowest point (ties: first) of every window, straight from the definition; -1 where a window is empty."""
+    counts = [max(1, math.floor((length - window) / stride + 1e-9) + 1) for length in extent]
+    out = np.full(counts, -1)
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            rows = np.ones(len(xyz), bool)
+            for axis, k, n in ((1, i, counts[0]), (0, j, counts[1])):
+                rows &= xyz[:, axis] >= k * stride
+                if k < n - 1:
+                    rows &= xyz[:, axis] < k * stride + window
+            if rows.any():
+                rows = np.flatnonzero(rows)
+                out[i, j] = rows[np.argmin(xyz[rows, 2])]
+    return out
+
+
+def by_blocks(xyz, extent, window, stride, padding=3):
+    layout = window_layout(extent, window, stride)
+    shape = layout.blocks[0] + padding, layout.blocks[1] + padding
+    index = cell_index(xyz[:, :2], np.float32([0, 0]), np.float32(layout.block), np.int32(layout.blocks), shape[1])
+    lowest, first = block_minima(index, xyz[:, 2], shape[0] * shape[1])
+    z, point = window_minima(lowest.reshape(shape), first.reshape(shape), np.int32(layout.counts), layout.width,
+                             layout.stride)
+    z, point = np.asarray(z), np.asarray(point)
+    beyond = np.ones(z.shape, bool)
+    beyond[: layout.counts[0], : layout.counts[1]] = False
+    assert np.isinf(z[beyond]).all()
+    z, point = z[~beyond].reshape(layout.counts), point[~beyond].reshape(layout.counts)
+    return np.where(np.isfinite(z), point, -1)
+
+
+@pytest.mark.parametrize("window, stride", [(60, 10), (60, 60), (25, 10), (7.5, 2.5), (16, 6), (500, 10)])
+def test_lowest_points_equal_the_definition(window, stride):
+    rng = np.random.default_rng(5)
+    extent = (113.0, 171.0)
+    xyz = (rng.random((700, 3)) * [extent[1], extent[0], 20]).astype(np.float32)
+    xyz[:, 2] = np.round(xyz[:, 2])  # many ties
+    expected = by_brute_force(xyz, extent, window, stride)
+    np.testing.assert_array_equal(by_blocks(xyz, extent, window, stride), expected)
+    assert expected.size == 1 or (expected >= 0).sum() > 1
+
+
+def test_windows_without_points_have_none():
+    xyz = np.float32([[1, 1, 0], [95, 95, 1]])
+    found = by_blocks(xyz, (100.0, 100.0), 20, 10)
+    assert found[0, 0] == 0 and found[-1, -1] == 1 and (found == -1).sum() > 50
+
+
+def test_padding_changes_nothing():
+    rng = np.random.default_rng(6)
+    xyz = (rng.random((200, 3)) * 90).astype(np.float32)
+    np.testing.assert_array_equal(by_blocks(xyz, (90.0, 90.0), 30, 10, padding=0), by_blocks(xyz, (90.0, 90.0), 30, 10, 17))
+
+
+def test_number_of_windows_is_the_papers():
+    assert window_layout((72.0, 122.0), 60, 10).counts == (2, 7)
+    assert window_layout((30.0, 59.0), 60, 10).counts == (1, 1)
+    assert window_layout((100.0, 100.0), 25, 10).block == 5
+
+
+@pytest.mark.parametrize("window, stride, name", [(10, 20, "stride"), (10, 0, "stride"), (10, math.pi, "millimetres")])
+def test_bad_windows_are_named(window, stride, name):
+    with pytest.raises(ParameterError, match=name):
+        window_layout((100.0, 100.0), window, stride)
