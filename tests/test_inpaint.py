@@ -13,10 +13,12 @@ def direct(z, known):
     """The membrane by a sparse direct solver in double precision."""
     rows, columns = z.shape
     number = np.arange(z.size).reshape(z.shape)
-    pairs = np.concatenate([
-        np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], 1),
-        np.stack([number[:-1].ravel(), number[1:].ravel()], 1),
-    ])
+    pairs = np.concatenate(
+        [
+            np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], 1),
+            np.stack([number[:-1].ravel(), number[1:].ravel()], 1),
+        ]
+    )
     ends = sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(z.size, z.size))
     graph = sparse.csgraph.laplacian(ends + ends.T).tocsr()
     hole, fixed = ~known.ravel(), known.ravel()

@@ -30,8 +30,9 @@ def by_blocks(xyz, extent, window, stride, padding=3):
     shape = layout.blocks[0] + padding, layout.blocks[1] + padding
     index = cell_index(xyz[:, :2], np.float32([0, 0]), np.float32(layout.block), np.int32(layout.blocks), shape[1])
     lowest, first = block_minima(index, xyz[:, 2], shape[0] * shape[1])
-    z, point = window_minima(lowest.reshape(shape), first.reshape(shape), np.int32(layout.counts), layout.width,
-                             layout.stride)
+    z, point = window_minima(
+        lowest.reshape(shape), first.reshape(shape), np.int32(layout.counts), layout.width, layout.stride
+    )
     z, point = np.asarray(z), np.asarray(point)
     beyond = np.ones(z.shape, bool)
     beyond[: layout.counts[0], : layout.counts[1]] = False
@@ -60,7 +61,9 @@ def test_windows_without_points_have_none():
 def test_padding_changes_nothing():
     rng = np.random.default_rng(6)
     xyz = (rng.random((200, 3)) * 90).astype(np.float32)
-    np.testing.assert_array_equal(by_blocks(xyz, (90.0, 90.0), 30, 10, padding=0), by_blocks(xyz, (90.0, 90.0), 30, 10, 17))
+    np.testing.assert_array_equal(
+        by_blocks(xyz, (90.0, 90.0), 30, 10, padding=0), by_blocks(xyz, (90.0, 90.0), 30, 10, 17)
+    )
 
 
 def test_number_of_windows_is_the_papers():

@@ -39,6 +39,9 @@ def _oracle(slope: float, window: float, threshold: float, scaling: float) -> di
 class SMRF(Filter):
     """Openings of a grid of lowest elevations with growing disks, then a tolerance that grows with the slope.
 
+    T. J. Pingel, K. C. Clarke, W. A. McBride (2013): An improved simple morphological filter for the terrain classification
+    of airborne LIDAR data. ISPRS J. Photogramm. Remote Sens. 77, 21-30. doi:10.1016/j.isprsjprs.2012.12.002
+
     1. Lowest point per cell; empty cells are filled by a membrane (springs).
     2. Low outliers: cells that one opening of the inverted grid, with a disk of one cell, changes by more than 500 %.
     3. Optional net (``cut``): rows and columns of the grid at this spacing are lowered to its opening with a disk of
@@ -60,22 +63,13 @@ class SMRF(Filter):
     kappa of ISPRS samples 11 to 42 by at most 0.2 points and needs a quarter of the memory accesses; cells are
     centred on the nodes of a lattice that starts at the cloud's lower left corner, or at its anchor, where the authors
     count from zero of the coordinate system (a cloud with anchor (0, 0) is gridded in their way).
-
-    @article{pingel2013improved,
-      author  = {Pingel, Thomas J. and Clarke, Keith C. and McBride, William A.},
-      title   = {An Improved Simple Morphological Filter for the Terrain Classification of Airborne {LIDAR} Data},
-      journal = {ISPRS Journal of Photogrammetry and Remote Sensing},
-      volume  = {77},
-      pages   = {21--30},
-      year    = {2013},
-      doi     = {10.1016/j.isprsjprs.2012.12.002}
-    }
     """
 
     cell: float = static(1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)
     slope: float = param(0.15, doc="largest slope of terrain between cells", symbol="s", unit="rise/run", gt=0)
-    window: float = static(18.0, doc="radius of the largest disk: half the width of the largest building", symbol="w",
-                           unit="m", gt=0)
+    window: float = static(
+        18.0, doc="radius of the largest disk: half the width of the largest building", symbol="w", unit="m", gt=0
+    )
     threshold: float = param(0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
     scaling: float = param(1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
     cut: float = static(0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0)
@@ -270,4 +264,3 @@ def _test(
 
     height, slope = xyz[:, 2] - sample(terrain), sample(steepness)
     return height, jnp.rad2deg(jnp.arctan(slope)), jnp.abs(height) - (tolerance[0] + tolerance[1] * slope)
-

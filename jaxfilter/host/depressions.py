@@ -25,32 +25,33 @@ class Depressions:
         cell: i64[c], row-major cell indices, ascending within a depression.
         owner: i64[c], the depression of each, ascending.
         spill: f32[k], the level at which each overflows, +inf where walls surround it; all its cells are lower.
+        points: i64[k], what the cells of each count for.
     """
 
     cell: np.ndarray
     owner: np.ndarray
     spill: np.ndarray
+    points: np.ndarray
 
     def __len__(self) -> int:
         return len(self.spill)
 
 
-def depressions(z: np.ndarray, size: np.ndarray, depth: float, max_size: float) -> Depressions:
-    """The largest depressions that are at least ``depth`` deep and hold at most ``max_size``.
+def depressions(z: np.ndarray, points: np.ndarray, depth: float, max_points: int) -> Depressions:
+    """The largest depressions that are at least ``depth`` deep and hold at most ``max_points``.
 
     Args:
-        z: f32[ny, nx], elevations; +inf cells and the outside are walls.
-        size: i64[ny * nx], what each cell adds to the size of a depression it belongs to.
+        z: f32[ny, nx], the surface; +inf cells and the outside are walls.
+        points: i64[ny * nx], how many points each cell counts for.
 
     A depression is a maximal 8-connected set of cells below its spill level, the lowest pass that leads out of it. They
-    form a tree, since the merger of two at their pass is another one. Those returned are disjoint: the outermost that
-    qualify, so that a small pit at the bottom of a qualifying one is not listed apart. The tree is that of single linkage
-    of the basins of steepest descent, and is built from the minimum spanning tree of the passes between them.
+    form a tree, since two merge at their pass into another one. Those returned are disjoint: the outermost that
+    qualify, so that a small pit at the bottom of a qualifying one is not listed apart. The tree is that of single
+    linkage of the basins of steepest descent, and comes from the minimum spanning tree of the passes between them.
     """
     label, low = _basins(z)
-    passes = _passes(z, label, len(low))
-    spill, count, basin = _mergers(low, *passes, depth, max_size)
-    order = np.argsort(label, kind="stable")  # cells, basin by basin; walls (-1) first
+    spill, count, basin = _mergers(low, *_passes(z, label, len(low)), depth, max_points)
+    order = np.argsort(label, kind="stable")  # cells, basin by basin; walls first
     start = np.searchsorted(label[order], np.arange(len(low) + 1))
     cells = start[basin + 1] - start[basin]
     within = np.arange(int(cells.sum())) - np.repeat(np.cumsum(cells) - cells, cells)
@@ -58,20 +59,22 @@ def depressions(z: np.ndarray, size: np.ndarray, depth: float, max_size: float) 
     owner = np.repeat(np.repeat(np.arange(len(spill)), count), cells)
     below = z.ravel()[cell] < spill[owner]
     cell, owner = cell[below], owner[below]
-    fits = np.bincount(owner, weights=size[cell], minlength=len(spill)) <= max_size
+    deep = z.ravel()[cell] < spill[owner] - depth / 2
+    held = np.bincount(owner[deep], weights=points[cell[deep]], minlength=len(spill)).astype(np.int64)
+    fits = held <= max_points
     cell, owner = cell[fits[owner]], owner[fits[owner]]
     outermost = np.full(z.size, -1)
     np.maximum.at(outermost, cell, owner)  # mergers are listed from the lowest to the highest
     cell = np.flatnonzero(outermost >= 0)
     kept, owner = np.unique(outermost[cell], return_inverse=True)
     order = np.argsort(owner, kind="stable")
-    return Depressions(cell[order], owner[order], spill[kept])
+    return Depressions(cell[order], owner[order], spill[kept], held[kept])
 
 
 def _basins(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[ny * nx], the basin that steepest descent over eight neighbours leads each cell to (-1 walls), and minima f32[k].
+    """i64[ny * nx], the basin that steepest descent leads each cell to (-1: wall), and the minimum of each basin, f32[k].
 
-    Of equal neighbours the one with the lowest index is taken.
+    Descent goes to the lowest of eight neighbours, of equal ones to that with the lowest index.
     """
     ny, nx = z.shape
     padded = np.pad(z, 1, constant_values=np.inf)
@@ -84,13 +87,13 @@ def _basins(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             lower = neighbour < lowest
             np.copyto(lowest, neighbour, where=lower)
             np.copyto(to, index + (dy * nx + dx), where=lower)
-    to = to.ravel()
-    while not np.array_equal(further := to[to], to):
-        to = further
-    bottom = np.flatnonzero((to == index.ravel()) & np.isfinite(z.ravel()))
+    down = to.ravel()
+    while not np.array_equal(further := down[down], down):
+        down = further
+    bottom = np.flatnonzero((down == index.ravel()) & np.isfinite(z.ravel()))
     number = np.full(z.size, -1)
     number[bottom] = np.arange(len(bottom))
-    return np.where(np.isfinite(z.ravel()), number[to], -1), z.ravel()[bottom]
+    return np.where(np.isfinite(z.ravel()), number[down], -1), z.ravel()[bottom]
 
 
 def _passes(z: np.ndarray, label: np.ndarray, basins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -106,25 +109,26 @@ def _passes(z: np.ndarray, label: np.ndarray, basins: int) -> tuple[np.ndarray, 
     pair, level = np.concatenate(pairs), np.concatenate(levels)
     order = np.lexsort((pair, level))
     pair, first = np.unique(pair[order], return_index=True)
-    rank = np.argsort(np.argsort(first)) + 1.0  # unique and positive: one spanning tree, and no weight is taken as no edge
-    level = level[order][first]
-    a, b = pair // max(basins, 1), pair % max(basins, 1)
+    ascending = np.argsort(first)
+    pair, level = pair[ascending], level[order][first[ascending]]
+    a, b = np.divmod(pair, max(basins, 1))
+    rank = np.arange(1.0, len(pair) + 1)  # as weights: all different, and none zero, which would mean no edge
     tree = minimum_spanning_tree(coo_array((rank, (a, b)), shape=(basins, basins)).tocsr())
-    by_rank = np.argsort(first)
-    chosen = by_rank[np.sort(tree.data).astype(np.int64) - 1]
+    chosen = np.sort(tree.data).astype(np.int64) - 1
     return a[chosen], b[chosen], level[chosen]
 
 
 def _mergers(
-    low: np.ndarray, a: np.ndarray, b: np.ndarray, level: np.ndarray, depth: float, max_size: float
+    low: np.ndarray, a: np.ndarray, b: np.ndarray, level: np.ndarray, depth: float, max_basins: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Depressions at least ``depth`` deep at the pass where they overflow, in ascending order of that pass.
 
-    Those that walls surround come last. Returns spill levels f32[k], number of basins i64[k], and their basins one after the
-    other. Those of more than ``max_size`` basins are left out.
+    Those that walls surround come last. Returns spill levels f32[k], number of basins i64[k], and their basins, one
+    depression after the other. Depressions of more than ``max_basins`` basins are left out.
     """
     parent = list(range(len(low)))
     lowest = low.tolist()
+    formed = [-np.inf] * len(low)
     members: list[list[int] | None] = [[i] for i in parent]
     spill: list[float] = []
     count: list[int] = []
@@ -142,14 +146,15 @@ def _mergers(
             i, j = j, i
         mine, theirs = members[i], members[j]
         for k, part in ((i, mine), (j, theirs)):
-            if part is not None and at - lowest[k] >= depth:
+            if part is not None and at - lowest[k] >= depth and formed[k] < at:
                 spill.append(at)
                 count.append(len(part))
                 basin += part
         joined = None
-        if mine is not None and theirs is not None and len(mine) + len(theirs) <= max_size:
+        if mine is not None and theirs is not None and len(mine) + len(theirs) <= max_basins:
             joined = mine + theirs
         parent[j] = i
+        formed[i] = at  # what forms and merges at one level has no cells below it but those of its parts
         members[i], members[j] = joined, None
     for part in members:
         if part is not None:

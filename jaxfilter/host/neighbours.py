@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-_NEAR = 16
+_NEAR = 48
 _BATCH = 1 << 18
 
 
 def tree_of(xyz: np.ndarray) -> cKDTree:
-    """KD-tree of f32[m, d]; sliding midpoints, which for points in canonical order is quicker to build and no slower to ask."""
+    """KD-tree of f32[m, d], split at midpoints: quick to build, and no slower to ask for evenly spread points."""
     return cKDTree(xyz, balanced_tree=False, compact_nodes=False)
 
 
-def nearest(tree: cKDTree, xyz: np.ndarray, k: int, radius: float, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+def nearest(
+    tree: cKDTree, xyz: np.ndarray, k: int, radius: float, workers: int | None
+) -> tuple[np.ndarray, np.ndarray]:
     """The ``k`` nearest of the tree to each of ``xyz`` [q, d]: distances f64[q, k] (+inf: none), indices i64[q, k].
 
     Neighbours at a distance of ``radius`` count; the query point is among them if it is in the tree.
@@ -29,14 +33,14 @@ def few_neighbours(
 ) -> np.ndarray:
     """bool[m]: fewer than ``least`` other points lie within ``radius`` of each of f32[m, d], in canonical order.
 
-    A row counts ``weight`` (i32[m]) times; the other points that coincide with a row are neighbours of it. Exact: points
-    that have enough neighbours close by in canonical order, which are most, are passed first, the others ask a KD-tree
-    for the nearest ``least``.
+    A row counts ``weight`` (i32[m]) times; the other points that coincide with a row are neighbours of it. The answer
+    is exact. Most points have enough neighbours near them in canonical order already; only the others ask a KD-tree for
+    their ``least`` nearest.
     """
     m = len(xyz)
     found = weight.astype(np.int32) - 1
     columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
-    limit = np.float32(radius * (1 - 1e-6)) ** 2  # rounding must not pass a point on the sphere twice
+    limit = np.float32((radius * (1 - 1e-6)) ** 2)  # what rounding could carry in is left to the KD-tree
     for shift in range(1, min(_NEAR, m - 1) + 1):
         square = np.zeros(m - shift, np.float32)
         for column in columns:
@@ -56,3 +60,9 @@ def few_neighbours(
         counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
         few[part] = counted - 1 < least
     return few
+
+
+def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
+    """i32[n]: the connected component of each of ``n`` nodes, by links i64[l] - i64[l]."""
+    links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(n, n))
+    return connected_components(links, directed=False)[1]

@@ -86,7 +86,9 @@ def _coarser(springs: _Springs) -> _Springs:
 def _forces(springs: _Springs, x: jax.Array) -> jax.Array:
     """The stiffness matrix times x."""
     right, up, total = springs
-    neighbours = right * _shifted(x, 0, 1) + _shifted(right * x, 0, -1) + up * _shifted(x, 1, 0) + _shifted(up * x, -1, 0)
+    neighbours = (
+        right * _shifted(x, 0, 1) + _shifted(right * x, 0, -1) + up * _shifted(x, 1, 0) + _shifted(up * x, -1, 0)
+    )
     return total * x - neighbours
 
 

@@ -1,18 +1,17 @@
-"""Outliers: points that must not become ground seeds. None of them is lost; filters test them again like other points."""
+"""Outliers: points that must not become ground seeds. None is lost: filters test them again, like other points."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..core.errors import ParameterError
 from ..core.grid import Grid, grid_over
 from ..core.points import Points
-from ..host.depressions import Depressions, depressions
-from ..host.neighbours import few_neighbours, nearest, tree_of
+from ..host.depressions import depressions
+from ..host.neighbours import few_neighbours, groups, nearest, tree_of
+from ..host.trend import low_trend
 
 
 def radius_outliers(
@@ -45,11 +44,11 @@ def knn_outliers(
     deviations: float = 3.0,
     workers: int | None = None,
 ) -> np.ndarray:
-    """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024, Sec. 2.1).
+    """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024).
 
-    The statistic is the difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours in
-    3-D, itself excluded. Outliers exceed its mean over the cloud by more than ``deviations`` standard deviations. The
-    paper's own formula compares metres with square metres and cannot be applied as printed.
+    The statistic is the difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
+    in 3-D, itself excluded. Outliers exceed its mean over the cloud by more than ``deviations`` standard deviations.
+    The paper's own formula compares metres with square metres and cannot be applied as printed.
 
     Args:
         xyz: f32[m, 3], local metres, distinct points in canonical order.
@@ -75,7 +74,8 @@ def knn_outliers(
 def isolated_low(xyz: np.ndarray, k: int, depth: float, *, workers: int | None = None) -> np.ndarray:
     """bool[m]: points more than ``depth`` metres below the lowest of their ``k`` nearest neighbours in x and y.
 
-    ``xyz`` f32[m, 3] local metres, distinct points. Single low points are found, clusters are not: see :func:`low_clusters`.
+    ``xyz``: f32[m, 3], local metres, distinct points. Single low points are found, clusters are not: for these see
+    :func:`low_clusters`.
     """
     m = len(xyz)
     if m < 2:
@@ -93,96 +93,69 @@ class LowClusters:
     clusters: int
 
 
-def low_clusters(
-    points: Points,
-    *,
-    depth: float = 2.0,
-    max_points: int = 120,
-    reach: float = 15.0,
-) -> LowClusters:
+def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = int(__import__("os").environ.get("MAXP", 120)), reach: float = 15.0) -> LowClusters:
     """Points in clusters, or alone, that lie ``depth`` metres and more below everything around them.
 
-    Echoes from below the ground (multiple reflections, mostly) are few, near each other, and hang below the surface with
-    a gap. Three steps tell them from low ground, by the lowest points of cells of 1.5 point spacings (1 m at least):
+    Echoes from below the ground (multiple reflections, mostly) are few and hang below the surface with a gap. The test
+    looks at the lowest point in each cell of 1.5 point spacings (1 m at least), after a trend of the low terrain has
+    been subtracted so that hillsides are level. Four questions tell false echoes from low ground:
 
-    1. Depressions. A cluster lies in one that is at least ``depth`` deep and has at most ``max_points`` points below the
-       level where it overflows. Valleys, streets and ditches drain further on; a quarry holds more points.
-    2. Company. Under trees and in narrow yards each gap in the cover is such a depression with ground at its bottom, but
-       it has others of about its level near it. Depressions within ``reach`` of each other whose bottoms differ by less
-       than 1 m and a slope of one half are counted together; with more than ``max_points`` they are ground.
-    3. Surroundings. The lowest straight line between points on opposite sides, up to ``reach`` away and not in suspected
-       clusters, must pass ``depth`` above the bottom, whatever the slope. At the edge of the data, where nothing lies
-       opposite, the lowest point within reach must.
+    1. Is it a depression? A cluster lies in one that is ``depth`` deep, counted from where it would overflow, and has
+       at most ``max_points`` points (those higher by half of ``depth`` than the lowest in their cell aside). Valleys, streets and ditches drain further on; a quarry holds more points.
+    2. Is it alone? Under trees and between houses each gap in the cover is such a depression, with ground at its
+       bottom, but others of about its level are near. Depressions within ``reach`` whose bottoms differ by less than
+       1 m and a slope of one half are counted together; with more than ``max_points`` they are ground.
+    3. Is it cut off? In true elevations, trend included, every cell that touches it is higher than its lowest point by
+       a quarter of ``depth`` at least, so that it is no bend or narrow of a gully.
+    4. Is it below its surroundings? The lowest straight line over its bottom between points on opposite sides, up to
+       ``reach`` away and in no other suspected cluster, must pass at ``depth`` or more. Where nothing lies opposite, as
+       at the edge of the data, the lowest point within reach must be as high.
 
-    Small true pits are barred as well. That does no harm to a filter that tests barred points again and has other
-    seeds near them.
+    Then the points of the depression that are more than half of ``depth`` below its rim are barred. Small true pits are
+    barred too, which does no harm to a filter that tests barred points again and has other seeds near them.
 
     Args:
         points: distinct candidates.
         depth: metres, > 0.
-        max_points: largest cluster, points.
+        max_points: of the largest cluster.
         reach: metres; at least eight point spacings are used.
 
-    Raises: ParameterError.
+    Raises: ParameterError; InputError if the extent needs too many cells.
     """
-    if not depth > 0:
-        raise ParameterError(f"low_clusters(depth={depth!r}): must be > 0 m")
-    if not max_points >= 1:
-        raise ParameterError(f"low_clusters(max_points={max_points!r}): must be at least 1")
-    if not reach > 0:
-        raise ParameterError(f"low_clusters(reach={reach!r}): must be > 0 m")
-    xyz, spacing = points.xyz, points.spacing()
+    for name, value in (("depth", depth), ("max_points", max_points), ("reach", reach)):
+        if not value > 0:
+            raise ParameterError(f"low_clusters({name}={value!r}): must be > 0")
+    spacing = points.spacing()
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
-    grid = grid_over(xyz, cell, points.offset(cell), name="cell of low_clusters")
-    flat = grid.flat(xyz)
+    grid = grid_over(points.xyz, cell, points.offset(cell), name="cell of low_clusters")
+    at = grid.flat(points.xyz)
+    z = points.xyz[:, 2] - low_trend(points.xyz, grid.x0, grid.y0, max(15.0, 4.0 * cell))
     lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    import os
-    level_z = xyz[:, 2]
-    if os.environ.get("TREND"):
-        level_z = xyz[:, 2] - _trend(xyz, grid, float(os.environ["TREND"]))
-    np.minimum.at(lowest, flat, level_z)
-    lowest = lowest.reshape(grid.shape)
-    pits = depressions(_close_gaps(lowest), np.bincount(flat, minlength=lowest.size), depth, max_points)
-    none = np.zeros(len(points), bool)
+    np.minimum.at(lowest, at, z)
+    low_points = np.bincount(at[z < lowest[at] + depth / 2], minlength=lowest.size)
+    pits = depressions(_close_gaps(lowest.reshape(grid.shape)), low_points, depth, max_points)
     if len(pits) == 0:
-        return LowClusters(none, 0)
-    size = np.bincount(pits.owner, weights=np.bincount(flat, minlength=lowest.size)[pits.cell], minlength=len(pits))
-    z = lowest.ravel()[pits.cell]
-    order = np.lexsort((pits.cell, z, pits.owner))
-    bottom = pits.cell[order[np.searchsorted(pits.owner, np.arange(len(pits)))]]
-    suspect = _alone(grid, bottom, lowest.ravel()[bottom], size, reach, max_points)
-    roof = np.full(len(pits), -np.inf)
-    roof[suspect] = _surroundings(lowest, grid, pits, suspect, bottom[suspect], reach)
-    found = roof - lowest.ravel()[bottom] >= depth
+        return LowClusters(np.zeros(len(points), bool), 0)
+    deepest = np.lexsort((pits.cell, lowest[pits.cell], pits.owner))
+    bottom = pits.cell[deepest[np.searchsorted(pits.owner, np.arange(len(pits)))]]
+    alone = _alone(grid, bottom, lowest[bottom], pits.points, reach, max_points)
+    over = np.full(len(pits), -np.inf)
+    over[alone] = _surroundings(lowest, grid, pits.cell[alone[pits.owner]], bottom[alone], reach)
+    rim = np.minimum(over, pits.spill) - depth / 2
+    deep = lowest[pits.cell] < rim[pits.owner]
+    cut_off = _climb(points.xyz[:, 2], at, grid, pits.cell[deep], pits.owner[deep], len(pits)) >= depth / 4
+    found = (over - lowest[bottom] >= depth) & cut_off
     level = np.full(lowest.size, -np.inf, np.float32)
-    level[pits.cell] = np.where(found, np.minimum(roof, pits.spill) - depth / 2, -np.inf)[pits.owner]
-    return LowClusters(level_z < level[flat], int(found.sum()))
-
-
-def _trend(xyz, grid, size):
-    from scipy import ndimage
-    c = max(size, 8*grid.cell)
-    n = [int(np.ceil(v * grid.cell / c)) + 1 for v in (grid.ny, grid.nx)]
-    i = ((xyz[:, 1] - grid.y0) / c).astype(int); j = ((xyz[:, 0] - grid.x0) / c).astype(int)
-    low = np.full(n[0]*n[1], np.inf, np.float32)
-    np.minimum.at(low, i * n[1] + j, xyz[:, 2])
-    low = low.reshape(n)
-    e = ~np.isfinite(low)
-    if e.any():
-        low = low[tuple(ndimage.distance_transform_edt(e, return_distances=False, return_indices=True))]
-    low = ndimage.median_filter(low, 3, mode="nearest")
-    low = ndimage.uniform_filter(low, 3, mode="nearest")
-    y = (xyz[:, 1] - grid.y0) / c - .5; x = (xyz[:, 0] - grid.x0) / c - .5
-    return ndimage.map_coordinates(low, [y, x], order=1, mode="nearest").astype(np.float32)
+    level[pits.cell] = np.where(found, rim, -np.inf)[pits.owner]
+    return LowClusters(z < level[at], int(found.sum()))
 
 
 def _close_gaps(lowest: np.ndarray) -> np.ndarray:
     """f32[ny, nx] with empty (+inf) cells set to the lowest of their eight neighbours; wider voids stay walls."""
-    ny, nx = lowest.shape
-    rows = np.pad(lowest, 1, constant_values=np.inf)
-    rows = np.minimum(np.minimum(rows[:-2], rows[1:-1]), rows[2:])
-    around = np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    around = np.pad(lowest, 1, constant_values=np.inf)
+    around = np.minimum(np.minimum(around[:-2], around[1:-1]), around[2:])
+    around = np.minimum(np.minimum(around[:, :-2], around[:, 1:-1]), around[:, 2:])
     return np.where(np.isfinite(lowest), lowest, around)
 
 
@@ -190,29 +163,49 @@ def _alone(
     grid: Grid, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
 ) -> np.ndarray:
     """bool[k]: depressions that, with those of about their level around them, hold at most ``max_points`` points."""
-    k = len(bottom)
-    if k == 1:
-        return np.ones(1, bool)
     xy = np.stack((bottom % grid.nx, bottom // grid.nx), axis=1) * grid.cell
-    distance, other = nearest(tree_of(xy), xy, min(9, k), reach, 1)
+    distance, other = nearest(tree_of(xy), xy, min(9, len(xy)), reach, workers=1)
     one, column = np.nonzero(np.isfinite(distance))
     distance, other = distance[one, column], other[one, column]
     level = np.abs(z[one] - z[other]) <= 1.0 + 0.5 * distance
-    links = coo_array((np.ones(int(level.sum()), np.int8), (one[level], other[level])), shape=(k, k))
-    _, group = connected_components(links, directed=False)
+    group = groups(one[level], other[level], len(xy))
     return np.bincount(group, weights=size)[group] <= max_points
 
 
-def _surroundings(
-    lowest: np.ndarray, grid: Grid, pits: Depressions, suspect: np.ndarray, bottom: np.ndarray, reach: float
+def _climb(
+    z: np.ndarray, at: np.ndarray, grid: Grid, cell: np.ndarray, owner: np.ndarray, groups: int
 ) -> np.ndarray:
-    """f64[s]: the level at each bottom of the lowest line between cells on opposite sides that are in no suspect."""
+    """f32[groups]: how far the lowest cell that touches a group of cells is above the lowest in it.
+
+    ``z``: f32[m], elevations of the points; ``at``: i32[m], their cells. +inf for groups that no cell touches, or empty.
+    """
+    low = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    np.minimum.at(low, at, z)
+    group = np.full(grid.nx * grid.ny, -1)
+    group[cell] = owner
+    own = np.full(groups, np.inf, np.float32)
+    np.minimum.at(own, owner, low[cell])
+    low = np.pad(low.reshape(grid.shape), 1, constant_values=np.inf)
+    group = np.pad(group.reshape(grid.shape), 1, constant_values=-1)
+    y, x = np.divmod(cell, grid.nx)
+    touching = np.full(groups, np.inf, np.float32)
+    for dy in range(3):
+        for dx in range(3):
+            beyond = group[y + dy, x + dx] != owner
+            np.minimum.at(touching, owner[beyond], low[y + dy, x + dx][beyond])
+    return np.where(np.isfinite(touching), touching - own, np.inf)
+
+
+def _surroundings(
+    lowest: np.ndarray, grid: Grid, suspect: np.ndarray, bottom: np.ndarray, reach: float
+) -> np.ndarray:
+    """f64[s]: the level over each bottom of the lowest line between cells on opposite sides that are not suspect."""
     steps = int(np.ceil(reach / grid.cell))
-    outside = lowest.ravel().copy()
-    outside[pits.cell[suspect[pits.owner]]] = np.inf
+    outside = lowest.copy()
+    outside[suspect] = np.inf
     outside = np.pad(outside.reshape(grid.shape), steps, constant_values=np.inf)
     y, x = (i[:, None] + steps for i in np.divmod(bottom, grid.nx))
-    roof = np.full(len(bottom), np.inf)
+    line = np.full(len(bottom), np.inf)
     least = np.full(len(bottom), np.inf)
     for angle in np.arange(8) * (np.pi / 8):
         dx = np.rint(np.arange(1, steps + 1) * np.cos(angle)).astype(np.int64)
@@ -220,12 +213,12 @@ def _surroundings(
         distance = np.hypot(dx, dy)
         ahead = outside[y + dy, x + dx].astype(np.float64)
         behind = outside[y - dy, x - dx].astype(np.float64)
-        least = np.minimum(least, np.minimum(ahead.min(axis=1), behind.min(axis=1)))
+        least = np.minimum(least, np.minimum(ahead, behind).min(axis=1))
         for i in range(steps):
-            line = (ahead[:, i, None] * distance + behind * distance[i]) / (distance[i] + distance)
-            roof = np.minimum(roof, line.min(axis=1))
+            over = (ahead[:, i, None] * distance + behind * distance[i]) / (distance[i] + distance)
+            line = np.minimum(line, over.min(axis=1))
     one_sided = np.where(np.isfinite(least), least, -np.inf)
-    return np.where(np.isfinite(roof), roof, one_sided)
+    return np.where(np.isfinite(line), line, one_sided)
 
 
 def bar_outliers(
