@@ -65,7 +65,7 @@ def test_presets_and_registry(method):
     assert method.preset("recommended") == method()
     for name in method.PRESETS:
         assert isinstance(method.preset(name), method)
-    with pytest.raises(jf.ParameterError, match="no preset 'moon'.*recommended"):
+    with pytest.raises(jf.ParameterError, match=r"no preset 'moon'.*recommended"):
         method.preset("moon")
     for field in dataclasses.fields(method):
         assert field.metadata["doc"], field.name

@@ -58,16 +58,16 @@ def static(
     return _field(default, True, {**meta, "choices": choices, "optional": optional})
 
 
-class _Registry(Mapping[str, type]):
+class _Registry(Mapping[str, type[Any]]):
     """Filter classes by name; look-ups ignore case, iteration gives the lower-case names."""
 
     def __init__(self) -> None:
-        self._classes: dict[str, type] = {}
+        self._classes: dict[str, type[Any]] = {}
 
     def add(self, cls: type) -> None:
         self._classes[cls.__name__.lower()] = cls
 
-    def __getitem__(self, name: str) -> type:
+    def __getitem__(self, name: str) -> type[Any]:
         try:
             return self._classes[name.lower()]
         except KeyError:

@@ -88,7 +88,7 @@ class FPTD(Filter):
             "window": round(6 * stride, 1),
             "stride": stride,
             "noise_floor": 0.1 if dense else 0.0,
-            "vertex_spacing": 0.5 if dense else 0.0,
+            "vertex_spacing": 0.7 if dense else 0.0,
         }
 
     def halo(self) -> float:

@@ -74,7 +74,7 @@ class PTD(Filter):
         return {
             "seed_cell": largest_building,
             "noise_floor": 0.1 if dense else 0.0,
-            "vertex_spacing": 0.5 if dense else 0.0,
+            "vertex_spacing": 0.7 if dense else 0.0,
         }
 
     def halo(self) -> float:

@@ -59,8 +59,7 @@ def depressions(z: np.ndarray, points: np.ndarray, depth: float, max_points: int
     owner = np.repeat(np.repeat(np.arange(len(spill)), count), cells)
     below = z.ravel()[cell] < spill[owner]
     cell, owner = cell[below], owner[below]
-    deep = z.ravel()[cell] < spill[owner] - depth / 2
-    held = np.bincount(owner[deep], weights=points[cell[deep]], minlength=len(spill)).astype(np.int64)
+    held = np.bincount(owner, weights=points[cell], minlength=len(spill)).astype(np.int64)
     fits = held <= max_points
     cell, owner = cell[fits[owner]], owner[fits[owner]]
     outermost = np.full(z.size, -1)

@@ -181,9 +181,9 @@ class Tin:
             sparse = np.zeros(len(nodes), bool)
             sparse[::_CROWD] = True
             early = self.insert(nodes[sparse])
-            changed = self.insert(nodes[~sparse])
-            changed[: len(early)] |= early
-            return changed
+            late = self.insert(nodes[~sparse])
+            late[: len(early)] |= early
+            return late
         cuts = np.flatnonzero(np.diff(self.sheet[nodes]) != 0) + 1
         size = min(CHUNK, max(_SMALLEST_CHUNK, -(-len(nodes) // self.workers)))
         edges = np.unique(np.concatenate([[0, len(nodes)], cuts, np.arange(0, len(nodes), size)]))

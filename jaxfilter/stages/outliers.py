@@ -93,31 +93,33 @@ class LowClusters:
     clusters: int
 
 
-def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = int(__import__("os").environ.get("MAXP", 120)), reach: float = 15.0) -> LowClusters:
+def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, reach: float = 15.0) -> LowClusters:
     """Points in clusters, or alone, that lie ``depth`` metres and more below everything around them.
 
     Echoes from below the ground (multiple reflections, mostly) are few and hang below the surface with a gap. The test
     looks at the lowest point in each cell of 1.5 point spacings (1 m at least), after a trend of the low terrain has
     been subtracted so that hillsides are level. Four questions tell false echoes from low ground:
 
-    1. Is it a depression? A cluster lies in one that is ``depth`` deep, counted from where it would overflow, and has
-       at most ``max_points`` points (those higher by half of ``depth`` than the lowest in their cell aside). Valleys, streets and ditches drain further on; a quarry holds more points.
+    1. Is it a depression? A cluster lies in one that is ``depth`` deep, counted from where it would overflow, and holds
+       at most ``max_points`` points. Valleys, streets and ditches drain further on; a quarry holds more points.
     2. Is it alone? Under trees and between houses each gap in the cover is such a depression, with ground at its
        bottom, but others of about its level are near. Depressions within ``reach`` whose bottoms differ by less than
        1 m and a slope of one half are counted together; with more than ``max_points`` they are ground.
-    3. Is it cut off? In true elevations, trend included, every cell that touches it is higher than its lowest point by
-       a quarter of ``depth`` at least, so that it is no bend or narrow of a gully.
-    4. Is it below its surroundings? The lowest straight line over its bottom between points on opposite sides, up to
+    3. Is it below its surroundings? The lowest straight line over its bottom between points on opposite sides, up to
        ``reach`` away and in no other suspected cluster, must pass at ``depth`` or more. Where nothing lies opposite, as
        at the edge of the data, the lowest point within reach must be as high.
+    4. Is it cut off? In true elevations, trend included, every cell that touches its deeper part is higher than its
+       lowest point by a quarter of ``depth`` at least, so that it is no bend or narrow of a gully.
 
-    Then the points of the depression that are more than half of ``depth`` below its rim are barred. Small true pits are
-    barred too, which does no harm to a filter that tests barred points again and has other seeds near them.
+    Then the points of the depression that are more than half of ``depth`` below its rim are barred. Small true pits and
+    courtyards are barred too, which does no harm to a filter that tests barred points again and has other seeds near
+    them.
 
     Args:
         points: distinct candidates.
         depth: metres, > 0.
-        max_points: of the largest cluster.
+        max_points: of the largest cluster. Ground at its edge counts as well, but not points that are higher by half of
+            ``depth`` than the lowest in their cell.
         reach: metres; at least eight point spacings are used.
 
     Raises: ParameterError; InputError if the extent needs too many cells.
@@ -193,7 +195,7 @@ def _climb(
         for dx in range(3):
             beyond = group[y + dy, x + dx] != owner
             np.minimum.at(touching, owner[beyond], low[y + dy, x + dx][beyond])
-    return np.where(np.isfinite(touching), touching - own, np.inf)
+    return np.subtract(touching, own, out=np.full_like(own, np.inf), where=np.isfinite(touching))
 
 
 def _surroundings(
