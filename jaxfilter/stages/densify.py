@@ -135,6 +135,7 @@ class _Run:
         self._refresh(seeds[network.row[seeds] >= 0])
         nan = np.full(k, np.nan, np.float32)
         self.angle, self.elevation, self.margin = nan.copy(), nan.copy(), nan.copy()
+        self.steep = np.zeros(k, bool)
         self.decision = np.where(network.seed, Decision.SEED, Decision.ANGLE).astype(np.uint8)
         self.trace: list[dict[str, Any]] = []
 
@@ -159,10 +160,10 @@ class _Run:
             if moved.any():
                 changed |= moved[self.tin.triangles].any(axis=1)
             todo = np.flatnonzero(waiting & admitted)
-            if self.mirror is None or self.mirror.slope >= 90.0:
-                todo = todo[changed[self.tin.where[todo]]]
-            elif len(accepted) == 0:
-                todo = todo[:0]
+            again = changed[self.tin.where[todo]]
+            if changed.any():
+                again |= self.steep[todo]  # the facet under their mirror image may be another one
+            todo = todo[again]
             if len(todo) == 0 and not admitted.all():
                 admitted[:] = True
                 todo = np.flatnonzero(waiting & self.net.late)
@@ -186,7 +187,8 @@ class _Run:
     def _mirror(self, nodes: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
         """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes."""
         assert self.mirror is not None
-        steep = np.flatnonzero(verdict["slope"] > self.mirror.slope)
+        self.steep[nodes] = verdict["slope"] > self.mirror.slope
+        steep = np.flatnonzero(self.steep[nodes])
         if len(steep) == 0:
             return
         facet = self.tin.where[nodes[steep]]

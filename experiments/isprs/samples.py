@@ -1,0 +1,70 @@
+"""The ISPRS WG III/3 data: where they are, which terrain class each cloud was given, and what was published on them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from experiments.report import Row, read_csv
+
+HERE = Path(__file__).parent
+SAMPLES = ("11", "12", "21", "22", "23", "24", "31", "41", "42", "51", "52", "53", "54", "61", "71")
+SITES = ("CSite1", "CSite2", "CSite3", "CSite4", "FSite5", "FSite6", "FSite7", "FSite8")
+
+HOW_TO_GET = """\
+It must hold isprs/samp11.txt ... isprs/samp71.txt (columns x, y, z, label; label 0 = ground), and for the unlabelled
+sites isprs_sites/CSite1*.laz ... isprs_sites/FSite8*.laz. The data are those of ISPRS Working Group III/3: G. Sithole,
+G. Vosselman (2004): Experimental comparison of filter algorithms for bare-Earth extraction from airborne laser scanning
+point clouds. ISPRS J. Photogramm. Remote Sens. 59 (1-2), 85-101; the ISPRS benchmark pages distribute them. Name the
+folder with --data, or with the environment variable JAXFILTER_DATA."""
+
+
+def published(table: str) -> list[Row]:
+    """A table of published figures, by the name of its file in ``published/``."""
+    return read_csv(HERE / "published" / f"{table}.csv")
+
+
+def terrain_classes() -> dict[str, str]:
+    """The terrain class, D1 to D4, that Li et al. (2021), Table I, give each sample and site."""
+    return {row["cloud"]: row["terrain"] for row in published("li2021_table1")}
+
+
+def oracle_parameters() -> dict[str, dict[str, float]]:
+    """SMRF's parameters per sample, chosen by Pingel et al. (2013) for the best kappa against the reference labels."""
+    names = ("slope", "window", "threshold", "scaling")
+    return {row["sample"]: {name: float(row[name]) for name in names} for row in published("pingel2013")}
+
+
+def data_folder(given: Path | None) -> Path:
+    """The folder with the data: ``given``, else JAXFILTER_DATA, else ``shared/data`` beside the checkout.
+
+    Raises: SystemExit saying how to get the data.
+    """
+    fallback = HERE.parents[2] / "shared" / "data"
+    folder = given or Path(os.environ.get("JAXFILTER_DATA") or fallback)
+    if not (folder / "isprs").is_dir():
+        raise SystemExit(f"{folder} has no folder 'isprs' with the reference samples.\n{HOW_TO_GET}")
+    return folder
+
+
+def sample_path(folder: Path, sample: str) -> Path:
+    """The file of a sample such as "11". Raises: SystemExit."""
+    path = folder / "isprs" / f"samp{sample}.txt"
+    if not path.is_file():
+        raise SystemExit(f"{path} is missing.\n{HOW_TO_GET}")
+    return path
+
+
+def site_path(folder: Path, site: str) -> Path | None:
+    """The densest file of a site, or None if there is none."""
+    files = list((folder / "isprs_sites").glob(f"{site}*.laz"))
+    return max(files, key=lambda path: path.stat().st_size, default=None)
+
+
+def sample_name(text: str) -> str:
+    """ "11" of "11", "s11" or "samp11". Raises: ValueError."""
+    number: Any = text.lower().removeprefix("samp").removeprefix("s")
+    if number not in SAMPLES:
+        raise ValueError(f"no sample {text!r}; there are {', '.join(SAMPLES)}")
+    return number
