@@ -127,3 +127,16 @@ def test_the_location_table_equals_scipys():
     mesh = delaunay(xy)
     local = xy - xy.mean(axis=0)
     np.testing.assert_allclose(mesh.transform, Delaunay(local).transform, rtol=1e-6, atol=1e-9)
+
+
+def test_triangles_around_vertices_are_found_on_the_hull_and_inside(pool):
+    rng = np.random.default_rng(13)
+    xyz = nodes(rng, 2000, 40, 0.25)
+    k = len(xyz)
+    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 31), np.arange(k - 4, k)), pool)
+    network.insert(np.flatnonzero(~network.vertex)[::2])
+    vertices = np.append(rng.choice(np.flatnonzero(network.vertex), 40, replace=False), np.arange(k - 4, k))
+    expected = np.flatnonzero(np.isin(network.triangles, vertices).any(axis=1))
+    assert (network.around(vertices) == expected).all()
+    own = network.triangle_of_vertices()
+    assert (network.triangles[own[vertices]] == vertices[:, None]).any(axis=1).all()

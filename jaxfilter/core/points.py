@@ -59,8 +59,13 @@ class Points:
         for _ in range(3):
             cell = max(3 * spacing, float(extent.max()) / 2**15)
             i = np.floor(self.xyz[:, :2] / np.float32(cell)).astype(np.int64)
-            occupied = len(np.unique(i[:, 0] * (int(i[:, 1].max()) + 1) + i[:, 1]))
-            spacing = float(np.sqrt(min(occupied * cell**2, extent.prod()) / m))
+            columns = int(i[:, 1].max()) + 1
+            key = i[:, 0] * columns + i[:, 1]
+            few = int(key.max()) < 8 * m + 1000
+            occupied = int(np.count_nonzero(np.bincount(key))) if few else len(np.unique(key))
+            before, spacing = spacing, float(np.sqrt(min(occupied * cell**2, extent.prod()) / m))
+            if abs(spacing - before) < 0.01 * before:
+                break
         return spacing
 
 

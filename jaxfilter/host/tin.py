@@ -130,6 +130,7 @@ class Tin:
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
         self._stamp = np.full(len(xyz), np.iinfo(np.int32).max, np.int32)
+        self._at = np.full(len(xyz), -1, np.int32)  # for each vertex one of its triangles
         self._build(np.asarray(vertices))
 
     def __len__(self) -> int:
@@ -159,6 +160,8 @@ class Tin:
             [np.where(p[2] < 0, -1, p[2] + s) for p, s in zip(parts, shift[:-1], strict=True)]
         )
         self.vertex[np.concatenate(roots)] = True
+        self.where[self.vertex] = -1
+        self._note(np.arange(len(self.triangles), dtype=np.int32))
         rest = vertices[~self.vertex[vertices]]
         if len(rest):
             self.insert(rest)
@@ -196,8 +199,9 @@ class Tin:
             gone[tri] = True
         removed = np.flatnonzero(gone)
         self.vertex[nodes] = True
-        moved = np.flatnonzero((self.where >= 0) & ~self.vertex)
+        moved = np.flatnonzero(self.where >= 0)
         moved = moved[gone[self.where[moved]]]
+        moved = moved[~self.vertex[moved]]
         corner = self.triangles[self.where[moved], 0]
         slot = np.cumsum(gone) - 1
         points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
@@ -226,9 +230,7 @@ class Tin:
         lost = self.where[moved] < 0
         if lost.any():  # in a triangle that reaches beyond the cavities of its own chunk
             rest = moved[lost]
-            near = np.empty(len(self.xy), np.int32)  # a new triangle at each vertex of a removed one
-            near[self.triangles[changed].ravel()] = np.repeat(np.flatnonzero(changed), 3)
-            self.where[rest] = self.walk(self.xy[rest], near[corner[lost]], self.sheet[rest])
+            self.where[rest] = self.walk(self.xy[rest], self._at[corner[lost]], self.sheet[rest])
         return changed
 
     def _cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -298,9 +300,9 @@ class Tin:
         if len(key) - 2 * len(pair) != hull_edges or (len(pair) > 1 and (np.diff(pair) < 2).any()):
             return None
 
-        self.triangles = np.concatenate([self.triangles, np.empty((count - len(removed), 3), np.int32)])
-        self.neighbours = np.concatenate([self.neighbours, np.empty((count - len(removed), 3), np.int32)])
+        self._grow(old_count + count - len(removed))
         self.triangles[rows] = added
+        self._note(rows)
         self.neighbours[rows] = np.where(links == -2, -1, links)
         left, right = order[pair], order[pair + 1]
         self.neighbours[tri[left], edge[left]] = tri[right]
@@ -310,6 +312,34 @@ class Tin:
         changed = np.zeros(len(self.triangles), bool)
         changed[rows] = True
         return changed
+
+    def _grow(self, count: int) -> None:
+        """Make room for so many triangles; the tables are views of larger ones, so that few rounds copy them."""
+        for name in ("triangles", "neighbours"):
+            table = getattr(self, name)
+            whole = table if table.base is None else table.base
+            if len(whole) < count:
+                whole = np.empty((count + count // 2, 3), np.int32)
+                whole[: len(table)] = table
+            setattr(self, name, whole[:count])
+
+    def _note(self, rows: np.ndarray) -> None:
+        """Remember triangles as those at their vertices."""
+        self._at[self.triangles[rows].ravel()] = np.repeat(rows, 3)
+
+    def around(self, vertices: np.ndarray) -> np.ndarray:
+        """Rows of all triangles at the vertices, found by turning about each of them; ascending."""
+        found = [np.zeros(0, np.int32)]
+        for side in (1, 2):  # one way, and the other in case the hull stopped it
+            v, tri = vertices, self._at[vertices]
+            first = tri
+            while len(v):
+                found.append(tri)
+                corner = (self.triangles[tri] == v[:, None]).argmax(axis=1)
+                step = self.neighbours[tri, (corner + side) % 3]
+                on = (step >= 0) & (step != first)
+                v, tri, first = v[on], step[on], first[on]
+        return np.unique(np.concatenate(found))
 
     def walk(self, xy: np.ndarray, start: np.ndarray, sheet: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position f64[n, 2], walking from triangles ``start``; -1 outside."""
@@ -343,9 +373,7 @@ class Tin:
 
     def triangle_of_vertices(self) -> np.ndarray:
         """i32[k]: for each vertex one of its triangles; for other nodes the triangle that contains them."""
-        out = self.where.copy()
-        out[self.triangles.ravel()[::-1]] = np.repeat(np.arange(len(self.triangles), dtype=np.int32), 3)[::-1]
-        return out
+        return np.where(self.vertex, self._at, self.where)
 
 
 def _by_cell(cell: np.ndarray, values: np.ndarray, count: int) -> Any:

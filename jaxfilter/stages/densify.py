@@ -21,8 +21,9 @@ from ..core.result import Decision, Progress
 from ..host.tin import Tin
 from ..ops.facets import Rule, Verdict, judge, mirrored
 
-_BATCHES = (2048, 16384, 131072)
-"""Sizes that kernel calls are padded to; larger requests are cut. Few sizes, so that nothing is compiled twice."""
+_BATCHES = (2048, 16384, 65536)
+"""Sizes that kernel calls are padded to; larger requests are cut."""
+_KEPT = ("accepted", "decision", "margin", "angle", "elevation", "height", "slope")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -120,7 +121,7 @@ class _Run:
         keep_labels: bool,
     ) -> None:
         k = len(network.xyz)
-        self.net, self.mirror, self.keep_labels = network, mirror, keep_labels
+        self.net, self.mirror, self.pool, self.keep_labels = network, mirror, pool, keep_labels
         self.rule = Rule(*(jnp.float32(v) for v in rule))
         self.ground = network.seed.copy()
         self.virtual = np.flatnonzero(network.row < 0)
@@ -156,9 +157,8 @@ class _Run:
             if self.keep_labels:
                 self.trace[-1]["ground"] = self.ground.copy()
             changed = self.tin.insert(inserted) if len(inserted) else np.zeros(len(self.tin), bool)
-            moved = self._refresh(inserted) | self._lower(accepted)
-            if moved.any():
-                changed |= moved[self.tin.triangles].any(axis=1)
+            moved = np.concatenate([self._refresh(inserted), self._lower(accepted)])
+            changed[self.tin.around(moved)] = True
             todo = np.flatnonzero(waiting & admitted)
             again = changed[self.tin.where[todo]]
             if changed.any():
@@ -175,7 +175,7 @@ class _Run:
 
     def _test(self, nodes: np.ndarray) -> np.ndarray:
         """Test nodes against their facets, keep the tested quantities, and return those accepted."""
-        verdict = self._judge(nodes, self.net.xyz[nodes], self.tin.where[nodes])
+        verdict = self._judge(nodes, self.tin.where[nodes])
         if self.mirror is not None and self.mirror.slope < 90.0:
             self._mirror(nodes, verdict)
         self.angle[nodes] = verdict["angle"]
@@ -192,36 +192,35 @@ class _Run:
         if len(steep) == 0:
             return
         facet = self.tin.where[nodes[steep]]
-        image = np.concatenate(
-            [
-                np.asarray(mirrored(p, c, self.mirror.about == "highest"))[:m]
-                for p, c, m in _batches(self.net.xyz[nodes[steep]], self.tin.corners(facet))
-            ]
-        )
+        image = np.empty((len(steep), 3), np.float32)
+        for start in range(0, len(steep), _BATCHES[-1]):
+            part = slice(start, start + _BATCHES[-1])
+            pair = self.net.xyz[nodes[steep[part]]], self.tin.corners(facet[part])
+            found = mirrored(*(_padded(v) for v in pair), self.mirror.about == "highest")
+            image[part] = np.asarray(found)[: len(pair[0])]
         there = self.tin.walk(image[:, :2].astype(np.float64), facet, self.net.sheet[nodes[steep]])
         steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
-        second = self._judge(nodes[steep], image, there)
+        second = self._judge(nodes[steep], there, image)
         replace = second["accepted"] if self.mirror.mode == "or" else np.ones(len(steep), bool)
         for name in ("accepted", "decision", "margin", "angle", "elevation"):
             verdict[name][steep[replace]] = second[name][replace]
 
-    def _judge(self, nodes: np.ndarray, xyz: np.ndarray, facet: np.ndarray) -> dict[str, np.ndarray]:
-        """The kernel over positions f32[n, 3] in facets i32[n], in padded batches; the result on the host."""
-        parts: list[dict[str, np.ndarray]] = []
-        for p, c, late, m in _batches(xyz, self.tin.corners(facet), self.net.late[nodes]):
-            verdict: Verdict = judge(self.rule, late, p, c)
-            score = verdict.score
-            out = {
-                "accepted": verdict.accepted,
-                "decision": verdict.decision,
-                "margin": verdict.margin,
-                "angle": score.angle,
-                "elevation": score.elevation,
-                "height": score.height,
-                "slope": score.slope,
-            }
-            parts.append({name: np.asarray(value)[:m] for name, value in out.items()})
-        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    def _judge(self, nodes: np.ndarray, facet: np.ndarray, image: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """The kernel over nodes, or over ``image`` f32[n, 3] in their place, in facets i32[n]; the result on the host.
+
+        Calls are cut and padded to a few sizes, so that nothing is compiled twice, and prepared in the thread pool.
+        """
+
+        def one(start: int) -> dict[str, np.ndarray]:
+            part = slice(start, start + _BATCHES[-1])
+            xyz = self.net.xyz[nodes[part]] if image is None else image[part]
+            late, corners = self.net.late[nodes[part]], self.tin.corners(facet[part])
+            verdict: Verdict = judge(self.rule, *(_padded(v) for v in (late, xyz, corners)))
+            values = {**verdict._asdict(), **verdict.score._asdict()}
+            return {name: np.asarray(values[name])[: len(xyz)] for name in _KEPT}
+
+        parts = list(self.pool.map(one, range(0, max(len(nodes), 1), _BATCHES[-1])))
+        return {name: np.concatenate([part[name] for part in parts]) for name in _KEPT}
 
     def _to_insert(self, nodes: np.ndarray) -> np.ndarray:
         """Those of the nodes that become vertices: one per position, and one per square if vertices keep a spacing."""
@@ -245,27 +244,25 @@ class _Run:
         return nodes
 
     def _lower(self, accepted: np.ndarray) -> np.ndarray:
-        """bool[k]: vertices whose elevation sank because a lower point at the same position was accepted."""
-        moved = np.zeros(len(self.ground), bool)
+        """i64[.]: vertices whose elevation sank because a lower point at the same position was accepted."""
         vertex = self.vertex_at[self.head[accepted]]
         z = self.net.xyz[accepted, 2]
         lower = (vertex >= 0) & (vertex != accepted)
         lower[lower] = z[lower] < self.tin.xyz[vertex[lower], 2]
         np.minimum.at(self.tin.xyz[:, 2], vertex[lower], z[lower])
-        moved[vertex[lower]] = True
-        return moved
+        return vertex[lower]
 
     def _refresh(self, inserted: np.ndarray) -> np.ndarray:
-        """bool[k]: border nodes that took the elevation of a newly inserted vertex, now the nearest to them."""
-        moved = np.zeros(len(self.ground), bool)
+        """i64[.]: border nodes that took the elevation of a newly inserted vertex, now the nearest to them."""
+        none = self.virtual[:0]
         if not self.refresh_border or len(inserted) == 0:
-            return moved
+            return none
         border, reach = self.tin.xy[self.virtual], float(self.border_gap.max())
         low, high = border.min(axis=0) + reach, border.max(axis=0) - reach
         xy = self.tin.xy[inserted]
         close = ((xy <= low) | (xy >= high)).any(axis=1) if np.isfinite(reach) else np.ones(len(xy), bool)
         if not close.any():
-            return moved
+            return none
         inserted = inserted[close]
         apart = 1e7 * self.net.sheet.astype(np.float64)  # sheets lie in one tree, far from each other
         tree = cKDTree(np.column_stack([self.tin.xy[inserted], apart[inserted]]))
@@ -273,13 +270,13 @@ class _Run:
         nearer = gap < np.minimum(self.border_gap, 1e6)
         self.border_gap[nearer] = gap[nearer]
         node, z = self.virtual[nearer], self.tin.xyz[inserted[at[nearer]], 2]
-        moved[node] = self.tin.xyz[node, 2] != z
+        moved = node[self.tin.xyz[node, 2] != z]
         self.tin.xyz[node, 2] = z
         return moved
 
     def _result(self, converged: bool) -> Densified:
         nodes = np.flatnonzero(self.net.row >= 0)
-        final = self._judge(nodes, self.net.xyz[nodes], self.tin.triangle_of_vertices()[nodes])
+        final = self._judge(nodes, self.tin.triangle_of_vertices()[nodes])
         k = len(self.ground)
         height, slope = np.zeros(k, np.float32), np.zeros(k, np.float32)
         height[nodes], slope[nodes] = final["height"], final["slope"]
@@ -299,18 +296,12 @@ class _Run:
         )
 
 
-def _batches(*arrays: np.ndarray) -> Any:
-    """Cut arrays of equal length into pieces padded to one of a few sizes; yields the pieces and their true length."""
-    n = len(arrays[0])
-    for start in range(0, max(n, 1), _BATCHES[-1]):
-        m = min(n - start, _BATCHES[-1])
-        size = next(b for b in _BATCHES if b >= m)
-        padded = []
-        for a in arrays:
-            piece = np.zeros((size, *a.shape[1:]), a.dtype)
-            piece[:m] = a[start : start + m]
-            padded.append(piece)
-        yield (*padded, m)
+def _padded(values: np.ndarray) -> np.ndarray:
+    """The values with zeros behind them, up to the next of the batch sizes."""
+    size = next(b for b in _BATCHES if b >= len(values))
+    out = np.zeros((size, *values.shape[1:]), values.dtype)
+    out[: len(values)] = values
+    return out
 
 
 def _same_position(xyz: np.ndarray, sheet: np.ndarray) -> np.ndarray:
