@@ -112,8 +112,8 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
        lowest point by a quarter of ``depth`` at least, so that it is no bend or narrow of a gully.
 
     Then the points of the depression that are more than half of ``depth`` below its rim are barred. Small true pits and
-    courtyards are barred too, which does no harm to a filter that tests barred points again and has other seeds near
-    them.
+    courtyards are barred too. A filter that tests barred points again recovers them where they are level with ground
+    around, as courtyards mostly are; a small pit whose whole floor was barred may stay out.
 
     Args:
         points: distinct candidates.
