@@ -53,22 +53,41 @@ def test_every_sample_and_site_has_a_terrain_class_with_the_thresholds_of_its_pr
 
 def test_a_table_shows_numbers_by_format_and_what_is_absent_as_a_dash():
     rows = [{"sample": "a", "total": 1.0, "kappa": float("nan")}, {"sample": "b", "total": 4.0}]
-    text = report.markdown([("sample", "sample", ""), ("total", "TE", ".2f"), ("kappa", "kappa", ".1f")],
-                           report.with_averages(rows, "sample"))
-    assert text.splitlines() == ["| sample | TE | kappa |", "|---|---:|---:|", "| a | 1.00 | – |", "| b | 4.00 | – |",
-                                 "| mean | 2.50 | – |", "| median | 2.50 | – |"]
+    text = report.markdown(
+        [("sample", "sample", ""), ("total", "TE", ".2f"), ("kappa", "kappa", ".1f")],
+        report.with_averages(rows, "sample"),
+    )
+    assert text.splitlines() == [
+        "| sample | TE | kappa |",
+        "|---|---:|---:|",
+        "| a | 1.00 | – |",
+        "| b | 4.00 | – |",
+        "| mean | 2.50 | – |",
+        "| median | 2.50 | – |",
+    ]
 
 
 def test_csv_keeps_rows_with_different_keys(tmp_path):
     rows = [{"name": "x", "points": 3}, {"name": "y", "seconds": 0.5}]
     report.write_csv(tmp_path / "rows.csv", rows)
-    assert report.read_csv(tmp_path / "rows.csv") == [{"name": "x", "points": 3, "seconds": ""},
-                                                      {"name": "y", "points": "", "seconds": 0.5}]
+    assert report.read_csv(tmp_path / "rows.csv") == [
+        {"name": "x", "points": 3, "seconds": ""},
+        {"name": "y", "points": "", "seconds": 0.5},
+    ]
 
 
 def test_measured_figures_stand_beside_those_printed_for_the_same_sample():
-    row = {"sample": "samp24", "method": "fptd", "terrain": "D3", "points": 7492, "type1": 1.0, "type2": 2.0, "total": 3.0,
-           "kappa": 90.0, "seconds": 0.1}
+    row = {
+        "sample": "samp24",
+        "method": "fptd",
+        "terrain": "D3",
+        "points": 7492,
+        "type1": 1.0,
+        "type2": 2.0,
+        "total": 3.0,
+        "kappa": 90.0,
+        "seconds": 0.1,
+    }
     line = tables.per_sample([row], "fptd").splitlines()[2]
     assert line == "| samp24 | D3 | 7,492 | 1.00 | 2.00 | 3.00 | 90.00 | 0.100 | 21.79 | 6.95 | 17.71 | 61.59 | 2.31 |"
     assert "smrf" not in tables.summary([row])
@@ -93,8 +112,20 @@ def test_a_quick_run_on_a_generated_scene_writes_tables_and_scores(tmp_path, mon
     (tmp_path / "isprs").mkdir()
     label = (~scene.truth[last]).astype(int)
     np.savetxt(tmp_path / "isprs" / "samp24.txt", np.column_stack([scene.xyz[last], label]), fmt=["%.2f"] * 3 + ["%d"])
-    isprs.main(["--data", str(tmp_path), "--out", str(tmp_path / "out"), "--quick", "--samples", "s24",
-                "--methods", "fptd", "ptd"])
+    isprs.main(
+        [
+            "--data",
+            str(tmp_path),
+            "--out",
+            str(tmp_path / "out"),
+            "--quick",
+            "--samples",
+            "s24",
+            "--methods",
+            "fptd",
+            "ptd",
+        ]
+    )
     rows = {row["method"]: row for row in report.read_csv(tmp_path / "out" / "samples.csv")}
     assert rows["fptd"]["points"] == last.sum() and rows["fptd"]["total"] < 15
     assert rows["fptd"]["status"] == "CONVERGED" and rows["fptd"]["seeds"] >= rows["ptd"]["seeds"]
@@ -124,10 +155,20 @@ def test_commands_are_timed_in_a_process_of_their_own(tmp_path):
 
 
 def test_the_bench_reports_growth_and_the_gain_of_vertex_spacing():
-    plain = {"name": "fptd", "density": 12.0, "points": 100, "warm_seconds": 2.0, "total": 3.0, "command_peak_bytes": 1e9,
-             "command_seconds": 3.0}
-    rows = [plain, plain | {"points": 500, "warm_seconds": 9.0},
-            plain | {"name": "fptd_spaced", "warm_seconds": 1.0, "total": 3.25}]
+    plain = {
+        "name": "fptd",
+        "density": 12.0,
+        "points": 100,
+        "warm_seconds": 2.0,
+        "total": 3.0,
+        "command_peak_bytes": 1e9,
+        "command_seconds": 3.0,
+    }
+    rows = [
+        plain,
+        plain | {"points": 500, "warm_seconds": 9.0},
+        plain | {"name": "fptd_spaced", "warm_seconds": 1.0, "total": 3.25},
+    ]
     text = bench.report(rows, "python run.py", 3)
     assert "5.00 times the points (100 to 500) take 4.50 times as long" in text
     assert "1.00 s instead of 2.00 s; total error 3.25 % instead of 3.00 % (+0.25 points)" in text

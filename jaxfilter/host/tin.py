@@ -194,16 +194,16 @@ class Tin:
         self._stamp[nodes] = np.arange(len(nodes), dtype=np.int32)
 
         cavities = list(self.pool.map(lambda c: self._cavities(nodes[c[0] : c[1]]), chunks))
+        removed = _distinct(*(tri for _, tri in cavities))
         gone = np.zeros(len(self.triangles), bool)
-        for _, tri in cavities:
-            gone[tri] = True
-        removed = np.flatnonzero(gone)
+        gone[removed] = True
         self.vertex[nodes] = True
         moved = np.flatnonzero(self.where >= 0)
         moved = moved[gone[self.where[moved]]]
         moved = moved[~self.vertex[moved]]
         corner = self.triangles[self.where[moved], 0]
-        slot = np.cumsum(gone) - 1
+        slot = np.empty(len(self.triangles), np.int32)  # only the places of removed triangles are ever read
+        slot[removed] = np.arange(len(removed), dtype=np.int32)
         points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
         hit = np.concatenate([tri for _, tri in cavities])
         new_at = _by_cell(slot[hit], np.concatenate([p for p, _ in cavities]), len(removed))

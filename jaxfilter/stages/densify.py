@@ -144,11 +144,12 @@ class _Run:
         """Rounds until no point is accepted, first without the suspected low outliers, then with them."""
         waiting = self.net.open & ~self.ground
         total = max(1, int(waiting.sum()))
-        admitted = ~self.net.late
-        todo = np.flatnonzero(waiting & admitted)
+        todo = rest = np.flatnonzero(waiting & ~self.net.late)
+        all_admitted = not self.net.late.any()
+        mirroring = self.mirror is not None
         converged = False
         for _ in range(max_rounds):
-            progress(1.0 - waiting.sum() / total, "densify")
+            progress(1.0 - len(rest) / total, "densify")
             accepted = self._test(todo)
             self.ground[accepted] = True
             waiting[accepted] = False
@@ -159,14 +160,15 @@ class _Run:
             changed = self.tin.insert(inserted) if len(inserted) else np.zeros(len(self.tin), bool)
             moved = np.concatenate([self._refresh(inserted), self._lower(accepted)])
             changed[self.tin.around(moved)] = True
-            todo = np.flatnonzero(waiting & admitted)
-            again = changed[self.tin.where[todo]]
-            if changed.any():
-                again |= self.steep[todo]  # the facet under their mirror image may be another one
-            todo = todo[again]
-            if len(todo) == 0 and not admitted.all():
-                admitted[:] = True
+            rest = rest[waiting[rest]]
+            again = changed[self.tin.where[rest]]
+            if mirroring and changed.any():
+                again |= self.steep[rest]  # the facet under their mirror image may be another one
+            todo = rest[again]
+            if len(todo) == 0 and not all_admitted:
+                all_admitted = True
                 todo = np.flatnonzero(waiting & self.net.late)
+                rest = np.flatnonzero(waiting)
             if len(todo) == 0:
                 converged = True
                 break

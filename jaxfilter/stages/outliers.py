@@ -174,9 +174,7 @@ def _alone(
     return np.bincount(group, weights=size)[group] <= max_points
 
 
-def _climb(
-    z: np.ndarray, at: np.ndarray, grid: Grid, cell: np.ndarray, owner: np.ndarray, groups: int
-) -> np.ndarray:
+def _climb(z: np.ndarray, at: np.ndarray, grid: Grid, cell: np.ndarray, owner: np.ndarray, groups: int) -> np.ndarray:
     """f32[groups]: how far the lowest cell that touches a group of cells is above the lowest in it.
 
     ``z``: f32[m], elevations of the points; ``at``: i32[m], their cells. +inf for groups that no cell touches, or empty.
@@ -198,9 +196,7 @@ def _climb(
     return np.subtract(touching, own, out=np.full_like(own, np.inf), where=np.isfinite(touching))
 
 
-def _surroundings(
-    lowest: np.ndarray, grid: Grid, suspect: np.ndarray, bottom: np.ndarray, reach: float
-) -> np.ndarray:
+def _surroundings(lowest: np.ndarray, grid: Grid, suspect: np.ndarray, bottom: np.ndarray, reach: float) -> np.ndarray:
     """f64[s]: the level over each bottom of the lowest line between cells on opposite sides that are not suspect."""
     steps = int(np.ceil(reach / grid.cell))
     outside = lowest.copy()
