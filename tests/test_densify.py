@@ -181,3 +181,13 @@ def test_the_lowest_of_coinciding_points_is_the_vertex():
 def test_round_limit_is_reported():
     out = densify(network_of(scene(9)), Rule(max_angle=15, max_elevation=0.9, signed=1), max_rounds=2)
     assert not out.converged and len(out.trace) == 2
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_points_over_a_border_that_moved_are_tested_again(seed):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, 90, (1500, 2)).round(1)
+    z = 0.6 * xy[:, 0] + 2 * np.sin(xy[:, 1] / 7) + rng.normal(0, 0.1, 1500)
+    net = network_of(canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)]))))
+    out = densify(net, Rule(max_angle=12, max_elevation=0.7, signed=1), refresh_border=True)
+    assert (out.ground == plain(net, 12, 0.7)).all()
