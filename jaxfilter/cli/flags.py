@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from ..core.filter import Filter
+from ..core.params import declared
 
 _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
@@ -33,7 +34,7 @@ class Value(click.ParamType):
 
 def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
     """The parameters of a filter by name."""
-    return {f.name: f for f in dataclasses.fields(method)}  # type: ignore[arg-type]
+    return {f.name: f for f in declared(method)}
 
 
 def options(method: type[Filter]) -> list[click.Option]:

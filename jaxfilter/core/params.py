@@ -92,6 +92,11 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
+def declared(params: Any) -> list[dataclasses.Field[Any]]:
+    """The fields of a filter, class or instance, in the order of its signature: a method's own before those it shares."""
+    return sorted(dataclasses.fields(params), key=lambda field: field.kw_only)
+
+
 def check_fields(params: Any) -> None:
     """Validate every field of ``params`` against its declaration.
 

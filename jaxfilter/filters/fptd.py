@@ -8,19 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Filter, Labels
+from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
-from ..stages.densify import densify
-from ..stages.network import block_networks, border_positions, labels_of, one_network
-from ..stages.outliers import bar_outliers
+from ..stages.network import block_networks, border_positions
 from ..stages.seeds import lowest_per_window
+from ..stages.tin_filter import TinFilter
 
 
 @filter_params
-class FPTD(Filter):
+class FPTD(TinFilter):
     """Fast progressive TIN densification.
 
     H. Li, C. Ye, Z. Guo, R. Wei, L. Wang, J. Li (2021): A fast progressive TIN densification filtering algorithm for
@@ -54,15 +52,7 @@ class FPTD(Filter):
         doc="one triangulation of all points, or blocks that grow on their own",
     )
     overlap: float = static(10.0, unit="m", ge=0, doc="how far independent blocks reach into their neighbours")
-    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
-    min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
     max_below: float = param(math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
-    noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
-    vertex_spacing: float = static(
-        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
-    )
-    max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
@@ -82,14 +72,8 @@ class FPTD(Filter):
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        dense = spacing < 0.5  # more than 4 points per square metre: ranging noise makes steep angles at short range
         stride = math.ceil(largest_building / 0.6 - 1e-9) / 10.0  # a sixth of the window, which so is a multiple of it
-        return {
-            "window": round(6 * stride, 1),
-            "stride": stride,
-            "noise_floor": 0.1 if dense else 0.0,
-            "vertex_spacing": 0.7 if dense else 0.0,
-        }
+        return super().from_spacing(spacing, largest_building) | {"window": round(6 * stride, 1), "stride": stride}
 
     def halo(self) -> float:
         """The neighbourhood radius d of Sec. II-A: the half diagonal of a block and its eight neighbours."""
@@ -97,38 +81,28 @@ class FPTD(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")
-        barred, late = bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            workers=workers,
-        )
+        barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_window(points, self.window, self.stride, barred)
-        xy = points.xyz[:, :2].astype(np.float64)
-        border = border_positions(xy.min(axis=0), xy.max(axis=0), self.window)
         if self.blocks == "independent":
+            xy = points.xyz[:, :2].astype(np.float64)
+            border = border_positions(xy.min(axis=0), xy.max(axis=0), self.window)
             network = block_networks(
                 points, seeds, border, late, size=self.window, overlap=self.overlap, reach=self.halo()
             )
         else:
-            network = one_network(points, seeds, border, late)
-        rule = Rule(
-            max_angle=self.max_angle,
-            max_elevation=self.max_elevation,
-            max_below=self.max_below,
-            noise_floor=self.noise_floor if self.noise_floor > 0 else -1.0,
-            signed=1.0,
+            network = self.network(points, seeds, self.window, late)
+        rule = self.rule(
+            max_angle=self.max_angle, max_elevation=self.max_elevation, max_below=self.max_below, signed=1.0
         )
-        out = densify(
+        return self.grow(
+            points,
             network,
             rule,
+            barred=barred,
+            late=late,
             refresh_border=True,
-            vertex_spacing=self.vertex_spacing,
-            max_rounds=self.max_rounds,
             workers=workers,
             progress=progress,
-            keep_labels=trace,
+            trace=trace,
         )
-        return labels_of(points, network, out, barred=barred, late=late, keep_labels=trace)

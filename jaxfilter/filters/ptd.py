@@ -5,21 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-import numpy as np
-
-from ..core.filter import Filter, Labels
+from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
-from ..stages.densify import Mirror, densify
-from ..stages.network import border_positions, labels_of, one_network
-from ..stages.outliers import bar_outliers
+from ..stages.densify import Mirror
 from ..stages.seeds import lowest_per_cell
+from ..stages.tin_filter import TinFilter
 
 
 @filter_params
-class PTD(Filter):
+class PTD(TinFilter):
     """Classic progressive TIN densification.
 
     P. Axelsson (2000): DEM generation from laser scanner data using adaptive TIN models. Int. Arch. Photogramm. Remote
@@ -50,14 +46,6 @@ class PTD(Filter):
     refresh_border: bool = static(
         True, choices=(True, False), doc="simulated border points follow the growing ground, as in FPTD"
     )
-    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
-    min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
-    noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
-    vertex_spacing: float = static(
-        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
-    )
-    max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
@@ -70,12 +58,7 @@ class PTD(Filter):
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        dense = spacing < 0.5
-        return {
-            "seed_cell": largest_building,
-            "noise_floor": 0.1 if dense else 0.0,
-            "vertex_spacing": 0.7 if dense else 0.0,
-        }
+        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building}
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
@@ -83,33 +66,18 @@ class PTD(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")
-        barred, late = bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            workers=workers,
-        )
+        barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_cell(points, self.seed_cell, barred)
-        xy = points.xyz[:, :2].astype(np.float64)
-        border = border_positions(xy.min(axis=0), xy.max(axis=0), self.seed_cell)
-        network = one_network(points, seeds, border, late)
-        rule = Rule(
-            max_angle=self.max_angle,
-            max_distance=self.max_distance,
-            noise_floor=self.noise_floor if self.noise_floor > 0 else -1.0,
-        )
-        mirror = None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode)
-        out = densify(
-            network,
-            rule,
-            mirror=mirror,
+        return self.grow(
+            points,
+            self.network(points, seeds, self.seed_cell, late),
+            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
+            barred=barred,
+            late=late,
+            mirror=None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
             refresh_border=self.refresh_border,
-            vertex_spacing=self.vertex_spacing,
-            max_rounds=self.max_rounds,
             workers=workers,
             progress=progress,
-            keep_labels=trace,
+            trace=trace,
         )
-        return labels_of(points, network, out, barred=barred, late=late, keep_labels=trace)

@@ -1,9 +1,10 @@
 """Progressive TIN densification: the one loop of all TIN methods.
 
 Each round tests all open points whose facet has changed since they were last tested against one triangulation, accepts
-all that pass (so the order of the points does not matter), and makes them vertices. A point whose facet has not changed
-would fail again, and is left alone. The network may consist of several sheets (FPTD's blocks) that share nothing: their
-triangulations run in a thread pool, and one padded kernel call a round tests the points of all sheets together.
+all that pass, or the lowest over each facet, and makes them vertices; either way the order of the points does not matter.
+A point whose facet has not changed would fail again, and is left alone. The network may consist of several sheets (FPTD's
+blocks) that share nothing: their triangulations run in a thread pool, and one padded kernel call a round tests the points
+of all sheets together.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from ..ops.facets import Rule, Verdict, judge, mirrored
 
 _BATCHES = (2048, 16384, 65536)
 """Sizes that kernel calls are padded to; larger requests are cut."""
+INSERTIONS = ("batch", "one_per_facet")
+"""What a round adds of the points that pass: all of them, or the lowest over each facet (after Nie et al. 2017)."""
 _KEPT = ("accepted", "decision", "margin", "angle", "elevation", "height", "slope")
 
 
@@ -84,6 +87,7 @@ def densify(
     mirror: Mirror | None = None,
     refresh_border: bool = False,
     vertex_spacing: float = 0.0,
+    insertion: str = "batch",
     max_rounds: int = 100,
     workers: int | None = None,
     progress: Progress = lambda fraction, step: None,
@@ -97,12 +101,14 @@ def densify(
         refresh_border: after each round give every simulated border node the elevation of the ground vertex nearest to it
             in the plane (Li et al. 2021, Sec. II-E, step 6).
         vertex_spacing: metres; at most one accepted point per square of this size becomes a vertex, the lowest. 0 = all do.
+        insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become
+            vertices, the one that lies lowest over it; the others are tested again over the new facets.
         max_rounds: give up after so many rounds.
         keep_labels: record the labels after every round in the trace.
     """
     threads = workers or os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        run = _Run(network, rule, mirror, refresh_border, vertex_spacing, pool, threads, keep_labels)
+        run = _Run(network, rule, mirror, refresh_border, vertex_spacing, insertion, pool, threads, keep_labels)
         return run.run(max_rounds, progress)
 
 
@@ -116,6 +122,7 @@ class _Run:
         mirror: Mirror | None,
         refresh_border: bool,
         vertex_spacing: float,
+        insertion: str,
         pool: ThreadPoolExecutor,
         threads: int,
         keep_labels: bool,
@@ -131,6 +138,7 @@ class _Run:
         self.taken = np.zeros(0 if self.square is None else int(self.square.max(initial=-1)) + 1, bool)
         seeds = self._to_insert(np.flatnonzero(network.seed))
         self.tin = Tin(network.xyz.copy(), network.sheet, seeds, pool, threads)
+        self.one_per_facet = insertion == "one_per_facet"
         self.refresh_border = refresh_border and len(self.virtual) > 0
         self.border_gap = np.full(len(self.virtual), np.inf)
         self._refresh(seeds[network.row[seeds] >= 0])
@@ -150,7 +158,7 @@ class _Run:
         converged = False
         for _ in range(max_rounds):
             progress(1.0 - len(rest) / total, "densify")
-            accepted = self._test(todo)
+            accepted, deferred = self._test(todo)
             self.ground[accepted] = True
             waiting[accepted] = False
             inserted = self._to_insert(accepted)
@@ -162,6 +170,7 @@ class _Run:
             changed[self.tin.around(moved)] = True
             rest = rest[waiting[rest]]
             again = changed[self.tin.where[rest]]
+            again[np.searchsorted(rest, deferred)] = True
             if mirroring and changed.any():
                 again |= self.steep[rest]  # the facet under their mirror image may be another one
             todo = rest[again]
@@ -175,8 +184,8 @@ class _Run:
         progress(1.0, "densify")
         return self._result(converged)
 
-    def _test(self, nodes: np.ndarray) -> np.ndarray:
-        """Test nodes against their facets, keep the tested quantities, and return those accepted."""
+    def _test(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Test nodes against their facets, keep the tested quantities, and return those accepted and those deferred."""
         verdict = self._judge(nodes, self.tin.where[nodes])
         if self.mirror is not None and self.mirror.slope < 90.0:
             self._mirror(nodes, verdict)
@@ -184,7 +193,23 @@ class _Run:
         self.elevation[nodes] = verdict["elevation"]
         self.margin[nodes] = verdict["margin"]
         self.decision[nodes] = verdict["decision"]
-        return nodes[verdict["accepted"]]
+        passed = np.flatnonzero(verdict["accepted"])
+        if not self.one_per_facet:
+            return nodes[passed], nodes[:0]
+        put_off = self._not_lowest(nodes[passed], verdict["height"][passed])
+        return nodes[passed[~put_off]], nodes[passed[put_off]]
+
+    def _not_lowest(self, nodes: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """bool[n]: nodes that could become vertices, but are not the lowest of these over their facet."""
+        free = self.vertex_at[self.head[nodes]] < 0
+        if self.square is not None:
+            free &= ~self.taken[self.square[nodes]]
+        free = np.flatnonzero(free)
+        facet = self.tin.where[nodes[free]]
+        order = np.lexsort((nodes[free], height[free], facet))
+        put_off = np.zeros(len(nodes), bool)
+        put_off[free[order]] = np.diff(facet[order], prepend=-1) == 0
+        return put_off
 
     def _mirror(self, nodes: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
         """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes."""
