@@ -11,7 +11,7 @@ import numpy as np
 
 HERE = Path(__file__).parent
 PCL = "pcl_progressive_morphological_filter"
-ALL = ("csf", "pdal_smrf", "pdal_pmf", "pcl_pmf")
+ALL = ("csf_wheel", "pdal_smrf", "pdal_pmf", "pcl_pmf")
 
 
 def installed() -> list[str]:
@@ -23,8 +23,8 @@ def installed() -> list[str]:
 
 def command(peer: str, source: Path, target: Path) -> list[str]:
     """Arguments of a peer with its default parameters, from LAS to LAS (PCL: from PCD to PCD)."""
-    if peer == "csf":
-        return [sys.executable, str(HERE / "csf.py"), str(source), str(target)]
+    if peer == "csf_wheel":
+        return [sys.executable, str(HERE / "csf_wheel.py"), str(source), str(target)]
     if peer.startswith("pdal_"):
         return ["pdal", "translate", str(source), str(target), peer.removeprefix("pdal_")]
     return [

@@ -36,14 +36,13 @@ class Case:
     least_density: float = 0.0
 
 
-CASES = {
-    "fptd": Case("fptd", {}),
-    "fptd_spaced": Case("fptd", DENSE, 4.0),
-    "ptd": Case("ptd", {}),
-    "ptd_spaced": Case("ptd", DENSE, 4.0),
-    "smrf": Case("smrf", {}),
+CASES = {name: Case(name, {}) for name in jf.FILTERS} | {
+    f"{name}_spaced": Case(name, DENSE, 4.0)
+    for name, method in jf.FILTERS.items()
+    if all(hasattr(method, field) for field in DENSE)
 }
-"""``_spaced``: at most one vertex per square of 0.7 m, and points within 0.1 m of their facet are ground."""
+"""Every method with its defaults; ``_spaced``: at most one vertex per square of 0.7 m, and points within 0.1 m of their
+facet are ground."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -154,7 +153,7 @@ def whole_command(name: str, place: Path, scratch: Path) -> Row:
     row: Row = {f"command_{key}": used[key] for key in ("seconds", "cpu_seconds", "peak_bytes")}
     if name in CASES:
         return row
-    if name == "csf":
+    if name == "csf_wheel":
         row["warm_seconds"] = json.loads(done.stdout.splitlines()[-1])["seconds"]
     return row | _peer_scores(place, target)
 
@@ -196,7 +195,7 @@ def report(rows: list[Row], command: str, repeats: int) -> str:
         f"Scene `benchmark`, seed 1. Warm = a call on a cloud in memory, after a first one, median of {repeats}; its results are "
         "on the host, so nothing is still running when it returns. Command = a fresh process from LAS to LAS with a filled "
         "compilation cache. CPU seconds are those of all threads. In process = peak resident memory of a process that reads "
-        "the cloud and filters it. Errors over the points that are filtered. For CSF, warm = its call alone.",
+        "the cloud and filters it. Errors over the points that are filtered. For the CSF wheel, warm = its call alone.",
         "", markdown(time_columns, shown), "", "## Start", "",
         "First call = in a process that finds the compilation cache empty; cached = in one that finds it filled. The "
         "second cloud lacks a strip of up to 3 % of the width; its arrays have the same padded sizes.",
@@ -235,20 +234,23 @@ def _spacing(rows: list[Row]) -> list[str]:
 
 def scaling(rows: list[Row], path: Path) -> None:
     """Warm seconds (else of the command) and peak memory against number of points; a column of panels per density."""
+    import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullFormatter
 
     densities = sorted({row["density"] for row in rows})
     figure = Figure(figsize=(1.2 + 3.4 * len(densities), 5.4), layout="constrained")
     panels = figure.subplots(2, len(densities), sharex=True, sharey="row", squeeze=False)
-    colours = dict(zip([*CASES, *peers.ALL], ("#0072B2", "#56B4E9", "#D55E00", "#E69F00", "#009E73", "0.35", "0.5", "0.6", "0.7"),
-                       strict=True))
+    shades, marks = matplotlib.colormaps["tab10"].colors, "osD^v<"
+    known = list(dict.fromkeys(CASES[name].method if name in CASES else name for name in [*CASES, *peers.ALL]))
     for column, density in enumerate(densities):
         for name in dict.fromkeys(row["name"] for row in rows):
             line = [row for row in rows if row["name"] == name and row["density"] == density]
             points = [row["points"] for row in line]
-            style = {"color": colours[name], "marker": "o", "markersize": 4, "linewidth": 1.2, "label": name.replace("_", " "),
-                     "linestyle": "-" if name in CASES else ":"}
+            number = known.index(CASES[name].method if name in CASES else name)
+            style = {"color": shades[number % 10], "marker": marks[number // 10 + 2 * name.endswith("_spaced")],
+                     "markersize": 4, "linewidth": 1.2, "label": name.replace("_", " "),
+                     "linestyle": "--" if name.endswith("_spaced") else "-" if name in CASES else ":"}
             for ax, values in (
                 (panels[0, column], [row.get("warm_seconds", row["command_seconds"]) for row in line]),
                 (panels[1, column], [row.get("peak_bytes", row["command_peak_bytes"]) / 1e9 for row in line]),

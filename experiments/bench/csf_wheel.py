@@ -1,4 +1,4 @@
-"""CSF (Zhang et al. 2016) on a LAS file, with the wheel ``cloth-simulation-filter``: ``python csf.py IN OUT``.
+"""CSF (Zhang et al. 2016) on a LAS file, with the wheel ``cloth-simulation-filter``: ``python csf_wheel.py IN OUT``.
 
 Last and only echoes are filtered; ground becomes class 2, the rest 1. Prints the seconds of the call alone as JSON.
 """
