@@ -144,11 +144,18 @@ _PAPERS = {
 
 
 def citation(method: Any) -> str:
-    """BibTeX for a method, given as its name, its class or an instance. Raises ParameterError for an unknown one."""
+    """BibTeX for a method, given as its name, its class or an instance.
+
+    A filter from outside the package carries its entry in a class attribute ``BIBTEX``.
+    Raises: ParameterError if there is none.
+    """
     if isinstance(method, str):
-        name = method
+        name, own = method, None
     else:
-        name = (method if isinstance(method, type) else type(method)).__name__
+        cls = method if isinstance(method, type) else type(method)
+        name, own = cls.__name__, getattr(cls, "BIBTEX", None)
+    if own is not None:
+        return str(own)
     if name.lower() not in _PAPERS:
         raise ParameterError(f"no citation for {name!r}; there are citations for {', '.join(_PAPERS)}")
     return "\n\n".join(_ENTRIES[key] for key in _PAPERS[name.lower()])

@@ -1,10 +1,20 @@
-"""Where the ISPRS samples are, if they are anywhere."""
+"""Where the ISPRS samples are, if they are anywhere; filters from other files."""
 
 import os
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--filter-file", action="append", default=[], help="Python file with a filter to test like ours")
+
+
+def pytest_configure(config):
+    for path in config.getoption("--filter-file"):
+        runpy.run_path(path, run_name="filter_file")  # the class registers itself
 
 
 @pytest.fixture(scope="session")

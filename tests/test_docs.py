@@ -1,5 +1,8 @@
-"""Every filter has a page that lists its parameters as they are declared."""
+"""Every filter has a page that lists its parameters as they are declared, and the skeleton of a filter is one."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,3 +29,18 @@ def test_the_page_of_a_filter_lists_its_parameters_and_presets(name):
     assert listed[: len(fields)] == fields, "\n".join(fields)
     for preset in FILTERS[name].PRESETS:
         assert f"`{preset}`" in text
+
+
+def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):
+    text = (PAGES.parent / "adding_a_filter.md").read_text()
+    skeleton = tmp_path / "skeleton.py"
+    skeleton.write_text(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1])
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-v", "-x", "-p", "no:cacheprovider", "tests/test_filters.py"]
+        + ["--filter-file", str(skeleton), "-k", "tophat"],
+        cwd=PAGES.parents[1],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert re.search(r"[3-9]\d passed", done.stdout), done.stdout[-300:]
