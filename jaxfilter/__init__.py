@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import FILTERS, FPTD, PTD, SMRF
+    from .filters import FILTERS, FPTD, MSF, PMF, PTD, SMRF
     from .host.las import info, read, write
+    from .host.raster import Raster
     from .scoring import Scores, evaluate
+    from .terrain import dtm, dtm_rmse
 
 _HOMES = {
     "citing": ("citation",),
@@ -25,37 +27,20 @@ _HOMES = {
     "core.errors": ("InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
-    "filters": ("FILTERS", "FPTD", "PTD", "SMRF"),
+    "filters": ("FILTERS", "FPTD", "MSF", "PMF", "PTD", "SMRF"),
     "host.las": ("info", "read", "write"),
+    "host.raster": ("Raster",),
     "scoring": ("Scores", "evaluate"),
+    "terrain": ("dtm", "dtm_rmse"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "FILTERS",
-    "FPTD",
-    "PTD",
-    "SMRF",
-    "Decision",
-    "Filter",
-    "FilterResult",
-    "GroundFilter",
-    "InputError",
-    "JaxfilterError",
-    "JaxfilterWarning",
-    "OutputError",
-    "ParameterError",
-    "PointCloud",
-    "Scores",
-    "Status",
-    "citation",
-    "evaluate",
-    "info",
-    "plots",
-    "read",
-    "scenes",
-    "write",
-]
+    "FILTERS", "FPTD", "MSF", "PMF", "PTD", "SMRF",
+    "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
+    "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status",
+    "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "write",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

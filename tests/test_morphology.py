@@ -10,6 +10,8 @@ REACH = 9
 
 def footprint(radius, element):
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    if element == "diamond":
+        return abs(x) + abs(y) <= radius
     return x * x + y * y <= radius * radius if element == "disk" else np.ones(x.shape, bool)
 
 
@@ -17,7 +19,7 @@ def surface(shape=(41, 57), seed=0):
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 
-@pytest.mark.parametrize("element", ["disk", "square"])
+@pytest.mark.parametrize("element", ["disk", "square", "diamond"])
 @pytest.mark.parametrize("radius", [0, 1, 2, 3, 5, 8, 9])
 def test_equals_scipy_bit_for_bit(radius, element):
     z, cells = surface(), footprint(radius, element)
@@ -43,7 +45,7 @@ def test_radius_one_disk_is_the_cross():
     np.testing.assert_array_equal(np.asarray(erosion(z, 1, 1)) < 0, cross)
 
 
-@pytest.mark.parametrize("element", ["disk", "square"])
+@pytest.mark.parametrize("element", ["disk", "square", "diamond"])
 def test_opening_is_below_its_input_and_idempotent(element):
     z = surface(seed=3)
     opened = np.asarray(opening(z, 4, REACH, element))

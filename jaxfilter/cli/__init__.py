@@ -1,3 +1,4 @@
 """The ``jaxfilter`` command."""
 
+from . import terrain as terrain
 from .commands import main as main

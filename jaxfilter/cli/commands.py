@@ -1,4 +1,4 @@
-"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info.
+"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info. Terrain models are in ``terrain.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read). What needs JAX is imported where it is used, so that help stays quick.
@@ -160,7 +160,7 @@ def _ground(
     with Session(quiet=quiet, debug=debug) as session:
         filter_ = method.preset(preset, **changes) if preset else method(**changes)
         target = _checked_target(source, target, options["overwrite"], options["in_place"])
-        _check_reading(reading["units"], reading["returns"])
+        check_reading(reading["units"], reading["returns"])
         with session.step("read"):
             cloud = read(source, **reading)
         if largest_building is not None:
@@ -171,7 +171,7 @@ def _ground(
             write(target, cloud, result, **writing)
     report = _report(filter_, result, session) | {"input": str(source), "output": str(target)}
     if as_json:
-        _print_json(report)
+        print_json(report)
     elif not quiet:
         _print_report(report)
 
@@ -197,7 +197,7 @@ def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place
     return target
 
 
-def _check_reading(units: str | None, returns: str) -> None:
+def check_reading(units: str | None, returns: str) -> None:
     """Refuse words that ``read`` would refuse, before it reads."""
     import numpy as np
 
@@ -301,7 +301,7 @@ def evaluate(
             ignore=~cloud.candidate[match] if candidates_only else None,
         )
     if as_json:
-        _print_json(scores.as_dict() | {"output": str(labelled), "reference": str(reference)} | session.as_dict())
+        print_json(scores.as_dict() | {"output": str(labelled), "reference": str(reference)} | session.as_dict())
     else:
         _print_scores(scores)
 
@@ -387,7 +387,7 @@ def demo(
             _draw(directory, scene, result)
     report = _report(filter_, result, session) | {"output": str(target)}
     if as_json:
-        _print_json(report | {"scores": scores.as_dict(), "files": [str(directory / name) for name in DEMO_FILES]})
+        print_json(report | {"scores": scores.as_dict(), "files": [str(directory / name) for name in DEMO_FILES]})
     elif not quiet:
         _print_report(report)
         click.echo(scores)
@@ -444,7 +444,7 @@ def methods(as_json: bool) -> None:
         for name, method in FILTERS.items()
     }
     if as_json:
-        _print_json(table)
+        print_json(table)
         return
     for name, entry in table.items():
         click.echo(f"{name}  {entry['summary']}\n  presets: {', '.join(entry['presets'])}")
@@ -467,7 +467,7 @@ def info(file: Path, quiet: bool, as_json: bool, debug: bool) -> None:
     with Session(quiet=quiet, debug=debug):
         facts = las.info(file)
     if as_json:
-        _print_json(facts)
+        print_json(facts)
         return
     width = max(len(k) for k in facts)
     for key, value in facts.items():
@@ -477,7 +477,8 @@ def info(file: Path, quiet: bool, as_json: bool, debug: bool) -> None:
 info.params += session_options()
 
 
-def _print_json(value: Any) -> None:
+def print_json(value: Any) -> None:
+    """Print a value on standard output."""
     click.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
 
 

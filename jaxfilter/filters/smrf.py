@@ -4,31 +4,22 @@ from __future__ import annotations
 
 import functools
 import math
-from collections import deque
-from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels
-from ..core.grid import grid_over
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress
-from ..ops.grid import cell_index, inside, padded_shape
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening
+from ..stages.surfaces import hold_against, lowest_cells, steepness
 
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
-MAX_CELLS = 100_000_000  # about 10 GB
-_CHUNK = 2**18  # points that are handed to the device at a time
-_IN_FLIGHT = 8  # chunks that may be computed at once
-
-_Part = tuple[slice, tuple[jax.Array, ...]]
 
 
 def _oracle(slope: float, window: float, threshold: float, scaling: float) -> dict[str, float]:
@@ -132,77 +123,30 @@ class SMRF(Filter):
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         ox, oy = points.offset(self.cell)
         node = (ox - self.cell / 2, oy - self.cell / 2)
-        grid = grid_over(points.xyz, self.cell, node, name="SMRF(cell)", limit=MAX_CELLS)
-        shape = padded_shape(grid.shape)
-        extent = np.asarray(grid.shape, np.int32)
-        frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
-
         progress(0.0, "lowest point per cell")
-        lowest = jnp.asarray(np.full(shape[0] * shape[1], np.inf, np.float32))
-        for _, chunk, count in _chunks(points.xyz):
-            lowest = _lower(lowest, chunk, count, frame, extent, shape[1])
-        lowest, seen, valid = _occupied(lowest, extent, shape)
+        cells = lowest_cells(points.xyz, self.cell, node, name="SMRF(cell)")
+        extent, frame, valid = cells.extent, cells.frame, cells.valid
 
         progress(0.1, "filling empty cells")
-        surface = fill_membrane(lowest, seen, valid).z
+        surface = fill_membrane(cells.lowest, cells.seen, valid).z
         progress(0.3, "openings")
         rises = np.asarray([self.slope * self.cell, LOW_SLOPE * self.cell], np.float32)
-        bare, counts = _bare_cells(surface, seen, valid, rises, self.reach, self.mesh)
+        bare, counts = _bare_cells(surface, cells.seen, valid, rises, self.reach, self.mesh)
         progress(0.6, "filling object cells")
         terrain = fill_membrane(surface, bare, valid).z
-        steepness = _steepness(terrain, extent, frame[2])
+        slopes = steepness(terrain, extent, frame[2])
 
         progress(0.8, "classifying")
-        height, slope, margin = outputs = tuple(np.empty(len(points), np.float32) for _ in range(3))
         tolerance = np.asarray([self.threshold, self.scaling], np.float32)
-        running: deque[_Part] = deque()
-        for rows, chunk, _ in _chunks(points.xyz):
-            running.append((rows, _test(chunk, terrain, steepness, frame, extent, tolerance)))
-            if len(running) == _IN_FLIGHT:
-                _collect(running.popleft(), outputs)
-        for part in running:
-            _collect(part, outputs)
+        height, slope, margin = hold_against(
+            points.xyz, lambda chunk: _test(chunk, terrain, slopes, frame, extent, tolerance)
+        )
         ground = margin <= 0
         decision = np.where(ground, Decision.ACCEPTED, np.where(height < 0, Decision.LOW, Decision.SURFACE))
         names = ("cells", "empty_cells", "low_cells", "object_cells")
         info = {name: int(n) for name, n in zip(names, np.asarray(counts), strict=True)}
         progress(1.0, "done")
         return Labels(ground, height=height, slope=slope, margin=margin, decision=decision.astype(np.uint8), info=info)
-
-
-def _chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.int32]]:
-    """Rows, points f32[size, 3] padded to one of few sizes, and the number of true points among them."""
-    size = min(_CHUNK, bucket(len(xyz)))
-    for start in range(0, len(xyz), size):
-        rows = slice(start, min(start + size, len(xyz)))
-        part = xyz[rows]
-        if len(part) < size:
-            part = np.concatenate([part, np.zeros((size - len(part), 3), np.float32)])
-        yield rows, part, np.int32(rows.stop - rows.start)
-
-
-def _collect(part: _Part, outputs: tuple[np.ndarray, ...]) -> None:
-    """Copy what was computed for some rows into arrays for all points, without the padding."""
-    rows, tested = part
-    for values, out in zip(tested, outputs, strict=True):
-        out[rows] = np.asarray(values)[: rows.stop - rows.start]
-
-
-@functools.partial(jax.jit, static_argnames="columns", donate_argnames="lowest")
-def _lower(
-    lowest: jax.Array, xyz: jax.Array, count: jax.Array, frame: jax.Array, extent: jax.Array, columns: int
-) -> jax.Array:
-    """Cell minima f32[cells] with the first ``count`` points taken into account."""
-    index = cell_index(xyz, frame[:2], frame[2], extent, columns)
-    return lowest.at[index].min(jnp.where(jnp.arange(len(xyz)) < count, xyz[:, 2], jnp.inf))
-
-
-@functools.partial(jax.jit, static_argnames="shape")
-def _occupied(lowest: jax.Array, extent: jax.Array, shape: tuple[int, int]) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Minima [rows, columns] with zeros in empty cells, the cells with points, the cells that exist."""
-    lowest = lowest.reshape(shape)
-    seen = lowest < jnp.inf
-    return jnp.where(seen, lowest, 0), seen, inside(shape, extent)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "mesh"))
@@ -232,22 +176,8 @@ def _bare_cells(
 
 
 @jax.jit
-def _steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
-    """Slope of the terrain, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
-
-    def difference(axis: int) -> jax.Array:
-        here = jax.lax.broadcasted_iota(jnp.int32, z.shape, axis)
-        first, last = here == 0, here == extent[axis] - 1
-        after = jnp.where(last, z, jnp.roll(z, -1, axis))
-        before = jnp.where(first, z, jnp.roll(z, 1, axis))
-        return (after - before) / (cell * jnp.where(first | last, 1, 2))
-
-    return jnp.hypot(difference(0), difference(1))
-
-
-@jax.jit
 def _test(
-    xyz: jax.Array, terrain: jax.Array, steepness: jax.Array, frame: jax.Array, extent: jax.Array, tolerance: jax.Array
+    xyz: jax.Array, terrain: jax.Array, slopes: jax.Array, frame: jax.Array, extent: jax.Array, tolerance: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Height over the terrain (m), its slope (degrees), and |height| - tolerance (m), f32[n] each."""
     last = (extent - 1)[::-1]
@@ -262,5 +192,5 @@ def _test(
         northern = (1 - u) * flat[above * columns + column] + u * flat[above * columns + right]
         return (1 - v) * southern + v * northern
 
-    height, slope = xyz[:, 2] - sample(terrain), sample(steepness)
+    height, slope = xyz[:, 2] - sample(terrain), sample(slopes)
     return height, jnp.rad2deg(jnp.arctan(slope)), jnp.abs(height) - (tolerance[0] + tolerance[1] * slope)

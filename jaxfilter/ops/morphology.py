@@ -1,7 +1,8 @@
-"""Flat grey-scale morphology with squares and exact Euclidean disks of any radius.
+"""Flat grey-scale morphology with squares, diamonds and exact Euclidean disks of any radius.
 
 Minima of runs of 1, 2, 4, ... cells are made by doubling; a run of any length is the union of two overlapping ones, and
-a disk is the union of one such run per row. The radius is traced: one compilation serves all radii up to ``reach``.
+a disk or a diamond is the union of one such run per row. The radius is traced: one compilation serves all radii up to
+``reach``.
 
 Cells beyond the border never take part: they count as +inf in an erosion and as -inf in a dilation, so that nothing is
 drawn towards the border. The results equal those of ``scipy.ndimage`` with that padding bit for bit.
@@ -27,19 +28,22 @@ def _isqrt(n: jax.Array) -> jax.Array:
     return jnp.floor(jnp.sqrt(jnp.maximum(n, 0).astype(jnp.float32))).astype(jnp.int32)
 
 
-def _erode_disk(z: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
+def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> jax.Array:
+    def half_chord(row: jax.Array) -> jax.Array:  # also the last row with a half chord of so many cells, by symmetry
+        return radius - row if diamond else _isqrt(radius * radius - row * row)
+
     spare = 2 ** int(math.log2(2 * reach + 1))
     border = jnp.pad(z, reach, constant_values=jnp.inf)
 
     def rows_of_one_level(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         run, minima, out = state  # minima[i, j]: lowest of cells j .. j + run - 1 of row i
-        first = jnp.where(run > radius, 0, _isqrt(radius * radius - run * run) + 1)
-        last = _isqrt(radius * radius - (run // 2) ** 2)  # rows first..last have chords of run to 2 * run - 1 cells
+        first = jnp.where(run > radius, 0, half_chord(run) + 1)
+        last = half_chord(run // 2)  # rows first..last have chords of run to 2 * run - 1 cells
 
         def rows(step: jax.Array, out: jax.Array) -> jax.Array:
             for k in range(_ROWS_AT_ONCE):
                 row = jnp.minimum(first + step * _ROWS_AT_ONCE + k, last)
-                half = _isqrt(radius * radius - row * row)
+                half = half_chord(row)
                 for i in (reach - row, reach + row):
                     for j in (reach - half, reach + half + 1 - run):
                         out = jnp.minimum(out, lax.dynamic_slice(minima, (i, j), z.shape))
@@ -54,23 +58,32 @@ def _erode_disk(z: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
     return lax.while_loop(lambda state: state[0] <= 2 * radius + 1, rows_of_one_level, start)[2]
 
 
+def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.Array:
+    """Lowest of each cell and the ``length`` - 1 cells that follow it along an axis, as far as there are any.
+
+    Args: z: f32[rows, columns]; length: i32[], 1 <= length <= longest. Returns: f32[rows, columns].
+    """
+    widths = [(0, 0), (0, 0)]
+    widths[axis] = (0, 2 ** int(math.log2(longest)))
+
+    def ahead(array: jax.Array, step: jax.Array) -> jax.Array:
+        wide = jnp.pad(array, widths, constant_values=jnp.inf)
+        return lax.dynamic_slice(wide, (step, 0) if axis == 0 else (0, step), array.shape)
+
+    def double(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        run, minima = state
+        return 2 * run, jnp.minimum(minima, ahead(minima, run))
+
+    run, minima = lax.while_loop(lambda state: 2 * state[0] <= length, double, (jnp.int32(1), z))
+    return jnp.minimum(minima, ahead(minima, length - run))
+
+
 def _erode_run(z: jax.Array, radius: jax.Array, reach: int, axis: int) -> jax.Array:
     """Lowest of the 2 * radius + 1 cells along one axis."""
     widths = [(0, 0), (0, 0)]
     widths[axis] = (reach, reach)
-    border = jnp.pad(z, widths, constant_values=jnp.inf)
-    widths[axis] = (0, 2 ** int(math.log2(2 * reach + 1)))
-
-    def at(array: jax.Array, start: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-        return lax.dynamic_slice(array, (start, 0) if axis == 0 else (0, start), shape)
-
-    def double(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        run, minima = state
-        wide = jnp.pad(minima, widths, constant_values=jnp.inf)
-        return 2 * run, jnp.minimum(minima, at(wide, run, minima.shape))
-
-    run, minima = lax.while_loop(lambda state: 2 * state[0] <= 2 * radius + 1, double, (jnp.int32(1), border))
-    return jnp.minimum(at(minima, reach - radius, z.shape), at(minima, reach + radius + 1 - run, z.shape))
+    minima = run_minima(jnp.pad(z, widths, constant_values=jnp.inf), 2 * radius + 1, 2 * reach + 1, axis)
+    return lax.dynamic_slice(minima, (reach - radius, 0) if axis == 0 else (0, reach - radius), z.shape)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
@@ -82,16 +95,16 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
         radius: i32[], cells, 0 <= radius <= reach (not checked, since traced).
         reach: the largest radius that this compilation serves, below 4096.
         element: "disk" takes the cells within the Euclidean distance ``radius`` (radius 1 is the cross of five cells),
-            "square" those within ``radius`` rows and columns.
+            "square" those within ``radius`` rows and columns, "diamond" those within ``radius`` steps along rows and columns.
 
     Returns: f32[rows, columns]. Raises: ValueError for another element.
     """
     radius = jnp.asarray(radius, jnp.int32)
-    if element == "disk":
-        return _erode_disk(z, radius, reach)
+    if element in ("disk", "diamond"):
+        return _erode_round(z, radius, reach, element == "diamond")
     if element == "square":
         return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
-    raise ValueError(f"element={element!r}: use 'disk' or 'square'")
+    raise ValueError(f"element={element!r}: use 'disk', 'square' or 'diamond'")
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))

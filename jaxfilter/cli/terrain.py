@@ -1,0 +1,134 @@
+"""The ``dtm`` command: from a point cloud to a GeoTIFF of its terrain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .commands import check_reading, main, print_json
+from .session import BadUsage, Session, session_options
+
+
+@main.command()
+@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("target", metavar="OUT", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--cell", type=float, default=1.0, show_default=True, help="Side of a cell, file units.")
+@click.option("--method", default="tin", show_default=True, help="Interpolation: tin, natural, idw or kriging.")
+@click.option(
+    "--filter", "filter_name", metavar="METHOD", help="Find the ground with this filter instead of by class or label."
+)
+@click.option(
+    "--largest-building",
+    type=click.FloatRange(0, min_open=True),
+    metavar="METRES",
+    help="With --filter: set what depends on point spacing and on this width from the cloud.",
+)
+@click.option(
+    "--ground-class",
+    "ground_classes",
+    type=click.IntRange(0, 255),
+    multiple=True,
+    default=(2,),
+    show_default=True,
+    help="Class of the ground points; may be repeated.",
+)
+@click.option("--max-gap", type=float, help="No height farther than this from every ground point, file units.")
+@click.option("--fill", is_flag=True, help="Give cells outside the hull of the ground points a height too.")
+@click.option(
+    "--neighbours", type=int, default=12, show_default=True, help="Of idw and kriging: nearest ground points."
+)
+@click.option("--power", type=float, default=2.0, show_default=True, help="Of idw: power of the distance.")
+@click.option(
+    "--bounds",
+    nargs=4,
+    type=float,
+    metavar="XMIN YMIN XMAX YMAX",
+    help="Of the raster, file units.  [default: the extent of IN]",
+)
+@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
+@click.option("--workers", type=click.IntRange(1), help="Threads.  [default: one per core]")
+@click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
+def dtm(
+    source: Path,
+    target: Path,
+    filter_name: str | None,
+    largest_building: float | None,
+    ground_classes: tuple[int, ...],
+    units: str | None,
+    workers: int | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+    **settings: Any,
+) -> None:
+    """Make a terrain model, a GeoTIFF of ground heights.
+
+    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned
+    to multiples of --cell, in the coordinate system and units of IN.
+    """
+    from ..core.errors import InputError
+    from ..filters import FILTERS
+    from ..host.las import read
+    from ..terrain import check_settings
+    from ..terrain import dtm as make
+
+    with Session(quiet=quiet, debug=debug) as session:
+        check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
+        _check_target(target, overwrite)
+        check_reading(units, "last,only")
+        if filter_name is not None and filter_name not in FILTERS:
+            raise BadUsage(f"no filter {filter_name!r}: choose one of {', '.join(FILTERS)}")
+        with session.step("read"):
+            cloud = read(source, units=units)
+        if filter_name is not None:
+            method = FILTERS[filter_name]
+            filter_ = method() if largest_building is None else method.for_cloud(cloud, largest_building)
+            with session.step("filter"):
+                ground = filter_(cloud, workers=workers, progress=session.progress).ground
+        elif cloud.classification is not None:
+            import numpy as np
+
+            ground = np.isin(cloud.classification, ground_classes)
+            if cloud.withheld is not None:
+                ground &= ~cloud.withheld
+        elif cloud.reference is not None:
+            ground = cloud.reference
+        else:
+            raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
+        if not ground.any():
+            raise InputError(f"{source}: no point is ground; classify it first, or find the ground with --filter")
+        with session.step("interpolate"):
+            raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
+        with session.step("write"):
+            raster.write(target, overwrite=overwrite)
+    rows, columns = raster.values.shape
+    empty = int((raster.values != raster.values).sum())
+    if as_json:
+        facts = {"input": str(source), "output": str(target), "points": len(cloud), "ground": int(ground.sum())}
+        raster_facts = {"rows": rows, "columns": columns, "empty": empty, "transform": raster.transform}
+        print_json(facts | raster_facts | {"bounds": raster.bounds, "nodata": raster.nodata} | session.as_dict())
+    elif not quiet:
+        seconds = ", ".join(f"{name} {value:.2f} s" for name, value in session.seconds.items())
+        click.echo(
+            f"{target}: {rows:,} x {columns:,} cells of {raster.cell:g} through {int(ground.sum()):,} ground points, "
+            f"{empty:,} cells without height\n{settings['method']}: {seconds}"
+        )
+
+
+dtm.params += session_options()
+
+
+def _check_target(target: Path, overwrite: bool) -> None:
+    """Raises BadUsage if writing would destroy something or cannot work."""
+    from ..host import raster
+
+    if target.suffix.lower() not in raster.SUFFIXES:
+        raise BadUsage(f"{target}: the suffix must be one of {', '.join(raster.SUFFIXES)}")
+    if target.exists() and not overwrite:
+        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
+    if not target.absolute().parent.is_dir():
+        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    raster.check_library()

@@ -1,0 +1,172 @@
+"""Heights between scattered ground points: linear in a TIN, inverse distance, natural neighbour and kriging.
+
+Positions are local metres. Ground points are distinct in x and y and in canonical order (``core/points.py``), three or
+more and not on a line. Each interpolator is prepared once and then asked for heights at f64[q, 2], block by block.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import ConvexHull
+
+from ..core.cloud import QUANTUM
+from ..core.points import morton
+from .neighbours import nearest, tree_of
+from .tin import Tin, delaunay
+
+Heights = Callable[[np.ndarray], np.ndarray]
+"""From positions f64[q, 2] to heights f64[q], local metres; NaN where the method gives none."""
+
+_REACHES = tuple(QUANTUM * step for step in (2, 4, 8, 16))  # metres, of the search for a triangle at the hull
+
+METHODS = ("tin", "idw", "natural", "kriging")
+
+
+def interpolator(
+    method: str, xyz: np.ndarray, *, neighbours: int = 12, power: float = 2.0, workers: int | None = None
+) -> Heights:
+    """Prepare one of :data:`METHODS` on ground points f32[m, 3].
+
+    Args:
+        neighbours: of ``"idw"`` and ``"kriging"``: how many of the nearest ground points decide a height.
+        power: of ``"idw"``: weights are distance to the power of -``power``.
+        workers: threads; by default one per core.
+
+    Raises: ImportError, naming the extra, if ``"natural"`` is asked for without startinpy.
+    """
+    if method == "tin":
+        return _linear(xyz, workers)
+    if method == "idw":
+        return _inverse_distance(xyz, neighbours, power, workers)
+    if method == "natural":
+        return _natural_neighbour(xyz)
+    return _kriging(xyz, neighbours)
+
+
+def _linear(xyz: np.ndarray, workers: int | None) -> Heights:
+    """Linear on the triangles of the Delaunay triangulation; NaN outside the convex hull.
+
+    The triangulation is that of positions moved by less than half a quantum (``host/tin.py``), so that it is unique on
+    lattices too; heights follow from these positions. Where the hull runs through points on one line, these moves leave
+    triangles flatter than two quanta along it, or leave positions on the line outside: they belong to the next triangle
+    toward the middle.
+    """
+    threads = workers or os.cpu_count() or 1
+    code = morton(xyz)
+    with ThreadPoolExecutor(threads) as pool:
+        tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, threads)
+    near = tin.triangle_of_vertices()
+    flat = _flat(tin)
+    inside, middle = inside_hull(xyz), tin.xy.mean(axis=0)
+
+    def locate(at: np.ndarray) -> np.ndarray:
+        start = np.searchsorted(code, morton(np.maximum(at, 0.0)))
+        return tin.walk(at, near[np.minimum(start, len(xyz) - 1)], np.zeros(len(at), np.int32))
+
+    def heights(at: np.ndarray) -> np.ndarray:
+        with ThreadPoolExecutor(threads) as pool:
+            tri = np.concatenate(list(pool.map(locate, np.array_split(at, 4 * threads))))
+        doubtful = np.flatnonzero((tri < 0) | flat[tri])
+        within = inside(at[doubtful])
+        tri[doubtful[~within]] = -1
+        doubtful = doubtful[within]
+        for reach in _REACHES:
+            inward = middle - at[doubtful]
+            length = np.maximum(np.hypot(*inward.T), reach)
+            found = locate(at[doubtful] + inward * (reach / length)[:, None])
+            good = (found >= 0) & ~flat[found]
+            tri[doubtful[good]] = found[good]
+            doubtful = doubtful[~good]
+        corner = tin.xy[tin.triangles[tri]]
+        (x1, y1), (x2, y2), (x, y) = (
+            d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], at - corner[:, 0])
+        )
+        area = x1 * y2 - x2 * y1
+        second, third = (x * y2 - x2 * y) / area, (x1 * y - x * y1) / area
+        z = xyz[tin.triangles[tri], 2].astype(np.float64)
+        out = z[:, 0] + second * (z[:, 1] - z[:, 0]) + third * (z[:, 2] - z[:, 0])
+        out[tri < 0] = np.nan
+        return np.clip(out, z.min(axis=1), z.max(axis=1))
+
+    return heights
+
+
+def _flat(tin: Tin) -> np.ndarray:
+    """bool[t]: triangles lower than two quanta over their longest side."""
+    one, two, three = (tin.xy[tin.triangles[:, corner]] for corner in range(3))
+    u, v = two - one, three - two
+    longest = np.max([np.hypot(*side.T) for side in (u, v, one - three)], axis=0)
+    return np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) < 2 * QUANTUM * longest
+
+
+def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:
+    """Mean of the nearest ground points, weighted by a power of their distance (Shepard 1968); defined everywhere."""
+    tree, z = tree_of(xyz[:, :2]), xyz[:, 2].astype(np.float64)
+    count = min(neighbours, len(z))
+
+    def heights(at: np.ndarray) -> np.ndarray:
+        distance, index = nearest(tree, at, count, np.inf, workers)
+        closest = np.maximum(distance[:, :1], QUANTUM / 1024)
+        weight = (np.maximum(distance, closest) / closest) ** -power  # the nearest has weight 1: no overflow
+        return (weight * z[index]).sum(axis=1) / weight.sum(axis=1)
+
+    return heights
+
+
+def _natural_neighbour(xyz: np.ndarray) -> Heights:
+    """Natural neighbour interpolation (Sibson 1981) by startinpy; NaN outside the convex hull.
+
+    Where the library finds no bounded Voronoi cell, at the very edge of the hull, the height is linear in the triangle.
+    """
+    try:
+        import startinpy
+    except ImportError as error:
+        raise ImportError("method='natural' needs startinpy: pip install 'jaxfilter[dtm]'") from error
+    mesh = startinpy.DT()
+    mesh.snap_tolerance = QUANTUM / 8  # its own default would merge points that are one quantum apart
+    mesh.insert(xyz.astype(np.float64))
+
+    def heights(at: np.ndarray) -> np.ndarray:
+        out = mesh.interpolate({"method": "NNI"}, at)
+        rest = np.isnan(out)
+        if rest.any():
+            out[rest] = mesh.interpolate({"method": "TIN"}, at[rest])
+        return out
+
+    return heights
+
+
+def _kriging(xyz: np.ndarray, neighbours: int) -> Heights:
+    """Ordinary kriging in a moving neighbourhood, linear variogram without nugget; defined everywhere.
+
+    The kernel -|h| with an unknown constant is that kriging system, whose solution does not depend on the slope of the
+    variogram: there is nothing to fit.
+    """
+    return RBFInterpolator(
+        xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64),
+        neighbors=min(neighbours, len(xyz)), kernel="linear", degree=0,
+    )  # fmt: skip
+
+
+def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """A function from positions f64[q, 2] to bool[q]: within the convex hull of the points [m, >=2]."""
+    xy = xyz[:, :2].astype(np.float64)
+    corners = xy[ConvexHull(xy - xy.mean(axis=0)).vertices]
+    mesh, middle = delaunay(corners), corners.mean(axis=0)
+    return lambda at: mesh.find_simplex(at - middle, tol=1e-9) >= 0
+
+
+def nearest_point(xyz: np.ndarray, workers: int | None = None) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """A function from positions f64[q, 2] to the distance f64[q] and the index i64[q] of the nearest point."""
+    tree = tree_of(xyz[:, :2])
+
+    def ask(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        distance, index = nearest(tree, at, 1, np.inf, workers)
+        return distance[:, 0], index[:, 0]
+
+    return ask

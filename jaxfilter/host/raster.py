@@ -1,0 +1,112 @@
+"""Rasters with a place on the map, and GeoTIFF files of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InputError, OutputError
+from .files import new_file
+
+SUFFIXES = (".tif", ".tiff")
+NODATA = -9999.0
+_BLOCK = 256
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Raster:
+    """Heights on square cells, north up, in the units of the coordinate system of the cloud they were made from.
+
+    Attributes:
+        values: f32[rows, columns]; row 0 is the northern edge; NaN where there is no height.
+        transform: (a, b, c, d, e, f) with x = a * column + b * row + c and y = d * column + e * row + f at the upper left
+            corner of a cell: the first six numbers of ``affine.Affine``, as rasterio has them. Centres lie half a cell on.
+        crs: pyproj.CRS or None.
+        nodata: what stands for NaN in files.
+    """
+
+    values: np.ndarray
+    transform: tuple[float, float, float, float, float, float]
+    crs: Any = None
+    nodata: float = NODATA
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell."""
+        return self.transform[0]
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """(xmin, ymin, xmax, ymax): the outer edges of the outer cells."""
+        a, _, c, _, e, f = self.transform
+        rows, columns = self.values.shape
+        return c, f + e * rows, c + a * columns, f
+
+    def centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """x f64[columns], ascending, and y f64[rows], descending, of the centres of the cells."""
+        a, _, c, _, e, f = self.transform
+        rows, columns = self.values.shape
+        return c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a GeoTIFF: float32, tiled, deflated, cells are areas, with transform, CRS and nodata.
+
+        The file appears whole or not at all.
+
+        Returns: the path.
+        Raises: OutputError (suffix, exists and not ``overwrite``, disk); ImportError if rasterio is missing.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in SUFFIXES:
+            raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
+        rasterio = _rasterio()
+        crs = None if self.crs is None else rasterio.crs.CRS.from_wkt(self.crs.to_wkt())
+        profile = {
+            "driver": "GTiff", "dtype": "float32", "count": 1, "height": self.values.shape[0],
+            "width": self.values.shape[1], "crs": crs, "transform": rasterio.Affine(*self.transform),
+            "nodata": self.nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK,
+            "compress": "deflate", "predictor": 3, "bigtiff": "if_safer",
+        }  # fmt: skip
+        with new_file(path, overwrite=overwrite) as temporary, rasterio.open(temporary, "w", **profile) as file:
+            file.write(np.where(np.isnan(self.values), np.float32(self.nodata), self.values), 1)
+        return path
+
+    @classmethod
+    def read(cls, path: str | Path) -> Raster:
+        """The first band of a north-up raster file with square cells, for example what :meth:`write` wrote.
+
+        Raises: InputError if it cannot be read or has another layout; ImportError if rasterio is missing.
+        """
+        import pyproj
+
+        rasterio = _rasterio()
+        try:
+            with rasterio.open(path) as file:
+                values = file.read(1, masked=True).astype(np.float32).filled(np.nan)
+                transform, nodata = tuple(file.transform)[:6], file.nodata
+                crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
+        except rasterio.errors.RasterioError as error:
+            raise InputError(f"{path}: cannot be read as a raster: {error}") from error
+        if transform[1] or transform[3] or transform[0] <= 0 or transform[0] != -transform[4]:
+            raise InputError(
+                f"{path}: only north-up rasters with square cells are understood, not transform {transform}"
+            )
+        return cls(values, transform, crs, NODATA if nodata is None else nodata)
+
+
+def check_library() -> None:
+    """Raises ImportError, naming the extra, if GeoTIFF files cannot be written."""
+    _rasterio()
+
+
+def _rasterio() -> Any:
+    try:
+        import rasterio
+        import rasterio.crs
+        import rasterio.errors
+    except ImportError as error:
+        raise ImportError("GeoTIFF files need rasterio: pip install 'jaxfilter[dtm]'") from error
+    return rasterio

@@ -1,0 +1,104 @@
+"""Erosion of a grid with a cone: how high each cell may lie if the surface rises no faster than a slope.
+
+A flat structuring element takes the lowest value around a cell; a cone adds an allowance that grows with distance
+(Vosselman 2000). Offsets are taken one after the other; their number is traced, up to a static reach.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from .grid import cell_index
+
+_AT_ONCE = 4  # offsets per step of the loop
+
+
+@functools.cache
+def disk_offsets(reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets i32[n, 2] (rows, columns) within ``reach`` cells, nearest first, and their lengths f32[n] in cells.
+
+    Their number is filled up to a multiple of four with the offset (0, 0) at an infinite length.
+    """
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    square = row * row + column * column
+    order = np.argsort(square, kind="stable")
+    order = order[: np.count_nonzero(square <= reach * reach)]
+    spare = -len(order) % _AT_ONCE
+    offsets = np.pad(np.stack((row, column), axis=1)[order], ((0, spare), (0, 0)))
+    lengths = np.pad(np.sqrt(square[order]), (0, spare), constant_values=np.inf)
+    return offsets.astype(np.int32), lengths.astype(np.float32)
+
+
+@functools.partial(jax.jit, static_argnames="reach")
+def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
+    """The lowest of ``z`` + ``slope`` x distance over the cells around every cell.
+
+    Args:
+        z: f32[rows, columns], metres; +inf in cells that set no limit. Cells beyond the border set none.
+        slope: f32[], metres per cell of distance between centres.
+        radius: f32[], cells; further cells set no limit, nor do any beyond ``reach``.
+        reach: the largest radius that this compilation serves.
+
+    Returns: f32[rows, columns].
+    """
+    offsets, lengths = disk_offsets(reach)
+    shifts, distances = jnp.asarray(offsets), jnp.asarray(lengths)
+    border = jnp.pad(z, reach, constant_values=jnp.inf)
+    taken = jnp.sum(distances <= radius, dtype=jnp.int32)
+
+    def step(i: jax.Array, out: jax.Array) -> jax.Array:
+        for k in range(_AT_ONCE):
+            row, column = shifts[_AT_ONCE * i + k]
+            distance = distances[_AT_ONCE * i + k]
+            allowance = jnp.where(distance <= radius, slope * distance, jnp.inf)
+            there = lax.dynamic_slice(border, (reach + row, reach + column), z.shape)
+            out = jnp.minimum(out, there + allowance)
+        return out
+
+    return lax.fori_loop(0, (taken + _AT_ONCE - 1) // _AT_ONCE, step, z)
+
+
+@functools.partial(jax.jit, static_argnames="reach")
+def cone_limits(
+    xy: jax.Array,
+    lowest: jax.Array,
+    place: jax.Array,
+    frame: jax.Array,
+    extent: jax.Array,
+    limits: jax.Array,
+    reach: int,
+) -> jax.Array:
+    """How high points may lie over the lowest points of the cells around, by true distances between points.
+
+    Args:
+        xy: f32[n, >=2], local metres.
+        lowest: f32[rows, columns], metres; +inf in empty cells.
+        place: f32[rows, columns, 2], x and y of the points that are lowest, local metres.
+        frame: f32[3], x and y of the lower left corner and side of a cell, metres.
+        extent: i32[2], true number of rows and columns.
+        limits: f32[4], allowance at no distance (m), slope (rise over run), largest allowance (m), largest distance (m).
+        reach: radius in cells that is searched; at least the largest distance and a cell's diagonal.
+
+    Returns: f32[n], metres; +inf where no cell sets a limit.
+    """
+    base, slope, largest, radius = limits
+    offsets, lengths = disk_offsets(reach)
+    shifts, real = jnp.asarray(offsets), jnp.asarray(np.isfinite(lengths))
+    at = cell_index(xy, frame[:2], frame[2], extent, lowest.shape[1])
+    row, column = at // lowest.shape[1], at % lowest.shape[1]
+    low, where = lowest.reshape(-1), place.reshape(-1, 2)
+
+    def step(i: jax.Array, out: jax.Array) -> jax.Array:
+        r, c = row + shifts[i, 0], column + shifts[i, 1]
+        there = (r >= 0) & (r < extent[0]) & (c >= 0) & (c < extent[1]) & real[i]
+        cell = jnp.where(there, r * lowest.shape[1] + c, 0)
+        distance = jnp.hypot(*(xy[:, :2] - where[cell]).T)
+        limit = low[cell] + jnp.minimum(largest, base + slope * distance)
+        return jnp.where(there & (distance <= radius), jnp.minimum(out, limit), out)
+
+    return lax.fori_loop(0, len(offsets), step, jnp.full(len(xy), jnp.inf))

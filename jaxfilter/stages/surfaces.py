@@ -1,0 +1,179 @@
+"""Gridded surfaces: lowest elevation per cell, and all points of a cloud held against a surface, part by part."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections import deque
+from collections.abc import Callable, Iterator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.compilation import bucket
+from ..core.filter import Labels
+from ..core.grid import grid_over
+from ..core.result import Decision
+from ..ops.grid import cell_index, inside, padded_shape
+
+MAX_CELLS = 100_000_000  # about 10 GB
+_CHUNK = 2**18  # points that are handed to the device at a time
+_IN_FLIGHT = 8  # chunks that may be computed at once
+
+_Part = tuple[slice, tuple[jax.Array, ...]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LowestCells:
+    """The lowest elevation in each cell of a grid, in arrays of a padded shape [rows, columns].
+
+    Attributes:
+        lowest: f32, metres; zero in empty cells.
+        seen: bool, cells with points.
+        valid: bool, cells of the true extent.
+        extent: i32[2], true number of rows and columns.
+        frame: f32[3], x and y of the lower left corner and side of a cell, metres.
+    """
+
+    lowest: jax.Array
+    seen: jax.Array
+    valid: jax.Array
+    extent: np.ndarray
+    frame: np.ndarray
+
+
+def lowest_cells(
+    xyz: np.ndarray, cell: float, offset: tuple[float, float], *, name: str, barred: np.ndarray | None = None
+) -> LowestCells:
+    """The lowest of the points f32[n, 3] in each square of ``cell`` metres, those that are ``barred`` (bool[n]) left out.
+
+    ``offset`` is a corner of the lattice, local metres; ``name`` is what an error calls the cell.
+    Raises: InputError if there would be too many cells.
+    """
+    grid = grid_over(xyz, cell, offset, name=name, limit=MAX_CELLS)
+    shape = padded_shape(grid.shape)
+    extent = np.asarray(grid.shape, np.int32)
+    frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
+    if barred is not None and barred.any():
+        xyz = np.where(barred[:, None] & [False, False, True], np.float32(np.inf), xyz)
+    lowest = jnp.asarray(np.full(shape[0] * shape[1], np.inf, np.float32))
+    for _, chunk, count in _chunks(xyz):
+        lowest = _lower(lowest, chunk, count, frame, extent, shape[1])
+    z, seen, valid = _occupied(lowest, extent, shape)
+    return LowestCells(z, seen, valid, extent, frame)
+
+
+def lowest_places(xyz: np.ndarray, cells: LowestCells, barred: np.ndarray) -> np.ndarray:
+    """f32[rows, columns, 2]: x and y of the lowest point in each cell, zero in empty ones.
+
+    ``xyz``: f32[n, 3], ``barred``: bool[n], as for :func:`lowest_cells`. Of equally low points the westernmost is taken, and
+    the southernmost of these.
+    """
+    shape = cells.lowest.shape
+    (low,) = look_up(xyz, cells, cells.lowest)
+    rows = np.flatnonzero(~barred & (xyz[:, 2] == low))
+    at = np.asarray(cell_index(xyz[rows], cells.frame[:2], cells.frame[2], cells.extent, shape[1]))
+    order = np.lexsort((xyz[rows, 1], xyz[rows, 0], at))[::-1]
+    place = np.zeros((shape[0] * shape[1], 2), np.float32)
+    place[at[order]] = xyz[rows[order], :2]  # of repeated cells the last one written stays
+    return place.reshape(*shape, 2)
+
+
+def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, ...]]) -> list[np.ndarray]:
+    """``test`` of all points f32[n, 3], a chunk at a time: arrays f32[n], as many as it returns.
+
+    ``test`` is given points f32[m, 3], padded to one of few sizes, and returns arrays f32[m].
+    """
+    outputs: list[np.ndarray] = []
+    running: deque[_Part] = deque()
+
+    def collect(part: _Part) -> None:
+        rows, tested = part
+        if not outputs:
+            outputs.extend(np.empty(len(xyz), np.float32) for _ in tested)
+        for values, out in zip(tested, outputs, strict=True):
+            out[rows] = np.asarray(values)[: rows.stop - rows.start]
+
+    for rows, chunk, _ in _chunks(xyz):
+        running.append((rows, test(chunk)))
+        if len(running) == _IN_FLIGHT:
+            collect(running.popleft())
+    for part in running:
+        collect(part)
+    return outputs
+
+
+def look_up(xyz: np.ndarray, cells: LowestCells, *surfaces: jax.Array) -> list[np.ndarray]:
+    """f32[n] each: the value of every surface, f32[rows, columns], in the cells of points f32[n, 3]."""
+    return hold_against(xyz, lambda chunk: _cell_values(chunk, surfaces, cells.frame, cells.extent))
+
+
+def labels_between(
+    z: np.ndarray, surface: np.ndarray, slope: np.ndarray, ceiling: np.ndarray, floor: np.ndarray
+) -> Labels:
+    """Labels of points at ``z`` with ground from ``floor`` to ``ceiling``; all f32[n], metres, but ``slope``, rise over run.
+
+    ``height`` is counted from ``surface``; ``margin`` is how far the point lies outside the limits, negative inside.
+    """
+    above, below = z - ceiling, floor - z
+    margin = np.maximum(above, below)
+    decision = np.where(above > 0, Decision.SURFACE, np.where(below > 0, Decision.LOW, Decision.ACCEPTED))
+    return Labels(
+        margin <= 0,
+        height=z - surface,
+        slope=np.degrees(np.arctan(slope)),
+        margin=margin,
+        decision=decision.astype(np.uint8),
+    )
+
+
+@jax.jit
+def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
+    """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
+
+    def difference(axis: int) -> jax.Array:
+        here = jax.lax.broadcasted_iota(jnp.int32, z.shape, axis)
+        first, last = here == 0, here == extent[axis] - 1
+        after = jnp.where(last, z, jnp.roll(z, -1, axis))
+        before = jnp.where(first, z, jnp.roll(z, 1, axis))
+        return (after - before) / (cell * jnp.where(first | last, 1, 2))
+
+    return jnp.hypot(difference(0), difference(1))
+
+
+def _chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.int32]]:
+    """Rows, points f32[size, 3] padded to one of few sizes, and the number of true points among them."""
+    size = min(_CHUNK, bucket(len(xyz)))
+    for start in range(0, len(xyz), size):
+        rows = slice(start, min(start + size, len(xyz)))
+        part = xyz[rows]
+        if len(part) < size:
+            part = np.concatenate([part, np.zeros((size - len(part), 3), np.float32)])
+        yield rows, part, np.int32(rows.stop - rows.start)
+
+
+@functools.partial(jax.jit, static_argnames="columns", donate_argnames="lowest")
+def _lower(
+    lowest: jax.Array, xyz: jax.Array, count: jax.Array, frame: jax.Array, extent: jax.Array, columns: int
+) -> jax.Array:
+    """Cell minima f32[cells] with the first ``count`` points taken into account."""
+    index = cell_index(xyz, frame[:2], frame[2], extent, columns)
+    return lowest.at[index].min(jnp.where(jnp.arange(len(xyz)) < count, xyz[:, 2], jnp.inf))
+
+
+@functools.partial(jax.jit, static_argnames="shape")
+def _occupied(lowest: jax.Array, extent: jax.Array, shape: tuple[int, int]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Minima [rows, columns] with zeros in empty cells, the cells with points, the cells that exist."""
+    lowest = lowest.reshape(shape)
+    seen = lowest < jnp.inf
+    return jnp.where(seen, lowest, 0), seen, inside(shape, extent)
+
+
+@jax.jit
+def _cell_values(
+    xyz: jax.Array, surfaces: tuple[jax.Array, ...], frame: jax.Array, extent: jax.Array
+) -> tuple[jax.Array, ...]:
+    """f32[n] for every surface."""
+    at = cell_index(xyz, frame[:2], frame[2], extent, surfaces[0].shape[1])
+    return tuple(surface.reshape(-1)[at] for surface in surfaces)

@@ -1,0 +1,418 @@
+"""Terrain models against SciPy, PyKrige, closed forms and brute force; where their cells lie; their files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pyproj
+import pytest
+from click.testing import CliRunner
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay
+from scipy.spatial.distance import cdist
+
+import jaxfilter as jf
+from jaxfilter import terrain
+from jaxfilter.cli import main
+from jaxfilter.core.cloud import QUANTUM
+
+ORIGIN = np.array([447_312.4, 5_301_208.7, 0.0])
+NATURAL = pytest.param(
+    "natural", marks=pytest.mark.skipif(find_spec("startinpy") is None, reason="startinpy is not installed")
+)
+EVERY = pytest.mark.parametrize("method", ["tin", "idw", "kriging", NATURAL])
+LINEAR = pytest.mark.parametrize("method", ["tin", NATURAL])
+
+
+@pytest.fixture
+def rasterio():
+    return pytest.importorskip("rasterio")
+
+
+def plane(x, y):
+    return 312.0 + 0.31 * (x - ORIGIN[0]) - 0.22 * (y - ORIGIN[1])
+
+
+def hills(x, y):
+    return 300.0 + 4.0 * np.sin((x - ORIGIN[0]) / 17.0) + 3.0 * np.cos((y - ORIGIN[1]) / 11.0)
+
+
+def scattered(rng, height=hills, n=1500, size=40.0, **attributes):
+    """A cloud of ground points in random places, in centimetres."""
+    xy = np.rint((ORIGIN[:2] + rng.random((n, 2)) * size) * 100) / 100
+    return jf.PointCloud.from_arrays(np.column_stack([xy, height(*xy.T)]), **attributes)
+
+
+def ground_of(cloud):
+    return np.ones(len(cloud), bool)
+
+
+def model(cloud, **settings):
+    return jf.dtm(cloud, ground_of(cloud), **settings)
+
+
+def at_centres(raster):
+    return np.stack(np.meshgrid(*raster.centres()), axis=-1)
+
+
+@EVERY
+def test_cells_are_aligned_to_multiples_and_cover_the_cloud(rng, method):
+    raster = model(scattered(rng), cell=2.5, method=method)
+    left, bottom, right, top = raster.bounds
+    assert (left, bottom) == (447_312.5 - 2.5, 5_301_207.5)
+    assert right - 2.5 < ORIGIN[0] + 40 <= right and top - 2.5 < ORIGIN[1] + 40 <= top
+    assert raster.values.dtype == np.float32 and raster.values.shape == ((top - bottom) / 2.5, (right - left) / 2.5)
+    a, b, c, d, e, f = raster.transform
+    x, y = raster.centres()
+    assert (x[3], y[5]) == (a * 3.5 + b * 5.5 + c, d * 3.5 + e * 5.5 + f) == (left + 3.5 * 2.5, top - 5.5 * 2.5)
+    middle = len(y) // 2, len(x) // 2
+    assert raster.values[middle] == pytest.approx(hills(x[middle[1]], y[middle[0]]), abs=0.6)
+
+
+@LINEAR
+def test_linear_methods_are_exact_on_planes(rng, method):
+    raster = model(scattered(rng, plane), method=method)
+    inside = np.isfinite(raster.values)
+    assert inside.mean() > 0.9
+    # Coordinates are known to a quantum, and the triangulation moves positions by less than half of one.
+    np.testing.assert_allclose(raster.values[inside], plane(*at_centres(raster)[inside].T), rtol=0, atol=1.2 * QUANTUM)
+
+
+@LINEAR
+def test_a_level_is_exact_however_the_points_lie(method):
+    lattice = np.stack(np.meshgrid(np.arange(0.0, 30.0, 0.5), np.arange(0.0, 20.0, 0.5)), axis=-1).reshape(-1, 2)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([lattice, np.full(len(lattice), 7.25)]))
+    raster = model(cloud, cell=0.5, method=method)
+    np.testing.assert_array_equal(raster.values, np.full((39, 59), np.float32(7.25)))
+
+
+def test_tin_is_the_linear_interpolator_of_scipy(rng):
+    cloud = scattered(rng, n=400, size=20.0)
+    raster = model(cloud, cell=0.5)
+    local = cloud.xyz.astype(np.float64)
+    where = at_centres(raster) - cloud.origin[:2]
+    expected = LinearNDInterpolator(Delaunay(local[:, :2]), local[:, 2])(where) + cloud.origin[2]
+    both = np.isfinite(raster.values) & np.isfinite(expected)
+    assert (np.isfinite(raster.values) != np.isfinite(expected)).sum() <= 2  # within millimetres of the hull
+    difference = np.abs(raster.values - expected)[both]
+    assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
+
+
+def test_tin_of_a_quadratic_errs_within_the_bound_of_linear_interpolation(rng):
+    """On z = k (x^2 + y^2), a facet lies above the surface by at most k times its squared circumradius."""
+    k, cloud = 0.02, scattered(rng, lambda x, y: 0.02 * ((x - ORIGIN[0]) ** 2 + (y - ORIGIN[1]) ** 2), n=6000)
+    raster = model(cloud)
+    centres = at_centres(raster)[5:-5, 5:-5]
+    error = raster.values[5:-5, 5:-5] - k * ((centres - ORIGIN[:2]) ** 2).sum(axis=-1)
+    largest_empty = cdist(centres.reshape(-1, 2), cloud.coordinates()[:, :2]).min(axis=1).max() + 1.5
+    assert error.min() > -0.01 and 0 < error.max() < k * largest_empty**2
+
+
+@pytest.mark.parametrize("neighbours, power", [(1, 2.0), (12, 2.0), (5, 3.5)])
+def test_idw_is_the_weighted_mean_by_brute_force(rng, neighbours, power):
+    cloud = scattered(rng, n=400)
+    raster = model(cloud, cell=3.0, method="idw", neighbours=neighbours, power=power, fill=True)
+    distance = cdist(at_centres(raster).reshape(-1, 2) - cloud.origin[:2], cloud.xyz[:, :2])
+    index = np.argsort(distance, axis=1)[:, :neighbours]
+    weight = np.take_along_axis(distance, index, axis=1) ** -power
+    expected = (weight * cloud.xyz[index, 2]).sum(axis=1) / weight.sum(axis=1) + cloud.origin[2]
+    np.testing.assert_allclose(raster.values.ravel(), expected, rtol=0, atol=2e-4)
+
+
+def test_natural_neighbour_is_smoother_than_the_tin(rng):
+    """Sibson's interpolant has no creases: on a smooth surface it errs less."""
+    pytest.importorskip("startinpy")
+    cloud = scattered(rng, n=800)
+    errors = {}
+    for method in ("tin", "natural"):
+        raster = model(cloud, method=method)
+        errors[method] = np.nanmean((raster.values - hills(*np.moveaxis(at_centres(raster), -1, 0)))[4:-4, 4:-4] ** 2)
+    assert errors["natural"] < errors["tin"]
+
+
+def test_kriging_is_that_of_pykrige(rng):
+    ok = pytest.importorskip("pykrige.ok")
+    cloud = scattered(rng, n=300)
+    raster = model(cloud, cell=2.0, method="kriging", neighbours=10, fill=True)
+    local = cloud.xyz.astype(np.float64)
+    peer = ok.OrdinaryKriging(*local.T, variogram_model="linear", variogram_parameters={"slope": 0.7, "nugget": 0.0})
+    where = (at_centres(raster) - cloud.origin[:2]).reshape(-1, 2)
+    expected, _ = peer.execute("points", *where.T, backend="loop", n_closest_points=10)
+    np.testing.assert_allclose(raster.values.ravel(), expected + cloud.origin[2], rtol=0, atol=2e-4)
+
+
+@EVERY
+def test_models_go_through_points_at_centres(rng, method):
+    centres = np.stack(np.meshgrid(np.arange(0.5, 12.0), np.arange(0.5, 9.0)), axis=-1).reshape(-1, 2)
+    z = np.rint(rng.random(len(centres)) * 1000) / 1000
+    raster = model(jf.PointCloud.from_arrays(np.column_stack([centres, z])), method=method)
+    np.testing.assert_allclose(raster.values, z.reshape(9, 12)[::-1], rtol=0, atol=2.5 * QUANTUM)
+
+
+@EVERY
+def test_no_height_outside_the_hull_unless_filled(rng, method):
+    cloud = scattered(rng, n=2000)
+    xy = cloud.coordinates()[:, :2]
+    ground = np.hypot(*(xy - ORIGIN[:2] - 20.0).T) < 12.0
+    raster = jf.dtm(cloud, ground, method=method)
+    assert raster.bounds == model(cloud).bounds  # the extent is that of the cloud, not of its ground
+    radius = np.hypot(*np.moveaxis(at_centres(raster) - ORIGIN[:2] - 20.0, -1, 0))
+    assert np.isfinite(raster.values[radius < 11.0]).all() and np.isnan(raster.values[radius > 12.0]).all()
+    filled = jf.dtm(cloud, ground, method=method, fill=True)
+    assert np.isfinite(filled.values).all()
+    inside = np.isfinite(raster.values)
+    np.testing.assert_array_equal(filled.values[inside], raster.values[inside])
+    low, high = cloud.coordinates()[ground, 2].min(), cloud.coordinates()[ground, 2].max()
+    if method in ("tin", "natural"):
+        assert low - 1e-3 <= filled.values.min() and filled.values.max() <= high + 1e-3
+    near = jf.dtm(cloud, ground, method=method, fill=True, max_gap=3.0)
+    distance = cdist(at_centres(raster).reshape(-1, 2), xy[ground]).min(axis=1).reshape(raster.values.shape)
+    np.testing.assert_array_equal(np.isnan(near.values), distance > 3.0)
+
+
+@EVERY
+def test_order_shift_and_threads_change_nothing(rng, method):
+    cloud = scattered(rng, n=700)
+    xyz = np.rint(cloud.coordinates() * 100) / 100
+    expected = model(jf.PointCloud.from_arrays(xyz), cell=0.8, method=method)
+    order = rng.permutation(len(xyz))
+    np.testing.assert_array_equal(
+        model(jf.PointCloud.from_arrays(xyz[order]), cell=0.8, method=method, workers=1).values, expected.values
+    )
+    moved = model(jf.PointCloud.from_arrays(xyz + [-440_000.0, 80_000.0, 0.0]), cell=0.8, method=method)
+    np.testing.assert_array_equal(moved.values, expected.values)
+    assert moved.bounds == pytest.approx(np.add(expected.bounds, [-440_000.0, 80_000.0] * 2), abs=1e-6)
+    anchored = model(jf.PointCloud.from_arrays(xyz, anchor=(0.13, 0.4)), cell=0.8, method=method)
+    assert anchored.bounds == expected.bounds
+
+
+def test_the_lowest_of_points_in_one_place_counts(rng):
+    cloud = scattered(rng, plane, n=300)
+    xyz = cloud.coordinates()
+    canopy = xyz + [0.0, 0.0, 8.0]
+    twice = jf.PointCloud.from_arrays(np.concatenate([canopy, xyz]))
+    np.testing.assert_allclose(model(twice).values, model(cloud).values, rtol=0, atol=2 * QUANTUM)
+
+
+def test_feet_stay_feet(rng):
+    """A cloud in feet gives the cells and the heights of the same numbers in metres."""
+    metres = scattered(rng)
+    xyz = metres.coordinates()
+    feet = model(jf.PointCloud.from_arrays(xyz, units="us-ft"), cell=2.0, max_gap=1.5)
+    raster = model(metres, cell=2.0, max_gap=1.5)
+    assert feet.transform == raster.transform
+    both = np.isfinite(feet.values) & np.isfinite(raster.values)
+    assert (np.isfinite(feet.values) != np.isfinite(raster.values)).mean() < 0.01
+    np.testing.assert_allclose(feet.values[both], raster.values[both], rtol=0, atol=0.02)
+    mixed = model(jf.PointCloud.from_arrays(xyz, units="m,ft"), cell=2.0)
+    np.testing.assert_allclose(mixed.values, model(metres, cell=2.0).values, rtol=0, atol=0.01)
+
+
+def test_bounds_choose_the_raster_and_tiles_fit_together(rng):
+    cloud = scattered(rng, size=60.0)
+    whole = model(cloud)
+    left, bottom, _, top = whole.bounds
+    west = model(cloud, bounds=(left, bottom, left + 20.0, top))
+    east = model(cloud, bounds=(left + 20.0, bottom, left + 50.5, top))
+    assert east.bounds == (left + 20.0, bottom, left + 51.0, top)
+    np.testing.assert_array_equal(np.hstack([west.values, east.values]), whole.values[:, :51])
+
+
+def test_ground_is_given_or_the_reference(rng):
+    cloud = scattered(rng, n=400)
+    truth = rng.random(len(cloud)) < 0.7
+    truth[:3] = True
+    known = dataclasses.replace(cloud, reference=truth)
+    expected = jf.dtm(cloud, truth).values
+    np.testing.assert_array_equal(jf.dtm(known).values, expected)
+    nothing = np.zeros(len(cloud), np.float32)
+    result = jf.FilterResult(truth, *[nothing] * 5, nothing.astype(np.uint8), ~truth, jf.Status.CONVERGED, {}, [])
+    np.testing.assert_array_equal(jf.dtm(cloud, result).values, expected)
+    withheld = dataclasses.replace(known, withheld=~(np.arange(len(cloud)) % 2 == 0))
+    np.testing.assert_array_equal(jf.dtm(withheld).values, jf.dtm(cloud, truth & ~withheld.withheld).values)
+
+
+@pytest.mark.parametrize(
+    "settings, error, words",
+    [
+        ({"method": "spline"}, jf.ParameterError, "spline.*kriging"),
+        ({"cell": 0.0}, jf.ParameterError, "cell=0.0"),
+        ({"cell": float("nan")}, jf.ParameterError, "cell=nan"),
+        ({"max_gap": -1.0}, jf.ParameterError, "max_gap=-1"),
+        ({"power": 0.0}, jf.ParameterError, "power"),
+        ({"neighbours": 0}, jf.ParameterError, "neighbours=0"),
+        ({"cell": 1e-4}, jf.InputError, "cell=0.0001 over an extent of .* needs 15[0-9],[0-9,]* cells"),
+        ({"bounds": (5.0, 0.0, 1.0, 1.0)}, jf.InputError, "bounds"),
+        ({"result": np.zeros(1500, bool)}, jf.InputError, "no ground point"),
+        ({"result": np.arange(1500) < 2}, jf.InputError, "2 distinct ground points"),
+        ({"result": np.ones(7, bool)}, jf.InputError, r"bool\[1500\]"),
+        ({"result": np.ones(1500)}, jf.InputError, "float64"),
+        ({"result": None}, jf.InputError, "no reference"),
+    ],
+)
+def test_what_cannot_be_is_said(rng, settings, error, words):
+    cloud = scattered(rng)
+    with pytest.raises(error, match=words):
+        jf.dtm(cloud, **({"result": ground_of(cloud)} | settings))
+
+
+def test_points_on_a_line_and_empty_clouds_are_errors():
+    line = jf.PointCloud.from_arrays(np.column_stack([np.arange(9.0), 2 * np.arange(9.0), np.zeros(9)]))
+    with pytest.raises(jf.InputError, match="9 distinct ground points; three that do not lie on one line"):
+        model(line)
+    with pytest.raises(jf.InputError, match="no points"):
+        model(jf.PointCloud.from_arrays(np.zeros((0, 3))))
+
+
+@pytest.mark.parametrize("library, call", [("startinpy", {"method": "natural"}), ("rasterio", None)])
+def test_a_missing_library_is_named_with_its_extra(rng, tmp_path, monkeypatch, library, call):
+    cloud = scattered(rng, n=50)
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ImportError, match=rf"{library}.*jaxfilter\[dtm\]"):
+        model(cloud, **call) if call else model(cloud).write(tmp_path / "a.tif")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("code", [None, "EPSG:32632", "EPSG:6539", "EPSG:25832+7837"])
+def test_geotiff_keeps_heights_place_crs_and_nodata(rng, tmp_path, rasterio, code):
+    crs = None if code is None else pyproj.CRS(code)
+    raster = model(scattered(rng, crs=crs), cell=0.5)
+    path = raster.write(tmp_path / "dtm.tif")
+    with rasterio.open(path) as file:
+        assert file.dtypes == ("float32",) and file.count == 1 and file.nodata == -9999.0
+        assert file.tags().get("AREA_OR_POINT", "Area") == "Area"
+        assert tuple(file.transform)[:6] == raster.transform and tuple(file.bounds) == raster.bounds
+        values = file.read(1)
+        np.testing.assert_array_equal(np.where(values == -9999.0, np.float32(np.nan), values), raster.values)
+        x, y = raster.centres()
+        assert file.xy(4, 7) == pytest.approx((x[7], y[4]), abs=1e-9)
+        row, column = file.index(x[7] + 0.2, y[4] - 0.2)
+        assert (row, column) == (4, 7)
+        if code is None:
+            assert file.crs is None
+        elif "+" not in code:
+            assert file.crs.to_epsg() == crs.to_epsg()
+    again = jf.Raster.read(path)
+    np.testing.assert_array_equal(again.values, raster.values)
+    assert again.transform == raster.transform
+    if code is not None:
+        assert [s.name for s in again.crs.sub_crs_list] == [s.name for s in crs.sub_crs_list]
+        assert again.crs.axis_info[0].unit_conversion_factor == pytest.approx(crs.axis_info[0].unit_conversion_factor)
+    with pytest.raises(jf.OutputError, match="exists"):
+        raster.write(path)
+    raster.write(path, overwrite=True)
+    with pytest.raises(jf.OutputError, match="suffix"):
+        raster.write(tmp_path / "dtm.png")
+    assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
+
+
+def test_a_file_that_is_no_raster_is_an_input_error(tmp_path, rasterio):
+    (tmp_path / "a.tif").write_bytes(b"nothing")
+    with pytest.raises(jf.InputError, match=r"a\.tif"):
+        jf.Raster.read(tmp_path / "a.tif")
+    with pytest.raises(jf.OutputError, match="cannot be written"):
+        jf.Raster(np.zeros((2, 2), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 2.0)).write(tmp_path / "no" / "a.tif")
+
+
+@EVERY
+def test_the_reference_has_no_error_against_itself(town, method):
+    errors = jf.dtm_rmse(town.cloud, town.truth, town.truth, cell=2.0, method=method)
+    assert (errors.rmse, errors.mean, errors.largest, errors.missing) == (0.0, 0.0, 0.0, 0) and errors.cells > 1000
+
+
+def test_rmse_is_that_of_the_heights(rng):
+    cloud = scattered(rng, plane, n=4000)
+    z = cloud.coordinates()[:, 2]
+    double = jf.PointCloud.from_arrays(
+        np.concatenate([cloud.coordinates(), cloud.coordinates() + [0.001, 0.0, 0.5]]), units="m,ft"
+    )
+    truth = np.arange(len(double)) < len(cloud)
+    errors = jf.dtm_rmse(double, ~truth, truth)
+    for value in (errors.rmse, errors.mean, errors.largest):
+        assert value == pytest.approx(0.5 * 0.3048, abs=0.003)  # metres, though heights are in feet
+    known = dataclasses.replace(double, reference=truth)
+    assert jf.dtm_rmse(known, ~truth) == errors
+    west = truth & (double.xyz[:, 0] < 20.0)
+    half = jf.dtm_rmse(double, west, truth)
+    assert half.missing > 500 and half.rmse < 0.01 and half.cells + half.missing == pytest.approx(errors.cells, abs=60)
+    assert len(z) == west.size / 2
+
+
+def test_a_building_taken_for_ground_is_an_error_of_its_height(rng):
+    """A model over a block of 10 x 10 m, 6 m high, on level ground: its facets beside the block slope over the gap."""
+    xy = rng.random((20_000, 2)) * 100.0
+    block = (np.abs(xy - 50.0) < 5.0).all(axis=1)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, np.where(block, 6.0, 0.0)]))
+    errors = jf.dtm_rmse(cloud, ground_of(cloud), ~block)
+    assert errors.largest == pytest.approx(6.0, abs=1e-3)
+    assert errors.rmse == pytest.approx(6.0 * np.sqrt(100.0 / errors.cells), rel=0.05)
+    assert errors.mean == pytest.approx(6.0 * 100.0 / errors.cells, rel=0.1)
+
+
+def test_cells_come_in_blocks_and_are_counted(rng, monkeypatch):
+    cloud, seen = scattered(rng), []
+    whole = model(cloud)
+    monkeypatch.setattr(terrain, "_CELLS", 100)
+    np.testing.assert_array_equal(model(cloud, progress=lambda f, step: seen.append((f, step))).values, whole.values)
+    fractions = [f for f, _ in seen]
+    assert len(fractions) > 10 and fractions == sorted(fractions) and 0.0 <= fractions[0] <= fractions[-1] < 1.0
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["dtm", *map(str, arguments)])
+
+
+@pytest.fixture
+def files(tmp_path, town):
+    jf.write(tmp_path / "scene.laz", town.cloud, np.zeros(len(town), bool), reset="none")
+    jf.write(tmp_path / "truth.laz", town.cloud, town.truth, reset="all")
+    return tmp_path
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_the_command_writes_what_the_library_makes(files, rasterio):
+    cloud = jf.read(files / "truth.laz", units="m")
+    result = run(files / "truth.laz", files / "out.tif", "--cell", 2, "--max-gap", 5, "--fill", "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    expected = jf.dtm(cloud, cell=2.0, max_gap=5.0, fill=True)
+    np.testing.assert_array_equal(jf.Raster.read(files / "out.tif").values, expected.values)
+    assert report["empty"] == np.isnan(expected.values).sum() and report["ground"] == cloud.reference.sum()
+    assert [report["rows"], report["columns"]] == list(expected.values.shape)
+    assert tuple(report["transform"]) == expected.transform
+    assert set(report["seconds"]) == {"read", "interpolate", "write"}
+    plain = run(files / "scene.laz", files / "found.tif", "--filter", "ptd", "--method", "idw", "--power", 3)
+    assert plain.exit_code == 0 and "ground points" in plain.stdout
+    scene = jf.read(files / "scene.laz", units="m")
+    found = jf.dtm(scene, jf.PTD()(scene), method="idw", power=3.0)
+    np.testing.assert_array_equal(jf.Raster.read(files / "found.tif").values, found.values)
+
+
+@pytest.mark.parametrize(
+    "arguments, code, word",
+    [
+        (("scene.laz", "truth.tif"), 2, "--overwrite"),
+        (("scene.laz", "out.laz"), 2, "suffix"),
+        (("scene.laz", "no/out.tif"), 2, "not a folder"),
+        (("scene.laz", "out.tif", "--cell", "0"), 2, "cell=0.0"),
+        (("scene.laz", "out.tif", "--method", "spline"), 2, "natural"),
+        (("scene.laz", "out.tif", "--filter", "nosuch"), 2, "fptd"),
+        (("scene.laz", "out.tif", "--units", "parsec"), 2, "us-ft"),
+        (("scene.laz", "out.tif"), 1, "--filter"),
+        (("truth.laz", "out.tif", "--ground-class", "9"), 1, "no point is ground"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_the_command_refuses_in_one_line(files, rasterio, arguments, code, word):
+    (files / "truth.tif").write_bytes(b"mine")
+    source, target, *options = arguments
+    before = {p.name for p in files.iterdir()}
+    result = run(files / source, files / target, *options)
+    assert result.exit_code == code, result.output
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1 and word in lines[0]
+    assert {p.name for p in files.iterdir()} == before and (files / "truth.tif").read_bytes() == b"mine"

@@ -1,0 +1,98 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from test_pmf import hamlet
+
+from jaxfilter.core.errors import ParameterError
+from jaxfilter.core.result import Decision
+from jaxfilter.filters.msf import MSF
+from jaxfilter.ops.cones import cone_erosion
+from jaxfilter.scoring import evaluate
+
+
+def lowest_points(xyz, cell):
+    """Rows of the lowest points of cells that start at the corner of the points; their cells, i64[n, 2], for all points."""
+    cells = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell).astype(int)
+    order = np.lexsort((xyz[:, 1], xyz[:, 0], xyz[:, 2]))
+    _, first = np.unique(cells[order], axis=0, return_index=True)
+    return order[first], cells
+
+
+def brute(xyz, f):
+    lowest, cells = lowest_points(xyz, f.cell)
+    places = cells * f.cell if f.distance == "cells" else xyz[:, :2]
+    distance = np.hypot(*(places[:, None] - places[lowest]).transpose(2, 0, 1))
+    allowance = np.minimum(f.max_height, f.initial_distance + f.slope * distance)
+    limit = np.where(distance <= f.window + 1e-6, xyz[lowest, 2] + allowance, np.inf).min(axis=1)
+    return xyz[:, 2] <= limit
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"slope": 0.231},
+        {"slope": 0.45, "max_height": 2.117, "window": 13.0},
+        {"cell": 1.5, "window": 9.0, "max_height": 0.203},
+        {"slope": 0.231, "distance": "points", "max_height": 1.913},
+        {"cell": 0.8, "window": 5.1, "distance": "points"},
+    ],
+)
+def test_equals_brute_force(changes):
+    xyz, _ = hamlet()
+    f = MSF(low_clusters=False, initial_distance=0.3171, **changes)
+    np.testing.assert_array_equal(f(xyz).ground, brute(xyz, f))
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.0, 2.3, 6.0])
+def test_cone_erosion_equals_scipy(radius):
+    z = np.random.default_rng(2).normal(0, 2, (31, 44)).astype(np.float32)
+    y, x = np.mgrid[-6:7, -6:7]
+    distance = np.hypot(x, y)
+    cone = np.where(distance <= radius, -0.4 * distance, -np.inf)
+    expected = ndimage.grey_erosion(z, footprint=distance <= radius, structure=cone, mode="constant", cval=np.inf)
+    np.testing.assert_allclose(cone_erosion(z, np.float32(0.4), np.float32(radius), 6), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("degrees, kept", [(29, True), (34, False)])
+def test_a_plane_stays_up_to_the_largest_slope(degrees, kept):
+    x, y = np.meshgrid(np.arange(0.25, 60, 0.5), np.arange(0.25, 60, 0.5))
+    xyz = np.column_stack([x.ravel(), y.ravel(), math.tan(math.radians(degrees)) * x.ravel()])
+    f = MSF(distance="points", max_height=99.0, initial_distance=0.05)
+    inner = x.ravel() > 12  # nothing lies downhill of the lower edge
+    assert f(xyz).ground[inner].mean() == kept
+
+
+def test_ground_is_found_and_a_shuffled_cloud_gets_the_same():
+    xyz, truth = hamlet()
+    for f in (MSF(), MSF(distance="points"), MSF.preset("paper")):
+        result = f(xyz)
+        assert evaluate(result.ground, truth).kappa > 75
+        np.testing.assert_array_equal(result.ground, result.margin <= 0)
+        order = np.random.default_rng(1).permutation(len(xyz))
+        shuffled = f(xyz[order] + [500000.37, 4800000.81, 300.0])
+        np.testing.assert_array_equal(shuffled.ground, result.ground[order])
+        np.testing.assert_array_equal(shuffled.margin, result.margin[order])
+
+
+def test_a_cluster_of_low_points_is_barred():
+    xyz, truth = hamlet()
+    low = np.array([[24.3, 24.4, -30.0], [24.5, 24.2, -30.1], [25.1, 24.9, -30.2]])
+    with_low = np.concatenate([xyz, low])
+    result, plain = MSF()(with_low), MSF(low_clusters=False)(with_low)
+    assert result.barred[-3:].all() and (result.decision[-3:] == Decision.LOW).all()
+    assert plain.ground[-3:].all()
+    crater = truth & (np.hypot(*(xyz[:, :2] - 24.5).T) < 8)
+    assert not plain.ground[:-3][crater].any()  # as wide as the window
+    assert (result.ground[:-3] == MSF()(xyz).ground).all()
+
+
+def test_parameters():
+    assert math.degrees(math.atan(MSF.preset("paper").slope)) == pytest.approx(15)
+    assert math.degrees(math.atan(MSF().slope)) == pytest.approx(30, abs=0.05)
+    assert MSF.from_spacing(0.3, 60) == {"cell": 1.0, "window": 30.0, "max_height": 9.0}
+    assert MSF.from_spacing(0.3, 300)["cell"] == 1.5
+    assert MSF(window=30).halo() >= 30
+    with pytest.raises(ParameterError, match="window=500"):
+        MSF(window=500.0)

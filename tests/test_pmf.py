@@ -1,0 +1,202 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.errors import ParameterError
+from jaxfilter.core.points import plain_points
+from jaxfilter.core.result import Decision
+from jaxfilter.filters.pmf import PMF
+from jaxfilter.scoring import evaluate
+from jaxfilter.stages.boxes import PointBoxes
+
+SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
+# total errors (%) that PDAL 2.2 filters.pmf and PCL's ProgressiveMorphologicalFilter gave with their default parameters
+MEASURED = {
+    "pdal": (17.164, 5.881, 6.628, 11.46, 9.333, 6.847, 4.005, 12.189, 4.46, 6.954, 9.215, 10.905, 6.75, 4.846, 7.267),
+    "pcl": (
+        15.391,
+        6.489,
+        7.361,
+        10.766,
+        11.763,
+        10.024,
+        9.081,
+        9.963,
+        6.89,
+        9.655,
+        14.537,
+        13.698,
+        12.605,
+        7.516,
+        7.689,
+    ),
+}
+
+
+def hamlet(count=2000, size=48.0, seed=5):
+    """Points f64[n, 3] in centimetres on a slope with two houses, bushes and voids; bool[n] truth."""
+    rng = np.random.default_rng(seed)
+    xyz = np.column_stack([rng.random((count, 2)) * size, np.zeros(count)])
+    x, y = xyz[:, 0], xyz[:, 1]
+    xyz[:, 2] = 0.1 * x + 1.5 * np.sin(y / 9) + rng.normal(0, 0.03, count)
+    house = ((np.abs(x - 14) < 6) & (np.abs(y - 30) < 5)) | ((np.abs(x - 36) < 4) & (np.abs(y - 12) < 8))
+    bush = (rng.random(count) < 0.1) & ~house
+    xyz[house, 2] += 5
+    xyz[bush, 2] += 0.7 + rng.random(bush.sum()) * 3
+    keep = np.hypot(x - 30, y - 36) > 4
+    return xyz[keep].round(2), ~(house | bush)[keep]
+
+
+def footprint(radius, element):
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    shapes = {"disk": x * x + y * y <= radius**2, "diamond": abs(x) + abs(y) <= radius, "square": x == x}
+    return shapes[element]
+
+
+def windows(f):
+    """(radius in cells, threshold) of each window, by the definitions in words."""
+    pairs, radius, step = [], 0, 0
+    limit = int(np.ceil((f.max_window / f.cell - 1) / 2))
+    while 2 * radius + 1 < f.max_window / f.cell:
+        before, radius = radius, 2**step if f.exponential else 2 * (step + 1)
+        if 2 * radius + 1 > f.max_window / f.cell and f.last_window != "beyond":
+            if f.last_window == "within":
+                break
+            radius = limit
+        rise = f.slope * 2 * (radius - before) * f.cell * (f.cell if f.cell_twice else 1) if step else 0.0
+        pairs.append((radius, min(rise + f.initial_distance, f.max_distance)))
+        step += 1
+    return pairs
+
+
+def nearest_known(z):
+    """Empty cells from the nearest; of equally near the smaller column offset, the left one, the lower row."""
+    full, known = z.copy(), np.argwhere(np.isfinite(z))
+    for i, j in np.argwhere(~np.isfinite(z)):
+        row, column = (known - (i, j)).T
+        best = known[np.lexsort((row, column, abs(column), row**2 + column**2))[0]]
+        full[i, j] = z[tuple(best)]
+    return full
+
+
+def brute_grid(xyz, f):
+    column, row = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / f.cell).astype(int).T
+    z = np.full((row.max() + 1, column.max() + 1), np.inf)
+    np.minimum.at(z, (row, column), xyz[:, 2])
+    z = nearest_known(z)
+    ground = np.ones(len(xyz), bool)
+    for k, (radius, threshold) in enumerate(windows(f)):
+        cells = footprint(radius, f.element)
+        opened = ndimage.grey_erosion(z, footprint=cells, mode="constant", cval=np.inf)
+        opened = ndimage.grey_dilation(opened, footprint=cells, mode="constant", cval=-np.inf)
+        if f.compare == "points" or k == 0:
+            ground &= xyz[:, 2] - opened[row, column] <= threshold
+        if f.compare == "surfaces":
+            ground &= (z - opened <= threshold)[row, column]
+        z = opened
+    return ground
+
+
+def brute_points(xyz, f):
+    ground = np.arange(len(xyz))
+    for radius, threshold in windows(f):
+        now = xyz[ground]
+        near = (np.abs(now[:, None, :2] - now[None, :, :2]) <= (radius + 0.5) * f.cell + 1e-9).all(axis=2)
+        eroded = np.where(near, now[:, 2], np.inf).min(axis=1)
+        opened = np.where(near, eroded, -np.inf).max(axis=1)
+        ground = ground[now[:, 2] - opened <= threshold]
+    return np.isin(np.arange(len(xyz)), ground)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"element": "square", "max_window": 20.0},
+        {"element": "diamond", "compare": "points", "last_window": "beyond", "max_window": 12.0},
+        {"exponential": False, "max_window": 21.0, "last_window": "within"},
+        {"cell": 2.0, "cell_twice": True, "compare": "points", "max_window": 20.0},
+    ],
+)
+def test_the_grid_reading_equals_brute_force(changes):
+    xyz, _ = hamlet()
+    f = PMF(low_clusters=False, slope=0.21, initial_distance=0.317, max_distance=2.9137, **changes)
+    np.testing.assert_array_equal(f(xyz).ground, brute_grid(xyz - xyz.min(axis=0), f))
+
+
+@pytest.mark.parametrize("changes", [{"max_window": 10.0}, {"max_window": 17.0, "cell": 0.7, "max_distance": 1.2037}])
+def test_the_reading_around_points_equals_brute_force(changes):
+    xyz, _ = hamlet()
+    f = PMF.preset("pcl", slope=0.21, initial_distance=0.317, **changes)
+    np.testing.assert_array_equal(f(xyz).ground, brute_points(xyz, f))
+
+
+@pytest.mark.parametrize("width", [3.0, 5.0, 9.5, 33.0])
+def test_boxes_around_points_are_exact(width):
+    xyz, _ = hamlet(900)
+    xyz = np.concatenate([xyz, xyz[:200], xyz[:100] + [width / 2, -width / 2, 0]])  # repeated, and on a box's edge
+    points = plain_points(PointCloud.from_arrays(xyz))
+    values = np.where(np.arange(len(xyz)) % 7 == 0, np.inf, np.sin(np.arange(len(xyz)))).astype(np.float32)
+    p = points.xyz[:, :2]
+    near = (np.abs(p[:, None] - p[None]) <= width / 2).all(axis=2)
+    boxes = PointBoxes(points, 3.0, 33.0)
+    np.testing.assert_array_equal(boxes.lowest(values, width), np.where(near, values, np.inf).min(axis=1))
+
+
+def test_windows_and_thresholds():
+    assert PMF(max_window=33).radii() == [1, 2, 4, 8, 16] == PMF(max_window=33, last_window="beyond").radii()
+    assert PMF(max_window=10).radii() == [1, 2, 4, 5]
+    assert PMF(max_window=10, last_window="within").radii() == [1, 2, 4]
+    assert PMF.preset("cai2023").radii() == [1, 2, 4, 8]  # PCL passes the maximum: 17 m for 10 m
+    assert PMF(max_window=14, exponential=False).radii() == [2, 4, 6, 7]
+    assert PMF(max_window=0.5).radii() == [1]
+    np.testing.assert_allclose(PMF.preset("pdal").thresholds(), [0.15, 2.15, 2.5, 2.5, 2.5])
+    np.testing.assert_allclose(PMF.preset("pcl").thresholds(), [0.15, 1.55, 2.95, 5.75, 10.0])
+    twice, once = (PMF(cell=2.0, cell_twice=t, max_distance=99.0).thresholds() - 0.5 for t in (True, False))
+    np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
+
+
+def test_parameters():
+    assert PMF.from_spacing(0.3, 60) == {"cell": 1.0, "max_window": 60}
+    assert PMF.from_spacing(2.2, 40) == {"cell": 2.5, "max_window": 40}
+    assert PMF(max_window=60).halo() > 2 * (1 + 2 + 4 + 8 + 16 + 30)
+    with pytest.raises(ParameterError, match="max_window=5000"):
+        PMF(max_window=5000.0)
+    with pytest.raises(ParameterError, match="only points can be compared"):
+        PMF(reading="points")
+
+
+@pytest.mark.parametrize("preset", ["recommended", "paper", "pdal", "pcl", "cai2023"])
+def test_ground_is_found_and_a_shuffled_cloud_gets_the_same(preset):
+    xyz, truth = hamlet()
+    result = PMF.preset(preset)(xyz)
+    assert evaluate(result.ground, truth).kappa > 70
+    np.testing.assert_array_equal(result.ground, result.margin <= 0)
+    assert np.isfinite(result.height).all() and np.isfinite(result.margin).all()
+    order = np.random.default_rng(1).permutation(len(xyz))
+    shuffled = PMF.preset(preset)(xyz[order] + [500000.37, 4800000.81, 300.0])
+    np.testing.assert_array_equal(shuffled.ground, result.ground[order])
+    np.testing.assert_array_equal(shuffled.margin, result.margin[order])
+
+
+@pytest.mark.parametrize("changes", [{}, {"reading": "points", "compare": "points"}])
+def test_a_cluster_of_low_points_is_barred(changes):
+    xyz, _ = hamlet()
+    low = np.array([[24.3, 24.4, -30.0], [24.5, 24.2, -30.5], [25.1, 24.9, -30.2]])
+    with_low = np.concatenate([xyz, low])
+    result, plain = PMF(**changes)(with_low), PMF(low_clusters=False, **changes)(with_low)
+    assert result.barred[-3:].all() and (result.decision[-3:] == Decision.LOW).all()
+    assert plain.ground[-3:].all()  # there is no lower limit: what lies below the surface is ground
+    assert (result.ground[:-3] == PMF(**changes)(xyz).ground).all()
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("preset", MEASURED)
+def test_presets_of_programs_come_close_to_what_the_programs_gave(data, preset):
+    errors = []
+    for number in SAMPLES:
+        table = np.loadtxt(Path(data) / "isprs" / f"samp{number}.txt")
+        errors.append(evaluate(PMF.preset(preset)(table[:, :3]).ground, table[:, 3] == 0).total)
+    assert np.abs(np.subtract(errors, MEASURED[preset])).mean() <= 1.0, np.round(errors, 2)
