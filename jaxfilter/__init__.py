@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import FILTERS, FPTD, MSF, PMF, PTD, SMRF
+    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PTD, PTDF, SMRF, SPF, STIN
     from .host.las import info, read, write
     from .host.raster import Raster
     from .scoring import Scores, evaluate
@@ -27,7 +27,22 @@ _HOMES = {
     "core.errors": ("InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
-    "filters": ("FILTERS", "FPTD", "MSF", "PMF", "PTD", "SMRF"),
+    "filters": (
+        "AGPTD",
+        "ATIN",
+        "CSF",
+        "FILTERS",
+        "FPTD",
+        "IPTD",
+        "MSF",
+        "PMF",
+        "PPDF",
+        "PTD",
+        "PTDF",
+        "SMRF",
+        "SPF",
+        "STIN",
+    ),
     "host.las": ("info", "read", "write"),
     "host.raster": ("Raster",),
     "scoring": ("Scores", "evaluate"),
@@ -36,7 +51,7 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "FILTERS", "FPTD", "MSF", "PMF", "PTD", "SMRF",
+    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
     "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status",
     "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "write",

@@ -9,7 +9,7 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import Decision
 from jaxfilter.host.tin import perturbed
 from jaxfilter.ops.facets import Rule
-from jaxfilter.stages.densify import Mirror, densify
+from jaxfilter.stages.densify import Adaptive, Mirror, densify
 from jaxfilter.stages.network import block_networks, border_positions, one_network
 
 
@@ -39,7 +39,7 @@ def network_of(points, late=None):
     return one_network(points, seeds_of(points, late), border, late)
 
 
-def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refresh=True, mirror=None):
+def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refresh=True, mirror=None, one_each=False):
     """The same method without any of the machinery: float64, one triangulation and all open points in every round."""
     xyz = net.xyz.astype(np.float64)
     xy = perturbed(net.xyz)
@@ -76,9 +76,17 @@ def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refre
             there = mesh.find_simplex(image[:, :2])
             steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
             second = judge(image, there)[0]
-            ok[steep] = (ok[steep] | second) if mirror.mode == "or" else second
+            ok[steep] = {"or": ok[steep] | second, "and": ok[steep] & second, "replace": second}[mirror.mode]
         if not ok.any():
             return ground
+        if one_each:  # of the points over a facet that may become vertices the lowest over it; the others may all stay
+            height = ((xyz[open_] - f[:, 0]) * n).sum(1) / n[:, 2]
+            taken = {tuple(v) for v in net.xyz[vertices, :2]}
+            fresh = np.array([tuple(v) not in taken for v in net.xyz[open_, :2]])
+            for facet in np.unique(where[ok & fresh]):
+                rivals = np.flatnonzero(ok & fresh & (where == facet))
+                ok[rivals] = False
+                ok[rivals[height[rivals].argmin()]] = True
         ground[open_[ok]] = True
 
 
@@ -191,3 +199,66 @@ def test_points_over_a_border_that_moved_are_tested_again(seed):
     net = network_of(canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)]))))
     out = densify(net, Rule(max_angle=12, max_elevation=0.7, signed=1), refresh_border=True)
     assert (out.ground == plain(net, 12, 0.7)).all()
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_one_point_per_facet_equals_a_plain_loop(seed):
+    net = network_of(scene(seed, n=1200, side=60.0))
+    rule = Rule(max_angle=14, max_distance=0.8)
+    out = densify(net, rule, insertion="one_per_facet", max_rounds=1000)
+    assert out.converged
+    expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_each=True)
+    assert (out.ground != expected).sum() <= 2
+    assert (out.ground != densify(net, rule).ground).sum() > 10
+
+
+@pytest.mark.parametrize("mode", ["replace", "or", "and"])
+def test_points_whose_mirror_facet_changed_are_tested_again(mode):
+    net = network_of(scene(14, n=2500, side=70.0))
+    mirror = Mirror(5.0, "highest", mode)
+    out = densify(net, Rule(max_angle=12, max_distance=0.8), mirror=mirror)
+    expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
+    assert (out.ground != expected).sum() <= 3
+
+
+def test_loosened_thresholds_test_all_points_again():
+    net = network_of(scene(15, n=2500, side=70.0))
+    steps = iter([Rule(max_angle=6, max_distance=0.3)] * 3 + [Rule(max_angle=12, max_distance=0.8)] * 100)
+    late = densify(net, Rule(), adaptive=Adaptive(lambda distance, angle: next(steps)))
+    loose = densify(net, Rule(max_angle=12, max_distance=0.8))
+    tight = densify(net, Rule(max_angle=6, max_distance=0.3))
+    assert tight.ground.sum() + 100 < late.ground.sum() <= loose.ground.sum() + 20
+    assert [step["tested"] > 500 for step in late.trace[2:5]].count(True)
+
+
+def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to_them():
+    net = network_of(scene(16, n=600, side=60.0))
+    seen = []
+
+    def keep(distance, angle):
+        seen.append((distance, angle))
+        return Rule(max_angle=10, max_distance=0.5)
+
+    out = densify(net, Rule(), adaptive=Adaptive(keep))
+    assert len(seen) == len(out.trace) + 1
+    distance, angle = seen[-1]
+    real = out.ground & (net.row >= 0)
+    rows = np.flatnonzero(out.ground)
+    _, at = np.unique(net.xyz[rows, :2], axis=0, return_index=True)
+    vertices = rows[np.sort(at)]
+    mesh = Delaunay(perturbed(net.xyz)[vertices])
+    xyz = net.xyz.astype(float)
+    expected = []
+    for facet, beyond in zip(mesh.simplices, mesh.neighbors, strict=True):
+        for other in beyond[beyond >= 0]:
+            apex = np.setdiff1d(mesh.simplices[other], facet)[0]
+            nodes = vertices[np.append(facet, apex)]
+            if real[nodes].all():
+                a, b, c, p = xyz[nodes]
+                n = np.cross(b - a, c - a)
+                d = abs((p - a) @ n) / np.linalg.norm(n)
+                expected.append((d, np.degrees(np.arcsin(d / min(np.linalg.norm(p - v) for v in (a, b, c))))))
+    expected = np.array(expected)
+    assert len(distance) == len(expected) > 500
+    np.testing.assert_allclose(np.sort(distance), np.sort(expected[:, 0]), atol=1e-3)
+    np.testing.assert_allclose(np.sort(angle), np.sort(expected[:, 1]), atol=0.05)

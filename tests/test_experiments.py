@@ -12,11 +12,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from experiments import report  # noqa: E402
+from experiments import report, report_page  # noqa: E402
+from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
+from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.isprs import samples, tables  # noqa: E402
+from experiments.papers import li2021, paper  # noqa: E402
+from experiments.papers.li2021_figures import time_fit  # noqa: E402
 
 
 def test_means_of_the_published_tables_are_those_that_their_papers_print():
@@ -32,13 +35,38 @@ def test_means_of_the_published_tables_are_those_that_their_papers_print():
     assert statistics.fmean(row["kappa_fixed"] for row in pingel) == pytest.approx(85.4, abs=0.05)
 
 
-def test_published_errors_agree_with_the_numbers_of_ground_and_object_points():
-    ground = {"samp11": 21786, "samp31": 15556, "samp53": 32989}  # Sithole and Vosselman's samples
-    for row in samples.published("li2021_table4"):
-        if row["sample"] in ground:
-            lost = row["type1"] * ground[row["sample"]]
-            accepted = row["type2"] * (row["points"] - ground[row["sample"]])
-            assert (lost + accepted) / row["points"] == pytest.approx(row["total"], abs=0.02)
+def test_averages_that_a_paper_prints_are_those_of_its_rows():
+    for name, columns in (("chen2023_table2", "type1 type2 total"), ("zheng2024_table6", "type1 type2 total kappa")):
+        table = samples.published(name)
+        for printed in (row for row in table if row["sample"] == "average"):
+            rows = [row for row in table if row["method"] == printed["method"] and row["sample"].startswith("samp")]
+            assert len(rows) == 15
+            for key in columns.split():
+                assert statistics.fmean(row[key] for row in rows) == pytest.approx(printed[key], abs=0.011)
+
+
+def test_stin_errors_are_worked_out_from_the_printed_counts():
+    counts = {(row["sample"], row["row"]): row for row in samples.published("uray2024_table3")}
+    for row in samples.published("uray2024_from_counts"):
+        if row["sample"] == "average":
+            continue
+        as_ground, as_object = (counts[row["sample"], f"classified_{kind}"] for kind in ("ground", "object"))
+        lost, accepted = as_object["ground"], as_ground["object"]
+        ground, objects = as_ground["ground"] + lost, accepted + as_object["object"]
+        found = 100 * lost / ground, 100 * accepted / objects, 100 * (lost + accepted) / (ground + objects)
+        assert found == pytest.approx((row["type1"], row["type2"], row["total"]), abs=0.006)
+
+
+@pytest.mark.parametrize("name", ["li2021_table4", "chen2023_table2"])
+def test_published_errors_agree_with_the_numbers_of_ground_and_object_points(name):
+    counts = {row["sample"]: row for row in samples.published("sithole2004_samples")}
+    assert sum(row["points"] for row in counts.values()) == 384955
+    rows = [row for row in samples.published(name) if row["sample"] in counts]
+    assert len(rows) == 30
+    for row in rows:
+        points = counts[row["sample"]]
+        lost, accepted = row["type1"] * points["ground"], row["type2"] * points["objects"]
+        assert (lost + accepted) / points["points"] == pytest.approx(row["total"], abs=0.021)
 
 
 def test_every_sample_and_site_has_a_terrain_class_with_the_thresholds_of_its_preset():
@@ -77,25 +105,159 @@ def test_csv_keeps_rows_with_different_keys(tmp_path):
 
 
 def test_measured_figures_stand_beside_those_printed_for_the_same_sample():
-    row = {
-        "sample": "samp24",
-        "method": "fptd",
-        "terrain": "D3",
-        "points": 7492,
-        "type1": 1.0,
-        "type2": 2.0,
-        "total": 3.0,
-        "kappa": 90.0,
-        "seconds": 0.1,
-    }
-    line = tables.per_sample([row], "fptd").splitlines()[2]
-    assert line == "| samp24 | D3 | 7,492 | 1.00 | 2.00 | 3.00 | 90.00 | 0.100 | 21.79 | 6.95 | 17.71 | 61.59 | 2.31 |"
-    assert "smrf" not in tables.summary([row])
+    measured = [
+        {"sample": "samp24", "method": "fptd", "total": 18.0},
+        {"sample": "samp99", "method": "fptd", "total": 1.0},
+    ]
+    rows = paper.join(measured, samples.published("li2021_table4"), ("sample", "method"), ("total", "kappa"))
+    assert rows[0]["printed_total"] == 17.71 and rows[0]["off_total"] == pytest.approx(0.29)
+    assert rows[0]["printed_kappa"] == 61.59 and "off_kappa" not in rows[0]
+    assert "printed_total" not in rows[1]
+    titles = [title for _, title, _ in paper.columns(rows, ("sample",), ("total",), off=True)]
+    assert titles == ["sample", "TE", "TE, printed", "difference"]
 
 
 def test_time_fit_recovers_a_line():
-    slope, intercept, r2 = tables.time_fit([1e5, 5e5, 1e6], [1.2, 2.0, 3.0])
+    slope, intercept, r2 = time_fit([1e5, 5e5, 1e6], [1.2, 2.0, 3.0])
     assert (slope, intercept, r2) == pytest.approx((2.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("method", spaces.method_names())
+def test_every_method_is_tried_with_as_many_sets_all_of_which_it_takes(method):
+    ranges = spaces.swept(method)
+    assert 1 <= len(ranges) <= 5
+    sets = spaces.sets(method, 32)
+    assert len(sets) == 32 and sets == spaces.sets(method, 32) and sets[0] == {}
+    assert sets[:8] == spaces.sets(method, 8)
+    assert len({tuple(s.values()) for s in sets}) == 32
+    for thresholds in sets[1:]:
+        assert thresholds.keys() == ranges.keys()
+        for name, (low, high, _) in ranges.items():
+            assert low * 0.999 <= thresholds[name] <= high * 1.001
+        for sample in ("samp11", "samp51"):
+            spaces.fixed(method, sample).replace(**thresholds)
+
+
+def test_sets_cover_the_ranges_evenly():
+    angles = np.array([s["max_angle"] for s in spaces.sets("ptd", 32)[1:]])
+    low, high, _ = spaces.RANGES["max_angle"]
+    assert np.histogram(angles, 4, (low, high))[0].tolist() == [7, 8, 8, 8]  # 31 of 32 points of the sequence
+    assert spaces.sets("ptd", 9)[5]["max_angle"] == spaces.sets("fptd", 9)[5]["max_angle"]
+
+
+def test_a_method_without_a_space_of_its_own_is_varied_in_all_its_thresholds(monkeypatch):
+    monkeypatch.delitem(spaces.SWEPT, "smrf")
+    monkeypatch.delitem(spaces.RANGES, "scaling")
+    assert spaces.swept("smrf") == {
+        "slope": spaces.RANGES["slope"],
+        "threshold": spaces.RANGES["threshold"],
+        "scaling": (0.625, 2.5, "log"),
+    }
+    monkeypatch.delitem(spaces.SWEPT, "fptd")
+    assert spaces.swept("fptd").keys() == {"max_angle", "max_elevation"}
+
+
+def test_matched_sets_differ_from_the_fixed_ones_in_the_limits_of_ptd_only():
+    import dataclasses
+
+    for method in spaces.method_names():
+        fixed, matched = spaces.fixed(method, "samp51"), spaces.matched(method, "samp51")
+        for f in dataclasses.fields(fixed):
+            if f.name not in ("max_angle", "max_distance"):
+                assert getattr(matched, f.name) == getattr(fixed, f.name)
+        if hasattr(matched, "max_angle"):
+            assert matched.max_angle == spaces.fixed("ptd", "samp51").max_angle
+
+
+def random_kappa(rng):
+    return {f"samp{n}": dict(enumerate(rng.uniform(0, 100, 6))) for n in samples.SAMPLES}
+
+
+def test_leave_one_out_never_looks_at_the_sample_it_scores(rng):
+    terrain = samples.terrain_classes()
+    kappa = random_kappa(rng)
+    chosen = protocols.class_choice(kappa, terrain)
+    for sample in kappa:
+        others = [s for s in kappa if s != sample and terrain[s] == terrain[sample]]
+        mean = {i: statistics.fmean(kappa[s][i] for s in others) for i in range(6)}
+        assert mean[chosen[sample]] == max(mean.values())
+        changed = kappa | {sample: dict.fromkeys(range(6), 0.0) | {int(rng.integers(6)): 100.0}}
+        assert protocols.class_choice(changed, terrain)[sample] == chosen[sample]
+        outside = {s: v if terrain[s] == terrain[sample] else random_kappa(rng)[s] for s, v in kappa.items()}
+        assert protocols.class_choice(outside, terrain)[sample] == chosen[sample]
+
+
+def test_a_sample_alone_in_its_class_keeps_the_fixed_set(rng):
+    assert protocols.class_choice({"samp53": {0: 1.0, 1: 2.0}}, samples.terrain_classes()) == {"samp53": 0}
+
+
+def test_the_oracle_is_never_below_the_class_protocol_or_the_fixed_set(rng):
+    kappa = random_kappa(rng)
+    oracle, by_class = protocols.oracle_choice(kappa), protocols.class_choice(kappa, samples.terrain_classes())
+    for sample, sets in kappa.items():
+        assert sets[oracle[sample]] >= max(sets[by_class[sample]], sets[0])
+
+
+def test_a_set_that_failed_is_never_chosen():
+    failed = {
+        "sample": "samp52",
+        "set": 0,
+        "status": "ParameterError: no",
+        "kept": "",
+        "lost": "",
+        "accepted": "",
+        "rejected": "",
+    }
+    good = failed | {"set": 1, "kept": 5, "lost": 5, "accepted": 5, "rejected": 5, "status": "CONVERGED"}
+    table = protocols.kappa_table([failed, good])
+    assert protocols.oracle_choice(table) == {"samp52": 1}
+
+
+def test_pooled_figures_are_those_of_all_points_together():
+    counts = (
+        {"kept": 90, "lost": 10, "accepted": 0, "rejected": 0},
+        {"kept": 0, "lost": 0, "accepted": 30, "rejected": 870},
+    )
+    rows = [{"method": "ptd", "seconds": 0.5} | c | protocols.scores(c) for c in counts]
+    rows[0]["kappa"] = rows[1]["kappa"] = 0.0  # undefined where a class is missing
+    line = protocols.summary(rows)
+    assert (line["pooled_type1"], line["pooled_type2"], line["pooled_total"]) == pytest.approx((10.0, 30 / 9, 4.0))
+    assert line["seconds_per_million"] == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize(
+    ("gains", "verdict"),
+    [
+        ([4, 1, -1], "tendency"),
+        ([4, 5, 6, 7, 8, 9, 10, -1], "confirmed"),  # p = 4 / 256 by counting the signed ranks
+        ([8, -1, -1], "mixed"),
+        ([-1, 1, 1], "tendency"),
+        ([-4, -1, 1], "refuted"),
+        ([0, 0], "refuted"),
+    ],
+)
+def test_claims_are_judged_by_mean_number_of_samples_and_chance(gains, verdict):
+    found = protocols.compare([(50.0, 50.0 - gain) for gain in gains], larger_is_better=False)
+    assert found["verdict"] == verdict
+    assert found == found | {"better": sum(g > 0 for g in gains), "worse": sum(g < 0 for g in gains)}
+    if verdict == "confirmed":
+        assert found["p"] == pytest.approx(4 / 256)
+    assert protocols.compare([(50.0, 50.0 + gain) for gain in gains], larger_is_better=True)["verdict"] == verdict
+
+
+def test_every_claim_is_judged_against_ptd_under_the_same_protocol():
+    rows = [
+        {"sample": f"samp{n}", "method": m, "type1": 5.0, "type2": 5.0, "total": t, "kappa": 90.0 - t, "seconds": 1.0}
+        for n in samples.SAMPLES
+        for m, t in (("ptd", 9.0), ("fptd", 6.0), ("spf", 10.0))
+    ]
+    found = protocols.claims({"class": rows, "fixed": rows})
+    verdicts = {(r["method"], r["quantity"], r["protocol"]): r["verdict"] for r in found}
+    assert verdicts["fptd", "total", "fixed"] == "confirmed" and verdicts["spf", "total", "class"] == "refuted"
+    assert {method for method, _, _ in verdicts} == {"fptd", "spf"}
+    line = next(r for r in found if r["method"] == "fptd" and r["quantity"] == "total")
+    assert (line["better"], line["samples"], line["difference"], line["printed_ptd"]) == (15, 15, -3.0, 11.23)
+    assert protocols.differences(rows, "total")[0] == {"sample": "samp11", "ptd": 9.0, "fptd": -3.0, "spf": 1.0}
 
 
 def test_missing_data_are_reported_with_where_to_get_them(tmp_path):
@@ -103,37 +265,120 @@ def test_missing_data_are_reported_with_where_to_get_them(tmp_path):
         isprs.main(["--data", str(tmp_path), "--out", str(tmp_path / "out")])
 
 
-def test_a_quick_run_on_a_generated_scene_writes_tables_and_scores(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def two_samples(tmp_path_factory):
+    """A data folder with two generated towns in place of samples 52 and 53, which share a terrain class."""
     from jaxfilter import scenes
 
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "isprs").mkdir()
+    for number, seed in (("52", 2), ("53", 3)):
+        scene = scenes.make("town", size=(64, 60), density=0.8, seed=seed)
+        last = scene.cloud.candidate
+        table = np.column_stack([scene.xyz[last], ~scene.truth[last]])
+        np.savetxt(folder / "isprs" / f"samp{number}.txt", table, fmt=["%.2f"] * 3 + ["%d"])
+    return folder
+
+
+def test_a_run_on_generated_scenes_writes_every_table_and_goes_on_where_it_was(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
-    scene = scenes.make("town", size=(70, 60), density=0.8, seed=2)
-    last = scene.cloud.candidate
-    (tmp_path / "isprs").mkdir()
-    label = (~scene.truth[last]).astype(int)
-    np.savetxt(tmp_path / "isprs" / "samp24.txt", np.column_stack([scene.xyz[last], label]), fmt=["%.2f"] * 3 + ["%d"])
-    isprs.main(
-        [
-            "--data",
-            str(tmp_path),
-            "--out",
-            str(tmp_path / "out"),
-            "--quick",
-            "--samples",
-            "s24",
-            "--methods",
-            "fptd",
-            "ptd",
-        ]
-    )
-    rows = {row["method"]: row for row in report.read_csv(tmp_path / "out" / "samples.csv")}
-    assert rows["fptd"]["points"] == last.sum() and rows["fptd"]["total"] < 15
-    assert rows["fptd"]["status"] == "CONVERGED" and rows["fptd"]["seeds"] >= rows["ptd"]["seeds"]
-    outliers = report.read_csv(tmp_path / "out" / "outliers.csv")[0]
-    assert outliers["barred_ground_kept"] <= outliers["barred_ground"] <= outliers["barred"]
+    out = tmp_path / "isprs" / "results"
+    given = ["--data", str(two_samples), "--out", str(out), "--samples", "52", "53", "--methods", "ptd", "fptd", "smrf"]
+    given += ["--budget", "3", "--processes", "1", "--repeats", "1", "--dpi", "40"]
+    isprs.main(given)
+    table = {name: report.read_csv(out / f"{name}.csv") for name in ("fixed", "class", "oracle", "claims", "summary")}
+    assert len(table["fixed"]) == len(table["class"]) == len(table["oracle"]) == 6
+    kappa = {
+        name: {(r["sample"], r["method"]): r["kappa"] for r in table[name]} for name in ("fixed", "class", "oracle")
+    }
+    for key, value in kappa["oracle"].items():
+        assert value >= kappa["class"][key] and value >= kappa["fixed"][key] - 1e-9
+    runs = {(r["sample"], r["set"]): protocols.scores(r)["kappa"] for r in report.read_csv(out / "search" / "fptd.csv")}
+    assert len(runs) == 6 and kappa["fixed"]["samp52", "fptd"] == pytest.approx(runs["samp52", 0])
+    chosen = {r["sample"]: r["set"] for r in table["class"] if r["method"] == "fptd"}
+    assert runs["samp53", chosen["samp52"]] == max(runs["samp53", i] for i in range(3))
+    assert {r["verdict"] for r in table["claims"]} <= {"confirmed", "tendency", "mixed", "refuted"}
+    for name in ("totals", "errors", "time"):
+        assert (out / "figures" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    text = (out / "results.md").read_text()
+    assert all(f"## {name} protocol" in text for name in ("Fixed", "Class", "Oracle"))
+
+    report_page.main(["--experiments", str(tmp_path), "--out", str(tmp_path / "page" / "README.md")])
+    page = (tmp_path / "page" / "README.md").read_text()
+    assert "../isprs/results/figures/errors.png" in page and "cannot be reproduced" in page
+
+    monkeypatch.setattr(search, "evaluate", lambda *task: pytest.fail("ran again"))
+    path = out / "search" / "smrf.csv"
+    isprs.main([*given, "--no-figures"])
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:-1]))
+    tasks = []
+    monkeypatch.setattr(search, "evaluate", lambda *task: tasks.append(task) or [])
+    isprs.main([*given, "--no-figures", "--protocols", "oracle"])
+    assert [(method, sample, list(sets)) for method, sample, _, sets in tasks] == [("smrf", "samp53", [2])]
+
+
+def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    every = ablations.variants()
+    names = [(v.choice, v.name) for v in every]
+    assert len(set(names)) == len(names)
+    assert {v.choice.split(".")[0] for v in every} == {str(i) for i in range(1, 12)}
+    given = ["--data", str(two_samples), "--out", str(tmp_path), "--samples", "52", "--choices", "2", "5", "10"]
+    ablations.main([*given, "--processes", "1"])
+    rows = report.read_csv(tmp_path / "summary.csv")
+    base = {row["total"] for row in rows if row["baseline"] == "True" and row["variant"].startswith("FPTD")}
+    assert len(base) == 1 and not any(row["failed"] for row in rows)
+    assert (tmp_path / "total.png").exists() and "**FPTD: signed" in (tmp_path / "results.md").read_text()
+
+
+def test_points_that_an_ablation_leaves_out_are_objects():
+    import jaxfilter as jf
+    from jaxfilter import scenes
+
+    scene = scenes.make("town", size=(64, 60), density=0.8, seed=2)
+    filter_ = jf.FPTD(radius=3.0, min_neighbours=4, low_clusters=False)
+    barred = filter_(scene.cloud).barred
+    assert barred.any() and not ablations._left_out(filter_, scene.cloud)[barred].any()
+
+
+def test_every_study_of_a_paper_is_listed_with_its_command():
+    folder = ROOT / "experiments" / "papers"
+    listed = (folder / "README.md").read_text()
+    studies = [path.name for path in folder.glob("*.py") if "def main(" in path.read_text()]
+    assert "li2021.py" in studies
+    assert [name for name in studies if f"`python experiments/papers/{name}`" not in listed] == []
+
+
+def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    li2021.main(["--data", str(two_samples), "--out", str(tmp_path / "out"), "--quick", "--samples", "53"])
     text = (tmp_path / "out" / "results.md").read_text()
-    assert "## FPTD" in text and "17.71" in text
-    assert (tmp_path / "out" / "figures" / "samp24.png").read_bytes().startswith(b"\x89PNG")
+    assert "39.99" in text  # printed kappa of FPTD on sample 53
+    assert report.read_csv(tmp_path / "out" / "seeds.csv")[0]["printed_seeds"] == 841
+    assert len(report.read_csv(tmp_path / "out" / "table1.csv")) == 23
+    assert (tmp_path / "out" / "samp53.png").exists()
+
+
+def test_sites_and_threads_of_li_et_al_are_tabled_with_a_fit(tmp_path):
+    n = report.cores()
+    rows = [
+        {"site": site, "points": points, "ground": points // 2, "seconds": points / 1e6}
+        | {f"{blocks}_{workers}": points / 5e5 for blocks in ("global", "independent") for workers in (1, n)}
+        | {"global_speedup": 1.0, "independent_speedup": 1.5}
+        for site, points in (("CSite2", 500_000), ("CSite3", 400_000), ("FSite7", 300_001))
+    ]
+    options = paper.arguments("li2021", "", ["--out", str(tmp_path)])
+    li2021.table3(study := paper.Report("FPTD", "Li et al.", options), rows)
+    li2021.verdicts(
+        study, [{"method": m} | dict.fromkeys(paper.SCORES + ("seconds",), 1.0) for m in li2021.VARIANTS], rows
+    )
+    study.write()
+    text = (tmp_path / "results.md").read_text()
+    assert "27.68" in text and "1.50 times faster" in text
+    fit = report.read_csv(tmp_path / "fits.csv")[0]
+    assert (fit["who"], fit["slope"], fit["r2"]) == ("measured", pytest.approx(1.0), pytest.approx(1.0))
+    assert (tmp_path / "time.png").exists()
 
 
 def test_the_second_cloud_of_the_bench_is_smaller_but_in_the_same_bucket():

@@ -70,6 +70,30 @@ def test_batches_of_insertions_equal_a_triangulation_from_scratch(pool, monkeypa
     assert network.rebuilt == 0
 
 
+@pytest.mark.parametrize("chunk", [8192, 60])
+@pytest.mark.parametrize("step", [0.25, 2.0])
+def test_vertices_can_be_taken_out_again(pool, monkeypatch, chunk, step):
+    for name in ("CHUNK", "_SMALLEST_CHUNK"):
+        monkeypatch.setattr(tin_module, name, chunk)
+    rng = np.random.default_rng(13)
+    xyz = nodes(rng, 4000, 60, step)
+    k = len(xyz)
+    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 2), np.arange(k - 4, k)), pool)
+    for share in (0.02, 0.4, 0.8, 1.0):
+        inner = np.flatnonzero(network.vertex[: k - 4])
+        rows, before = network.triangles.copy(), triples(network.triangles)
+        out = inner[rng.random(len(inner)) < share]
+        changed = network.remove(out)
+        assert not network.vertex[out].any() and network.vertex.sum() == len(inner) - len(out) + 4
+        n = len(changed)
+        assert (network.triangles[~changed] == rows[:n][~changed]).all()
+        assert triples(network.triangles) - before <= triples(network.triangles[changed])
+        assert_sound(network)
+        network.insert(np.flatnonzero(~network.vertex)[::3])
+        assert_sound(network)
+    assert network.rebuilt == 0
+
+
 def test_sheets_do_not_touch_and_equal_single_runs(pool):
     rng = np.random.default_rng(5)
     one, two = nodes(rng, 800, 30, 0.5), nodes(rng, 1200, 40, 0.5)

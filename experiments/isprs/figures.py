@@ -1,141 +1,146 @@
-"""The pictures: Figs. 7 to 12 of Li et al. (2021), drawn from our results."""
+"""The pictures: where every method errs on a few samples, its total errors at a glance, and accuracy against time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LightSource, LogNorm, to_rgb
 from matplotlib.figure import Figure
-from scipy import ndimage
+from matplotlib.patches import Patch
 
 import jaxfilter as jf
-from experiments.isprs import samples, tables
 from experiments.report import Row, save_png
 from jaxfilter import plots
-from jaxfilter.core.grid import Grid
 
-SHOWN = ("12", "61", "24", "53")
-"""Samples of Figs. 9 to 12."""
-INK, SEED, SEED_PTD = "#1b4965", "#D55E00", "#0072B2"
+SHOWN = ("11", "23", "41", "53")
+"""Samples of the panel of error maps: wooded hillside with houses, large building complex, low outliers, terraces."""
 
 
-def time_against_points(rows: Sequence[Row], path: Path, dpi: int) -> None:
-    """Fig. 7: seconds against number of points with a linear fit, measured and printed; a panel each, for their scales."""
-    figure = Figure(figsize=(7.2, 3.0), layout="constrained")
-    panels = figure.subplots(1, 2, sharex=True)
-    printed = samples.published("li2021_table3")
-    for ax, title, table in ((panels[0], "this library", rows), (panels[1], "Li et al. (2021)", printed)):
-        points, seconds = np.array([r["points"] for r in table]), np.array([r["seconds"] for r in table])
-        slope, intercept, r2 = tables.time_fit(points, seconds)
-        line = np.array([0.0, points.max() * 1.05])
-        ax.plot(line / 1e3, slope * line / 1e6 + intercept, color="0.6", linewidth=1, zorder=1,
-                label=f"{slope:.3g} s per million {intercept:+.2g} s, R² = {r2:.3f}")
-        ax.scatter(points / 1e3, seconds, s=16, color=INK, zorder=2)
-        for rank, row in enumerate(sorted(table, key=lambda r: r["points"])):
-            place = {"xytext": (-4, 3), "ha": "right"} if rank % 2 else {"xytext": (4, -6), "ha": "left"}
-            ax.annotate(row["site"][0] + row["site"][-1], (row["points"] / 1e3, row["seconds"]), fontsize=6,
-                        textcoords="offset points", **place)
-        ax.set(title=title, xlabel="points (thousands)", ylabel="seconds", ylim=(0, seconds.max() * 1.15))
-        ax.title.set_fontsize(10)
-        ax.legend(frameon=False, fontsize=7, loc="upper left")
-        ax.spines[["top", "right"]].set_visible(False)
-    panels[0].set_xlim(0, None)
+def error_panel(
+    clouds: Mapping[str, jf.PointCloud],
+    labels: Mapping[tuple[str, str], np.ndarray],
+    methods: Sequence[str],
+    path: Path,
+    dpi: int,
+) -> None:
+    """Rows are samples, columns the reference and every method; ``labels``: bool[n] by sample and method."""
+    pictures = {name: _Picture(cloud) for name, cloud in clouds.items()}
+    heights = [p.aspect for p in pictures.values()]
+    width = 1.05
+    figure = Figure(
+        figsize=(width * (len(methods) + 1) + 0.3, width * sum(heights) + 0.32 * len(heights) + 0.4),
+        layout="constrained",
+    )
+    figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.0, hspace=0.0)
+    axes = figure.subplots(len(clouds), len(methods) + 1, squeeze=False, height_ratios=heights)
+    for i, (name, cloud) in enumerate(clouds.items()):
+        for j, method in enumerate(("reference", *methods)):
+            ax = axes[i, j]
+            ground = cloud.reference if j == 0 else labels.get((name, method))
+            ax.set(xticks=[], yticks=[])
+            ax.spines[:].set_linewidth(0.4)
+            if i == 0:
+                ax.set_title(method.upper() if j else "reference", fontsize=8)
+            if j == 0:
+                ax.set_ylabel(f"{name}\n{np.ptp(cloud.xyz[:, 0]):.0f} m wide", fontsize=7)
+            if ground is None:
+                ax.text(0.5, 0.5, "failed", transform=ax.transAxes, ha="center", fontsize=7)
+                ax.set_box_aspect(pictures[name].aspect)
+                continue
+            ax.imshow(pictures[name].draw(ground), origin="lower", interpolation="nearest")
+            if j:
+                ax.set_xlabel(f"{jf.evaluate(ground, cloud.reference).total:.1f} %", fontsize=7, labelpad=2)
+    handles = [
+        Patch(color=colour, label=label)
+        for colour, label in (
+            (plots.OBJECT, "object, found"),
+            (plots.TYPE_1, "Type I: ground lost"),
+            (plots.TYPE_2, "Type II: object accepted"),
+        )
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     save_png(figure, path, dpi)
 
 
-def sample(name: str, cloud: jf.PointCloud, results: dict[str, jf.FilterResult], path: Path, dpi: int) -> None:
-    """Figs. 9 to 12: reference, seeds, PTD and FPTD as error maps, and a section through the worst of both."""
-    width, height = np.ptp(cloud.xyz[:, :2], axis=0)
-    map_height = 4.0 * float(height / width) + 0.8
-    figure = Figure(figsize=(9.0, 2 * map_height + 3.6), layout="constrained")
-    places = figure.add_gridspec(4, 2, height_ratios=(map_height, map_height, 1.8, 1.8))
-    maps = [figure.add_subplot(places[i // 2, i % 2]) for i in range(4)]
-    surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
-    _reference(maps[0], cloud, surface, f"(a) {name}, reference")
-    _seeds(maps[1], name, cloud, surface, results)
-    strip = 4.0
-    line = _worst_line(cloud, results, strip)
-    for i, method in enumerate(("ptd", "fptd")):
-        ax = maps[2 + i]
-        scores = jf.evaluate(results[method], cloud.reference)
-        title = f"({'cd'[i]}) {method.upper()}, total error {scores.total:.2f} %"
-        plots.error_map(cloud, results[method], cloud.reference, surface=surface, ax=ax, title=title)
-        ax.plot(*np.array(line).T, color="k", linewidth=0.6, linestyle=(0, (4, 3)))
-        section = figure.add_subplot(places[2 + i, :])
-        plots.profile(cloud, results[method], line, strip, reference=cloud.reference, ax=section,
-                      title=f"{method.upper()}, section at y = {line[0][1]:.0f} m, {strip:.0f} m wide")
-    for ax in maps:
-        ax.set(xlabel="", ylabel="")
-        ax.get_legend().set_bbox_to_anchor((0.5, -0.28 / (map_height - 0.8)), ax.transAxes)
+class _Picture:
+    """Shaded reference ground of a cloud, ready to be overlaid with labels."""
+
+    def __init__(self, cloud: jf.PointCloud) -> None:
+        surface, grid = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
+        shade = LightSource(315, 45).hillshade(
+            np.nan_to_num(surface, nan=np.nanmean(surface)), dx=grid.cell, dy=-grid.cell
+        )
+        self.base = np.repeat((0.35 + 0.65 * shade)[:, :, None], 3, axis=2)
+        self.cell = grid.flat(cloud.xyz)
+        self.truth = cloud.reference
+        self.aspect = grid.ny / grid.nx
+
+    def draw(self, ground: np.ndarray) -> np.ndarray:
+        """f64[ny, nx, 3]: found objects tint the cells, errors fill them."""
+        picture = self.base.copy()
+        pixels = picture.reshape(-1, 3)
+        found = np.unique(self.cell[~ground & ~self.truth])
+        pixels[found] = 0.45 * pixels[found] + 0.55 * np.array(to_rgb(plots.OBJECT))
+        pixels[self.cell[ground & ~self.truth]] = to_rgb(plots.TYPE_2)
+        pixels[self.cell[~ground & self.truth]] = to_rgb(plots.TYPE_1)
+        return picture
+
+
+def heat_tables(
+    rows: Mapping[str, Sequence[Row]], methods: Sequence[str], path: Path, dpi: int, key: str = "total"
+) -> None:
+    """One coloured table of ``key`` per protocol: methods by samples, with the mean; the best of each column is bold."""
+    names = list(dict.fromkeys(row["sample"] for table in rows.values() for row in table))
+    figure = Figure(
+        figsize=(0.52 * (len(names) + 1) + 1.2, len(rows) * (0.24 * len(methods) + 0.55) + 0.3), layout="constrained"
+    )
+    axes = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
+    values = {p: _matrix(table, methods, names, key) for p, table in rows.items()}
+    every = np.concatenate([v.ravel() for v in values.values()])
+    norm = LogNorm(max(0.5, np.nanmin(every)), max(1.0, np.nanmax(every)))
+    for ax, (protocol, matrix) in zip(axes, values.items(), strict=True):
+        ax.imshow(np.clip(matrix, norm.vmin, None), norm=norm, cmap="cividis_r", aspect="auto")
+        best = np.nanmin(np.where(np.isnan(matrix), np.inf, matrix), axis=0)
+        for (i, j), value in np.ndenumerate(matrix):
+            dark = norm(max(value, norm.vmin)) > 0.55
+            ax.text(
+                j,
+                i,
+                "–" if np.isnan(value) else f"{value:.1f}",
+                ha="center",
+                va="center",
+                fontsize=6.5,
+                color="white" if dark else "black",
+                weight="bold" if value == best[j] else "normal",
+            )
+        ax.set_xticks(range(len(names) + 1), [*(n.removeprefix("samp") for n in names), "mean"], fontsize=7)
+        ax.set_yticks(range(len(methods)), [m.upper() for m in methods], fontsize=7)
+        ax.axvline(len(names) - 0.5, color="white", linewidth=2)
+        ax.set_title(f"{protocol}: total error, %", fontsize=9, loc="left")
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
     save_png(figure, path, dpi)
 
 
-def _reference(ax: Any, cloud: jf.PointCloud, surface: Any, title: str) -> None:
-    plots.error_map(cloud, cloud.reference, cloud.reference, surface=surface, ax=ax, title=title)
-    ax.scatter([], [], s=14, marker="s", c=plots.OBJECT, label="objects, over the reference ground")
-    _legend(ax)
+def _matrix(rows: Sequence[Row], methods: Sequence[str], names: Sequence[str], key: str) -> np.ndarray:
+    """f64[methods, samples + 1], the last column the mean over the samples."""
+    value = {(row["method"], row["sample"]): row[key] for row in rows}
+    matrix = np.array([[value.get((m, s), np.nan) for s in names] for m in methods], float)
+    return np.column_stack([matrix, matrix.mean(axis=1)])
 
 
-def _seeds(ax: Any, name: str, cloud: jf.PointCloud, surface: Any, results: dict[str, jf.FilterResult]) -> None:
-    printed = next(row for row in samples.published("li2021_seeds") if row["sample"] == name)
-    plots.hillshade(surface, ax=ax, title="(b) seeds")
-    for method, marker, size, colour in (("ptd", "s", 20, SEED_PTD), ("fptd", "o", 5, SEED)):
-        result = results[method]
-        where = result.decision == jf.Decision.SEED
-        ax.scatter(*cloud.xyz[where, :2].T, s=size, marker=marker, linewidths=0.8, edgecolors=colour,
-                   facecolors="none" if method == "ptd" else colour,
-                   label=f"{method.upper()}: {result.info['seeds']} and {result.info['border_points']} simulated; "
-                         f"printed, together: {printed[method]}")
-    _legend(ax)
-
-
-def _legend(ax: Any) -> None:
-    ax.legend(loc="upper center", frameon=False, fontsize=7, handletextpad=0.4)
-
-
-def _worst_line(
-    cloud: jf.PointCloud, results: dict[str, jf.FilterResult], strip: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """West to east through the strip with the most errors of PTD and FPTD together."""
-    wrong = np.concatenate([cloud.xyz[r.ground != cloud.reference, 1] for r in results.values()])
-    count = np.bincount((wrong / strip).astype(int))
-    y = (float(np.argmax(count)) + 0.5) * strip
-    return (0.0, y), (float(cloud.xyz[:, 0].max()), y)
-
-
-def site(name: str, cloud: jf.PointCloud, result: jf.FilterResult, path: Path, dpi: int) -> None:
-    """Fig. 8: the points and the filtered ground by elevation, with a section from north to south and one from west to east."""
-    figure = Figure(figsize=(9.0, 7.2), layout="constrained")
-    places = figure.add_gridspec(3, 2, height_ratios=(3.4, 1, 1))
-    found = plots.rasterise(cloud.xyz[result.ground], over=cloud.xyz)
-    limits = np.nanpercentile(found[0], (1, 99))
-    highest = _highest(cloud.xyz[cloud.xyz[:, 2] < np.nanmax(found[0]) + 60], found[1])
-    x, y = (float(v) for v in cloud.xyz[:, :2].max(axis=0) / 2)
-    end_x, end_y = 2 * x, 2 * y
-    surfaces = (("(a) highest points", highest), (f"(b) ground, {int(result.ground.sum()):,} points", found[0]))
-    for i, (title, z) in enumerate(surfaces):
-        ax = figure.add_subplot(places[0, i])
-        plots.hillshade((z, found[1]), ax=ax, title=f"{name} {title}")
-        extent = (found[1].x0, found[1].x0 + found[1].nx * found[1].cell, found[1].y0, found[1].y0 + found[1].ny * found[1].cell)
-        tint = ax.imshow(z, cmap="viridis", vmin=limits[0], vmax=limits[1], alpha=0.45, extent=extent, origin="lower",
-                         interpolation="nearest")
-        ax.plot([x, x], [0, end_y], [0, end_x], [y, y], color="#c1121f", linewidth=0.8)
-    figure.colorbar(tint, ax=ax, label="height (m)", shrink=0.8)
-    sections = ((f"section at x = {x:.0f} m, from south to north", ((x, 0.0), (x, end_y))),
-                (f"section at y = {y:.0f} m, from west to east", ((0.0, y), (end_x, y))))
-    for i, (title, line) in enumerate(sections):
-        ax = figure.add_subplot(places[1 + i, :])
-        plots.profile(cloud, result, line, 5.0, ax=ax, title=title)
-        ax.set_ylim(limits[0] - 15, limits[1] + 45)
+def accuracy_against_time(summaries: Sequence[Row], path: Path, dpi: int) -> None:
+    """Mean kappa against seconds per million points, fixed protocol, one mark per method."""
+    figure = Figure(figsize=(4.6, 3.4), layout="constrained")
+    ax = figure.subplots()
+    for row in summaries:
+        if "seconds_per_million" in row:
+            ax.scatter(row["seconds_per_million"], row["kappa"], s=22, color="#1b4965")
+            place: dict[str, Any] = {"textcoords": "offset points", "xytext": (4, 3), "fontsize": 7}
+            ax.annotate(row["method"].upper(), (row["seconds_per_million"], row["kappa"]), **place)
+    ax.set(xscale="log", xlabel="seconds per million points", ylabel="mean kappa, %")
+    ax.spines[["top", "right"]].set_visible(False)
     save_png(figure, path, dpi)
-
-
-def _highest(xyz: np.ndarray, grid: Grid) -> np.ndarray:
-    """f32[ny, nx]: the highest point of each cell and its eight neighbours, NaN where there is none."""
-    z = np.full(grid.ny * grid.nx, -np.inf, np.float32)
-    np.maximum.at(z, grid.flat(xyz), xyz[:, 2])
-    z = ndimage.maximum_filter(z.reshape(grid.shape), 3)
-    return np.where(np.isfinite(z), z, np.nan)
-

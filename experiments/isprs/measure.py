@@ -1,109 +1,49 @@
-"""Runs of the filters on the ISPRS clouds, one row of figures each."""
+"""Timed runs of the filters, one row of figures each."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
 
 import numpy as np
 
 import jaxfilter as jf
-from experiments.isprs import samples
+from experiments.isprs import protocols, samples, search
 from experiments.report import Row
-from jaxfilter.core.points import canonical_points
-from jaxfilter.stages.outliers import radius_outliers
 
 
-def methods() -> dict[str, Callable[[str], jf.Filter]]:
-    """What is compared: by name, the filter for a cloud such as "samp11".
-
-    ``fptd``, ``ptd``: ours, thresholds of the cloud's terrain class. ``fptd_independent``: the same in the blocks of the
-    paper. ``fptd_paper``: as printed, with nothing in place of the manual removal of low outliers. ``ptd_static``: border
-    points keep their first elevation. ``smrf``: one set for all; ``smrf_oracle``: the set per sample that Pingel et al.
-    chose on the labels.
-    """
-    terrain = samples.terrain_classes()
-    oracle = samples.oracle_parameters()
-    return {
-        "fptd": lambda name: jf.FPTD.preset(terrain[name]),
-        "fptd_independent": lambda name: jf.FPTD.preset(terrain[name], blocks="independent"),
-        "fptd_paper": lambda name: jf.FPTD.preset("paper", **jf.FPTD.PRESETS[terrain[name]]),
-        "ptd": lambda name: jf.PTD.preset(terrain[name]),
-        "ptd_static": lambda name: jf.PTD.preset(terrain[name], refresh_border=False),
-        "smrf": lambda name: jf.SMRF(cell=1.0, slope=0.15, window=18.0, threshold=0.5, scaling=1.25),
-        "smrf_oracle": lambda name: jf.SMRF(cell=1.0, **oracle[name]),
-    }
-
-
-def timed(filter_: jf.Filter, cloud: jf.PointCloud, repeats: int) -> tuple[jf.FilterResult, float, float]:
+def timed(
+    filter_: jf.Filter, cloud: jf.PointCloud, repeats: int, workers: int | None = None
+) -> tuple[jf.FilterResult, float, float]:
     """The result, the seconds of a first call, and the median seconds of ``repeats`` calls after it."""
     start = time.perf_counter()
-    result = filter_(cloud)
+    result = filter_(cloud, workers=workers)
     first = time.perf_counter() - start
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()
-        result = filter_(cloud)
+        result = filter_(cloud, workers=workers)
         seconds.append(time.perf_counter() - start)
-    return result, first, statistics.median(seconds)
+    return result, first, statistics.median(seconds) if seconds else first
 
 
-def sample_row(name: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int) -> tuple[Row, jf.FilterResult]:
-    """Scores against the reference over all points, and seconds."""
+def sample_row(
+    name: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int
+) -> tuple[Row, jf.FilterResult]:
+    """Scores against the reference over all points, seconds, and how much of the ground was barred from the seeds."""
     result, first, seconds = timed(filter_, cloud, repeats)
-    scores = jf.evaluate(result, cloud.reference)
-    row = {
-        "sample": name,
-        "method": method,
-        "terrain": samples.terrain_classes()[name],
-        "points": len(cloud),
-        "type1": scores.type1,
-        "type2": scores.type2,
-        "total": scores.total,
-        "kappa": scores.kappa,
-        "seconds": seconds,
-        "first_call_seconds": first,
-        "status": result.status.name,
-    }
-    for key in ("seeds", "border_points", "rounds"):
-        row[key] = result.info.get(key)
-    return row, result
+    counts = jf.evaluate(result, cloud.reference).confusion.ravel().tolist()
+    row: Row = {"sample": name, "method": method, "terrain": samples.terrain_classes().get(name), "points": len(cloud)}
+    row |= dict(zip(search.COUNTS, counts, strict=True))
+    row |= protocols.scores(row) | {"seconds": seconds, "first_call_seconds": first, "status": result.status.name}
+    row |= {key: result.info.get(key) for key in ("seeds", "border_points", "rounds")}
+    row["barred"] = int(result.barred.sum())
+    row["barred_ground"] = int((result.barred & cloud.reference).sum())
+    row["barred_ground_kept"] = int((result.barred & cloud.reference & result.ground).sum())
+    return row | {"parameters": search.digest(filter_)}, result
 
 
-def outlier_row(name: str, cloud: jf.PointCloud, result: jf.FilterResult) -> Row:
-    """What FPTD barred from its seeds without labels, and how much of it the reference calls ground.
-
-    Beside it the paper's radius filter (r = 5 m, n = 10), which is off in our presets. Labels serve the counts only.
-    """
-    points = canonical_points(cloud)
-    sparse = np.zeros(len(cloud), bool)
-    sparse[points.index] = radius_outliers(points.xyz, points.weight, 5.0, 10)[points.member]
-    truth, barred = cloud.reference, result.barred
-    return {
-        "sample": name,
-        "barred": int(barred.sum()),
-        "barred_ground": int((barred & truth).sum()),
-        "barred_ground_kept": int((barred & truth & result.ground).sum()),
-        "barred_object_accepted": int((barred & ~truth & result.ground).sum()),
-        "radius": int(sparse.sum()),
-        "radius_ground": int((sparse & truth).sum()),
-        "radius_ground_share": 100 * float((sparse & truth).sum() / truth.sum()),
-    }
-
-
-def site_row(site: str, file: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int) -> tuple[Row, jf.FilterResult]:
-    """Points, ground points and seconds."""
-    result, first, seconds = timed(filter_, cloud, repeats)
-    row = {
-        "site": site,
-        "file": file,
-        "terrain": samples.terrain_classes()[site],
-        "points": len(cloud),
-        "ground": int(result.ground.sum()),
-        "barred": int(result.barred.sum()),
-        "seconds": seconds,
-        "first_call_seconds": first,
-        "status": result.status.name,
-    }
-    return row, result
+def failed_row(name: str, method: str, cloud: jf.PointCloud, error: Exception) -> Row:
+    """What stands in the table for a filter that gave no labels."""
+    row: Row = {"sample": name, "method": method, "terrain": samples.terrain_classes().get(name), "points": len(cloud)}
+    return row | dict.fromkeys(protocols.SCORES, np.nan) | {"status": f"{type(error).__name__}: {error}"[:200]}

@@ -94,7 +94,7 @@ def _is_number(value: Any) -> bool:
 
 def declared(params: Any) -> list[dataclasses.Field[Any]]:
     """The fields of a filter, class or instance, in the order of its signature: a method's own before those it shares."""
-    return sorted(dataclasses.fields(params), key=lambda field: field.kw_only)
+    return sorted(dataclasses.fields(params), key=lambda field: bool(field.kw_only))
 
 
 def check_fields(params: Any) -> None:

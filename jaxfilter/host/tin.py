@@ -12,6 +12,8 @@ a thread pool and never look at the rest of the network:
   of p, and new vertices whose cavities touch it" contains every new triangle at p;
 * triangles with old vertices only are either untouched or gone.
 
+Taking vertices out changes only the triangles at them, and is done in the same way (:meth:`Tin.remove`).
+
 The triangulation is made unique by moving every node, for triangulation and location only, by less than half a quantum
 of the coordinates in a direction that its own coordinates decide (lidar coordinates are decimal, so that squares, which
 have two Delaunay triangulations, are everywhere). So it does not depend on the order of the points, on threads or on the
@@ -27,6 +29,8 @@ from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, Delaunay
 
 from ..core.cloud import QUANTUM
@@ -195,11 +199,10 @@ class Tin:
 
         cavities = list(self.pool.map(lambda c: self._cavities(nodes[c[0] : c[1]]), chunks))
         removed = _distinct(*(tri for _, tri in cavities))
-        gone = np.zeros(len(self.triangles), bool)
+        gone = np.zeros(len(self.triangles) + 1, bool)  # the last is for -1, "none"
         gone[removed] = True
         self.vertex[nodes] = True
-        moved = np.flatnonzero(self.where >= 0)
-        moved = moved[gone[self.where[moved]]]
+        moved = np.flatnonzero(gone[self.where])
         moved = moved[~self.vertex[moved]]
         corner = self.triangles[self.where[moved], 0]
         slot = np.empty(len(self.triangles), np.int32)  # only the places of removed triangles are ever read
@@ -217,7 +220,7 @@ class Tin:
 
         patches = list(self.pool.map(patch, zip(chunks, cavities, strict=True)))
         self._stamp[nodes] = np.iinfo(np.int32).max
-        changed = self._stitch(removed, gone, patches)
+        changed = self._stitch(removed, gone, patches, len(removed) + 2 * len(nodes))
         if changed is None:  # Qhull saw a tie where there is none: start again, from all vertices
             self.rebuilt += 1
             vertices = np.flatnonzero(self.vertex)
@@ -232,6 +235,86 @@ class Tin:
             rest = moved[lost]
             self.where[rest] = self.walk(self.xy[rest], self._at[corner[lost]], self.sheet[rest])
         return changed
+
+    def remove(self, nodes: np.ndarray) -> np.ndarray:
+        """Make vertices (i64, ascending, not on the hull of their sheet) ordinary nodes again, located in their triangles.
+
+        The triangles at the vertices leave holes. Kept triangles stay Delaunay triangles, so the edges around a hole
+        do too, and fill it: the Delaunay triangulation of the vertices around holes holds all triangles inside them.
+        Returns bool[t]: the triangles that are new, or have another row than before.
+        """
+        nodes = np.asarray(nodes)
+        if len(nodes) == 0:
+            return np.zeros(len(self.triangles), bool)
+        removed = self.around(nodes)
+        gone = np.zeros(len(self.triangles) + 1, bool)  # the last is for -1, "none"
+        gone[removed] = True
+        self.vertex[nodes] = False
+        self.where[nodes] = self._at[nodes]
+        moved = np.flatnonzero(gone[self.where])
+        slot = np.empty(len(self.triangles), np.int32)
+        slot[removed] = np.arange(len(removed), dtype=np.int32)
+        points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
+        holes = self._holes(removed, gone, slot)
+
+        patches = list(self.pool.map(lambda rows: self._fill(removed[rows], gone, points_in(rows)), holes))
+        changed = self._stitch(removed, gone, patches, len(removed) - 2 * len(nodes))
+        if changed is None:
+            self.rebuilt += 1
+            vertices = np.flatnonzero(self.vertex)
+            self._build(vertices, root=len(vertices))
+            return np.ones(len(self.triangles), bool)
+        self.where[moved] = -1
+        for p in patches:
+            self.where[p.located] = p.inside
+        lost = moved[self.where[moved] < 0]
+        if len(lost):
+            kept = np.flatnonzero(self.vertex)
+            near = kept[np.minimum(np.searchsorted(kept, lost), len(kept) - 1)]
+            self.where[lost] = self.walk(self.xy[lost], self._at[near], self.sheet[lost])
+        return changed
+
+    def _holes(self, removed: np.ndarray, gone: np.ndarray, slot: np.ndarray) -> list[np.ndarray]:
+        """Places in ``removed`` in parts of about a chunk, such that triangles that share an edge are in one part."""
+        step = self.neighbours[removed]
+        row, edge = np.nonzero((step >= 0) & gone[step])
+        links = coo_array((np.ones(len(row), np.int8), (row, slot[step[row, edge]])), shape=(len(removed),) * 2)
+        hole = connected_components(links, directed=False)[1]
+        first = np.full(int(hole.max()) + 1, len(self.xy))
+        np.minimum.at(first, hole, self.triangles[removed].min(axis=1))
+        place = np.argsort(first[hole], kind="stable")  # near in canonical order, near in the plane
+        new_hole = np.diff(first[hole[place]], prepend=-1) != 0
+        part = np.searchsorted(np.flatnonzero(new_hole), np.arange(len(place)), side="right")
+        size = min(CHUNK, max(_SMALLEST_CHUNK, -(-int(part[-1]) // self.workers)))
+        return np.split(place, np.flatnonzero(np.diff((part - 1) // size)) + 1)
+
+    def _fill(self, rows: np.ndarray, gone: np.ndarray, points: np.ndarray) -> _Patch:
+        """New triangles in the holes that the triangles ``rows`` leave, which are whole holes."""
+        corner = self.triangles[rows]
+        nodes = _distinct(corner.ravel())
+        nodes = nodes[self.vertex[nodes]]
+        xy = self.xy[nodes]
+        mesh = delaunay(xy)
+        simplices = nodes[mesh.simplices]
+        beyond = self.neighbours[rows]
+        row, edge = np.nonzero((beyond < 0) | ~gone[beyond])
+        k = len(self.xy)
+        rim = np.sort(corner[row, (edge + 1) % 3].astype(np.int64) * k + corner[row, (edge + 2) % 3])
+        ahead, behind = np.roll(simplices, -1, axis=1), np.roll(simplices, -2, axis=1)
+        inner = _among(
+            ahead * k + behind, rim
+        )  # edge opposite each corner, counter-clockwise: the hole lies to its left
+        row, edge = np.nonzero(~inner & ~_among(behind * k + ahead, rim) & (mesh.neighbors >= 0))
+        links = coo_array((np.ones(len(row), np.int8), (row, mesh.neighbors[row, edge])), shape=(len(simplices),) * 2)
+        region = connected_components(links, directed=False)[1]
+        keep = np.isin(region, region[inner.any(axis=1)])
+        rank = np.where(keep, np.cumsum(keep) - 1, -2).astype(np.int32)
+        neighbours = np.where((mesh.neighbors < 0) | inner, -2, rank[mesh.neighbors])[keep]
+        points = np.sort(points)
+        cell = mesh.find_simplex(self.xy[points] - xy.mean(axis=0))
+        cell = np.where(cell < 0, -2, rank[cell])
+        mine = cell >= 0
+        return _Patch(simplices[keep].astype(np.int32), neighbours, points[mine], cell[mine])
 
     def _cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """All pairs of a node and a triangle whose circumcircle contains it."""
@@ -268,19 +351,24 @@ class Tin:
         mine = cell >= 0
         return _Patch(simplices[keep].astype(np.int32), neighbours, points[mine], cell[mine])
 
-    def _stitch(self, removed: np.ndarray, gone: np.ndarray, patches: Sequence[_Patch]) -> np.ndarray | None:
-        """Put the patches in the place of the removed triangles. None if they do not fit, with nothing changed."""
+    def _stitch(
+        self, removed: np.ndarray, gone: np.ndarray, patches: Sequence[_Patch], count: int
+    ) -> np.ndarray | None:
+        """Put the patches in the place of the removed triangles. None if they do not fit, with nothing changed.
+
+        ``count``: how many triangles the patches must have together.
+        """
         old_count = len(self.triangles)
-        count = sum(len(p.triangles) for p in patches)
         added = np.concatenate([p.triangles for p in patches])
-        if count < len(removed):
+        if count != len(added):
             return None
-        rows = np.concatenate([removed, np.arange(old_count, old_count + count - len(removed))]).astype(np.int32)
+        more = np.arange(old_count, old_count + max(0, count - len(removed)))
+        rows = np.concatenate([removed[:count], more]).astype(np.int32)
         shift = np.cumsum([0] + [len(p.triangles) for p in patches])
         links = np.concatenate(
             [np.where(p.neighbours < 0, -2, p.neighbours + s) for p, s in zip(patches, shift[:-1], strict=True)]
         )
-        links = np.where(links < 0, -2, rows[links])
+        links = np.where(links < 0, -2, rows[np.maximum(links, 0)])
 
         # Open edges: of new triangles without a neighbour yet, and of old triangles that bordered a removed one.
         new_row, new_edge = np.nonzero(links == -2)
@@ -300,7 +388,7 @@ class Tin:
         if len(key) - 2 * len(pair) != hull_edges or (len(pair) > 1 and (np.diff(pair) < 2).any()):
             return None
 
-        self._grow(old_count + count - len(removed))
+        self._grow(old_count + len(more))
         self.triangles[rows] = added
         self._note(rows)
         self.neighbours[rows] = np.where(links == -2, -1, links)
@@ -311,7 +399,32 @@ class Tin:
             p.inside = rows[p.inside + s]
         changed = np.zeros(len(self.triangles), bool)
         changed[rows] = True
-        return changed
+        return changed if count >= len(removed) else self._compact(removed[count:], changed, patches)
+
+    def _compact(self, dead: np.ndarray, changed: np.ndarray, patches: Sequence[_Patch]) -> np.ndarray:
+        """Move the last triangles into the rows ``dead`` (ascending), and shorten the tables. Returns ``changed`` so too."""
+        old_count = len(self.triangles)
+        count = old_count - len(dead)
+        alive = np.ones(len(dead), bool)
+        alive[dead[dead >= count] - count] = False
+        source = (np.flatnonzero(alive) + count).astype(np.int32)
+        target = dead[: len(source)]
+        row = np.arange(old_count, dtype=np.int32)
+        row[source] = target
+        self.triangles[target] = self.triangles[source]
+        self.neighbours[target] = self.neighbours[source]
+        beside = self.neighbours[target].ravel()
+        beside = np.unique(np.concatenate([target, row[beside[beside >= 0]]]))
+        self.neighbours[beside] = np.where(self.neighbours[beside] < 0, -1, row[self.neighbours[beside]])
+        for name in ("triangles", "neighbours"):
+            setattr(self, name, getattr(self, name)[:count])
+        for table in (self.where, self._at):
+            high = np.flatnonzero((table >= count) & (table < old_count))  # others are out of use
+            table[high] = row[table[high]]
+        for p in patches:
+            p.inside = row[p.inside]
+        changed[target] = True
+        return changed[:count]
 
     def _grow(self, count: int) -> None:
         """Make room for so many triangles; the tables are views of larger ones, so that few rounds copy them."""
@@ -374,6 +487,11 @@ class Tin:
     def triangle_of_vertices(self) -> np.ndarray:
         """i32[k]: for each vertex one of its triangles; for other nodes the triangle that contains them."""
         return np.where(self.vertex, self._at, self.where)
+
+
+def _among(values: np.ndarray, ascending: np.ndarray) -> np.ndarray:
+    """bool of the shape of ``values``: those that are among the values of an ascending array that is not empty."""
+    return ascending[np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)] == values
 
 
 def _by_cell(cell: np.ndarray, values: np.ndarray, count: int) -> Any:

@@ -32,3 +32,23 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
     south = node[corner] * (1 - x) + node[corner + 1] * x
     north = node[corner + nx + 2] * (1 - x) + node[corner + nx + 3] * x
     return south * (1 - y) + north * y
+
+
+def quadratic_trend(xyz: np.ndarray, size: float) -> np.ndarray:
+    """f32[m], metres: one surface of second order through f32[m, 3] local points, after Uray & Varlik (2024).
+
+    It has the least squares of vertical distances from the mean points of the cells of ``size`` metres. With fewer than
+    six cells, or cells on a line, which do not determine it, the surface of least coefficients is taken.
+    """
+    cell = np.floor(xyz[:, :2] / np.float32(size)).astype(np.int64)
+    _, member = np.unique(cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1], return_inverse=True)
+    count = np.bincount(member)
+    mean = np.column_stack([np.bincount(member, xyz[:, axis]) / count for axis in range(3)])
+    centre, scale = mean[:, :2].mean(axis=0), max(float(np.ptp(mean[:, :2], axis=0).max()), size)
+
+    def terms(xy: np.ndarray) -> np.ndarray:
+        x, y = ((xy - centre) / scale).T
+        return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+    coefficient = np.linalg.lstsq(terms(mean[:, :2]), mean[:, 2], rcond=None)[0]
+    return (terms(xyz[:, :2].astype(np.float64)) @ coefficient).astype(np.float32)

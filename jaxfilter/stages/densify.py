@@ -2,15 +2,16 @@
 
 Each round tests all open points whose facet has changed since they were last tested against one triangulation, accepts
 all that pass, or the lowest over each facet, and makes them vertices; either way the order of the points does not matter.
-A point whose facet has not changed would fail again, and is left alone. The network may consist of several sheets (FPTD's
-blocks) that share nothing: their triangulations run in a thread pool, and one padded kernel call a round tests the points
-of all sheets together.
+A point whose facet has not changed would fail again, and is left alone, unless the thresholds were loosened. The network
+may consist of several sheets (FPTD's blocks) that share nothing: their triangulations run in a thread pool, and one
+padded kernel call a round tests the points of all sheets together.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.grid import Grid
 from ..core.result import Decision, Progress
 from ..host.tin import Tin
 from ..ops.facets import Rule, Verdict, judge, mirrored
@@ -26,7 +28,9 @@ _BATCHES = (2048, 16384, 65536)
 """Sizes that kernel calls are padded to; larger requests are cut."""
 INSERTIONS = ("batch", "one_per_facet")
 """What a round adds of the points that pass: all of them, or the lowest over each facet (after Nie et al. 2017)."""
-_KEPT = ("accepted", "decision", "margin", "angle", "elevation", "height", "slope")
+_SAMPLE = 65536
+"""At most about so many quantities decide adaptive thresholds."""
+_KEPT = ("accepted", "decision", "margin", "angle", "elevation", "distance", "height", "slope")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,12 +59,44 @@ class Mirror:
     """Mirroring over steep facets (Axelsson 2000; Zhang & Lin 2013).
 
     ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex;
-    ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance.
+    ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
     """
 
     slope: float
     about: str = "highest"
     mode: str = "replace"
+
+
+@dataclasses.dataclass(frozen=True)
+class Vertices:
+    """Which ground points become vertices: the lowest in each cell of a grid, on finer and finer grids (Uray & Varlik 2024).
+
+    A lower point that is accepted later takes the place of the vertex of its cell. The other ground points are none.
+
+    Attributes:
+        grids: from coarse to fine.
+        stop_share: go on to the next grid, or end, when a round accepts fewer than this share of all points; below any
+            share it still has to accept one. Infinity = one round on each grid.
+    """
+
+    grids: Sequence[Grid]
+    stop_share: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptive:
+    """Thresholds that follow the ground found so far.
+
+    Attributes:
+        rule: from unsigned distances f32[s], metres, and angles f32[s], degrees, to thresholds. Not called without any.
+        sample: "ground" = of ground points that are no vertices, in their facets; "neighbours" = of vertices over the plane
+            of the facet beyond the edge opposite them (a sample of them, which does not depend on the order of points).
+        every: "round", or "grid" = each time that :class:`Vertices` change to a finer grid.
+    """
+
+    rule: Callable[[np.ndarray, np.ndarray], Rule]
+    sample: str = "neighbours"
+    every: str = "round"
 
 
 @dataclasses.dataclass(eq=False)
@@ -87,6 +123,9 @@ def densify(
     mirror: Mirror | None = None,
     refresh_border: bool = False,
     vertex_spacing: float = 0.0,
+    vertices: Vertices | None = None,
+    adaptive: Adaptive | None = None,
+    review: bool = False,
     insertion: str = "batch",
     max_rounds: int = 100,
     workers: int | None = None,
@@ -101,6 +140,9 @@ def densify(
         refresh_border: after each round give every simulated border node the elevation of the ground vertex nearest to it
             in the plane (Li et al. 2021, Sec. II-E, step 6).
         vertex_spacing: metres; at most one accepted point per square of this size becomes a vertex, the lowest. 0 = all do.
+        vertices: which points become vertices; None = all, but for ``vertex_spacing``. Not with ``refresh_border``.
+        adaptive: how thresholds change as the ground grows; None = they are constant.
+        review: at the end test all points but the vertices once more; ground points that fail lose their label.
         insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become
             vertices, the one that lies lowest over it; the others are tested again over the new facets.
         max_rounds: give up after so many rounds.
@@ -108,8 +150,20 @@ def densify(
     """
     threads = workers or os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        run = _Run(network, rule, mirror, refresh_border, vertex_spacing, insertion, pool, threads, keep_labels)
-        return run.run(max_rounds, progress)
+        run = _Run(
+            network,
+            rule,
+            mirror,
+            refresh_border,
+            vertex_spacing,
+            vertices,
+            adaptive,
+            insertion,
+            pool,
+            threads,
+            keep_labels,
+        )
+        return run.run(max_rounds, progress, review)
 
 
 class _Run:
@@ -122,6 +176,8 @@ class _Run:
         mirror: Mirror | None,
         refresh_border: bool,
         vertex_spacing: float,
+        vertices: Vertices | None,
+        adaptive: Adaptive | None,
         insertion: str,
         pool: ThreadPoolExecutor,
         threads: int,
@@ -136,7 +192,15 @@ class _Run:
         self.vertex_at = np.full(k, -1, np.int64)  # per head: the node that stands for this position in the network
         self.square = _squares(network, vertex_spacing) if vertex_spacing > 0 else None
         self.taken = np.zeros(0 if self.square is None else int(self.square.max(initial=-1)) + 1, bool)
-        seeds = self._to_insert(np.flatnonzero(network.seed))
+        self.adaptive = adaptive
+        self.stop_share = vertices.stop_share if vertices else 0.0
+        self.finer = list(vertices.grids) if vertices else []
+        self.lowest: np.ndarray | None = None  # per cell of the grid: its vertex, or -1
+        if vertices:
+            self._next_grid()
+            seeds = np.sort(np.concatenate([self._lowest(np.flatnonzero(network.seed))[1], self.virtual]))
+        else:
+            seeds = self._to_insert(np.flatnonzero(network.seed))
         self.tin = Tin(network.xyz.copy(), network.sheet, seeds, pool, threads)
         self.one_per_facet = insertion == "one_per_facet"
         self.refresh_border = refresh_border and len(self.virtual) > 0
@@ -144,36 +208,44 @@ class _Run:
         self._refresh(seeds[network.row[seeds] >= 0])
         nan = np.full(k, np.nan, np.float32)
         self.angle, self.elevation, self.margin = nan.copy(), nan.copy(), nan.copy()
-        self.steep = np.zeros(k, bool)
+        self.image_in = np.full(k, -1, np.int32)  # the facet that the mirror image of a point was tested in
         self.decision = np.where(network.seed, Decision.SEED, Decision.ANGLE).astype(np.uint8)
         self.trace: list[dict[str, Any]] = []
 
-    def run(self, max_rounds: int, progress: Progress) -> Densified:
+    def run(self, max_rounds: int, progress: Progress, review: bool) -> Densified:
         """Rounds until no point is accepted, first without the suspected low outliers, then with them."""
         waiting = self.net.open & ~self.ground
         total = max(1, int(waiting.sum()))
+        enough = self.stop_share * int((self.net.row >= 0).sum())
         todo = rest = np.flatnonzero(waiting & ~self.net.late)
         all_admitted = not self.net.late.any()
-        mirroring = self.mirror is not None
+        self._adapt("round")
         converged = False
         for _ in range(max_rounds):
             progress(1.0 - len(rest) / total, "densify")
             accepted, deferred = self._test(todo)
             self.ground[accepted] = True
             waiting[accepted] = False
-            inserted = self._to_insert(accepted)
-            self.trace.append({"tested": len(todo), "accepted": len(accepted), "inserted": len(inserted)})
+            changed, inserted = self._grow(accepted)
+            self.trace.append({"tested": len(todo), "accepted": len(accepted), "inserted": inserted})
+            self.trace[-1] |= {"facets": len(self.tin)}
+            if self.lowest is not None:
+                self.trace[-1]["cell"] = self.cell
+            if self.adaptive is not None:  # the limits that were applied
+                self.trace[-1] |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
             if self.keep_labels:
                 self.trace[-1]["ground"] = self.ground.copy()
-            changed = self.tin.insert(inserted) if len(inserted) else np.zeros(len(self.tin), bool)
-            moved = np.concatenate([self._refresh(inserted), self._lower(accepted)])
-            changed[self.tin.around(moved)] = True
+            loosened = self._adapt("round")
             rest = rest[waiting[rest]]
-            again = changed[self.tin.where[rest]]
-            again[np.searchsorted(rest, deferred)] = True
-            if mirroring and changed.any():
-                again |= self.steep[rest]  # the facet under their mirror image may be another one
-            todo = rest[again]
+            todo = rest[loosened | self._again(rest, deferred, changed)]
+            done = len(accepted) + len(deferred) < enough
+            while self.finer and (done or len(todo) == 0):
+                done = False
+                changed = _either(changed, self._refine())
+                loosened |= self._adapt("grid")
+                todo = rest[loosened | self._again(rest, deferred, changed)]
+            if done:
+                todo = rest[:0]
             if len(todo) == 0 and not all_admitted:
                 all_admitted = True
                 todo = np.flatnonzero(waiting & self.net.late)
@@ -181,8 +253,123 @@ class _Run:
             if len(todo) == 0:
                 converged = True
                 break
+        if review:
+            self._review()
         progress(1.0, "densify")
         return self._result(converged)
+
+    def _again(self, rest: np.ndarray, deferred: np.ndarray, changed: np.ndarray) -> np.ndarray:
+        """bool[.]: nodes to test again: their facet, or that of their mirror image, has changed, or they were put off."""
+        again = changed[self.tin.where[rest]]
+        again[np.searchsorted(rest, deferred)] = True
+        if self.mirror is not None:
+            image = self.image_in[rest]
+            again |= (image >= 0) & np.append(changed, True)[np.minimum(image, len(changed))]
+        return again
+
+    def _grow(self, accepted: np.ndarray) -> tuple[np.ndarray, int]:
+        """Bring accepted nodes into the network: bool[t], the triangles that changed, and how many vertices are new."""
+        if self.lowest is not None:
+            replaced, inserted = self._lowest(accepted)
+            return self._exchange(replaced, inserted), len(inserted)
+        inserted = self._to_insert(accepted)
+        changed = self.tin.insert(inserted)
+        moved = np.concatenate([self._refresh(inserted), self._lower(accepted)])
+        changed[self.tin.around(moved)] = True
+        return changed, len(inserted)
+
+    def _exchange(self, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        """bool[t]: the triangles that changed as vertices ``old`` gave way to ``new``."""
+        changed = self.tin.remove(old)
+        return _either(changed, self.tin.insert(new))
+
+    def _next_grid(self) -> None:
+        grid = self.finer.pop(0)
+        self.cell = grid.cell
+        sheet = self.net.sheet.astype(np.int64) * (grid.nx * grid.ny)
+        self.square = np.where(self.net.row < 0, -1, sheet + grid.flat(self.net.xyz))
+        self.lowest = np.full(int(self.square.max(initial=-1)) + 1, -1, np.int64)
+
+    def _refine(self) -> np.ndarray:
+        """Change to the next grid; bool[t], the triangles that changed."""
+        self._next_grid()
+        before = self.tin.vertex
+        after = np.zeros_like(before)
+        after[self.virtual] = True
+        after[self._lowest(np.flatnonzero(self.ground))[1]] = True
+        return self._exchange(np.flatnonzero(before & ~after), np.flatnonzero(after & ~before))
+
+    def _lowest(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices that must go because one of the nodes (ascending) is lower in their cell, and the nodes that become
+        vertices."""
+        assert self.square is not None and self.lowest is not None
+        nodes = nodes[self._undercuts(nodes)]
+        at, z = self.square[nodes], self.net.xyz[nodes, 2]
+        low = np.full(len(self.lowest), np.inf, np.float32)
+        np.minimum.at(low, at, z)
+        least = z == low[at]
+        nodes, at = nodes[least], at[least]
+        before = self.lowest.copy()
+        self.lowest[at[::-1]] = nodes[::-1]  # of equals the first in order is written last, and stays
+        new = self.lowest[at] == nodes
+        replaced = before[at[new]]
+        return np.sort(replaced[replaced >= 0]), nodes[new]
+
+    def _undercuts(self, nodes: np.ndarray) -> np.ndarray:
+        """bool[.]: nodes that lie in a cell without a vertex, or are lower than it (of equals, the first in order)."""
+        assert self.square is not None and self.lowest is not None
+        at = self.square[nodes]
+        vertex = self.lowest[at]
+        z, vertex_z = self.net.xyz[nodes, 2], self.net.xyz[vertex, 2]
+        return (at >= 0) & ((vertex < 0) | (z < vertex_z) | ((z == vertex_z) & (nodes < vertex)))
+
+    def _adapt(self, moment: str) -> bool:
+        """Make new thresholds if it is the moment for it; whether any is looser than before."""
+        if self.adaptive is None or self.adaptive.every != moment:
+            return False
+        distance, angle = getattr(self, f"_over_{self.adaptive.sample}")()
+        if len(distance) == 0:
+            return False
+        before, self.rule = self.rule, Rule(*(jnp.float32(v) for v in self.adaptive.rule(distance, angle)))
+        return any(float(new) > float(old) for new, old in zip(self.rule, before, strict=True))
+
+    def _over_ground(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unsigned distances and angles of the ground points that are no vertices, in their facets."""
+        nodes = np.flatnonzero(self.ground & ~self.tin.vertex)
+        found = self._judge(nodes, self.tin.where[nodes])
+        return np.abs(found["distance"]), np.abs(found["angle"])
+
+    def _over_neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unsigned distances and angles of vertices over the facets across the edge from them; simulated ones left out."""
+        tin = self.tin
+        a, b, c = tin.triangles.T
+        step = max(1, 3 * len(tin) // _SAMPLE)
+        rows = np.flatnonzero(np.minimum(np.minimum(a, b), c) % step == 0)  # by nodes: rows depend on the history
+        corner = np.sort(tin.triangles[rows], axis=1)
+        inner = (self.net.row[corner] >= 0).all(axis=1)
+        rows, corner = rows[inner], corner[inner]
+        beyond = tin.neighbours[rows]
+        row, edge = np.nonzero(beyond >= 0)
+        there = beyond[row, edge]
+        apex = tin.triangles[there, (tin.neighbours[there] == rows[row, None]).argmax(axis=1)]
+        real = self.net.row[apex] >= 0
+        found = self._score(apex[real], corner[row[real]])
+        return np.abs(found["distance"]), np.abs(found["angle"])
+
+    def _review(self) -> None:
+        """Test all points but the vertices against the final network; labels are those of this test."""
+        nodes = np.flatnonzero((self.net.row >= 0) & self.net.open & ~self.tin.vertex)
+        before = self.ground[nodes]
+        self.ground[nodes] = False
+        whole, self.one_per_facet = self.one_per_facet, False
+        passed, _ = self._test(nodes)
+        self.one_per_facet = whole
+        self.ground[passed] = True
+        after = self.ground[nodes]
+        self.trace.append({"tested": len(nodes), "accepted": int((after & ~before).sum()), "inserted": 0})
+        self.trace[-1] |= {"revoked": int((before & ~after).sum()), "facets": len(self.tin)}
+        if self.keep_labels:
+            self.trace[-1]["ground"] = self.ground.copy()
 
     def _test(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Test nodes against their facets, keep the tested quantities, and return those accepted and those deferred."""
@@ -201,9 +388,12 @@ class _Run:
 
     def _not_lowest(self, nodes: np.ndarray, height: np.ndarray) -> np.ndarray:
         """bool[n]: nodes that could become vertices, but are not the lowest of these over their facet."""
-        free = self.vertex_at[self.head[nodes]] < 0
-        if self.square is not None:
-            free &= ~self.taken[self.square[nodes]]
+        if self.lowest is not None:
+            free = self._undercuts(nodes)
+        else:
+            free = self.vertex_at[self.head[nodes]] < 0
+            if self.square is not None:
+                free &= ~self.taken[self.square[nodes]]
         free = np.flatnonzero(free)
         facet = self.tin.where[nodes[free]]
         order = np.lexsort((nodes[free], height[free], facet))
@@ -212,10 +402,17 @@ class _Run:
         return put_off
 
     def _mirror(self, nodes: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
-        """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes."""
+        """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes.
+
+        Where a second test cannot change the outcome it is left out.
+        """
         assert self.mirror is not None
-        self.steep[nodes] = verdict["slope"] > self.mirror.slope
-        steep = np.flatnonzero(self.steep[nodes])
+        mode = self.mirror.mode
+        self.image_in[nodes] = -1
+        of_use = verdict["slope"] > self.mirror.slope
+        if mode != "replace":
+            of_use &= verdict["accepted"] == (mode == "and")
+        steep = np.flatnonzero(of_use)
         if len(steep) == 0:
             return
         facet = self.tin.where[nodes[steep]]
@@ -227,26 +424,42 @@ class _Run:
             image[part] = np.asarray(found)[: len(pair[0])]
         there = self.tin.walk(image[:, :2].astype(np.float64), facet, self.net.sheet[nodes[steep]])
         steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
+        self.image_in[nodes[steep]] = there
         second = self._judge(nodes[steep], there, image)
-        replace = second["accepted"] if self.mirror.mode == "or" else np.ones(len(steep), bool)
+        replace = second["accepted"] | (mode != "or")
         for name in ("accepted", "decision", "margin", "angle", "elevation"):
             verdict[name][steep[replace]] = second[name][replace]
 
     def _judge(self, nodes: np.ndarray, facet: np.ndarray, image: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """The kernel over nodes, or over ``image`` f32[n, 3] in their place, in facets i32[n]; the result on the host.
+        """Test nodes, or ``image`` f32[n, 3] in their place, in facets i32[n]; the quantities on the host."""
+
+        def one(part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            xyz = self.net.xyz[nodes[part]] if image is None else image[part]
+            return self.net.late[nodes[part]], xyz, self.tin.corners(facet[part])
+
+        return self._kernel(len(nodes), one)
+
+    def _score(self, nodes: np.ndarray, corner: np.ndarray) -> dict[str, np.ndarray]:
+        """Quantities of nodes over the planes through nodes i32[n, 3]."""
+
+        def one(part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return self.net.late[nodes[part]], self.tin.xyz[nodes[part]], self.tin.xyz[corner[part]]
+
+        return self._kernel(len(nodes), one)
+
+    def _kernel(self, n: int, arguments: Callable[[slice], tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
+        """The tests of ``n`` points; ``arguments`` gives those of a part of them.
 
         Calls are cut and padded to a few sizes, so that nothing is compiled twice, and prepared in the thread pool.
         """
 
         def one(start: int) -> dict[str, np.ndarray]:
-            part = slice(start, start + _BATCHES[-1])
-            xyz = self.net.xyz[nodes[part]] if image is None else image[part]
-            late, corners = self.net.late[nodes[part]], self.tin.corners(facet[part])
-            verdict: Verdict = judge(self.rule, *(_padded(v) for v in (late, xyz, corners)))
+            stop = min(n, start + _BATCHES[-1])
+            verdict: Verdict = judge(self.rule, *(_padded(v) for v in arguments(slice(start, stop))))
             values = {**verdict._asdict(), **verdict.score._asdict()}
-            return {name: np.asarray(values[name])[: len(xyz)] for name in _KEPT}
+            return {name: np.asarray(values[name])[: stop - start] for name in _KEPT}
 
-        parts = list(self.pool.map(one, range(0, max(len(nodes), 1), _BATCHES[-1])))
+        parts = list(self.pool.map(one, range(0, max(n, 1), _BATCHES[-1])))
         return {name: np.concatenate([part[name] for part in parts]) for name in _KEPT}
 
     def _to_insert(self, nodes: np.ndarray) -> np.ndarray:
@@ -321,6 +534,13 @@ class _Run:
             facets=len(self.tin),
             vertices=int(self.tin.vertex.sum()),
         )
+
+
+def _either(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """bool[t]: triangles changed by two steps in a row; ``after`` has the number of triangles that there are now."""
+    both = min(len(before), len(after))
+    after[:both] |= before[:both]
+    return after
 
 
 def _padded(values: np.ndarray) -> np.ndarray:

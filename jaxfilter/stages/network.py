@@ -14,6 +14,8 @@ from .densify import Densified, Network
 PAD = 0.25
 """Metres between the extent of the points and the simulated border points around it."""
 _BULGE = 0.05
+CORNER_GAP = 10.0
+"""Metres between the extent of the points and four simulated corner points (Uray & Varlik 2024)."""
 
 
 def block_count(extent: np.ndarray, size: float) -> tuple[int, int]:
@@ -42,6 +44,12 @@ def border_positions(low: np.ndarray, high: np.ndarray, size: float) -> np.ndarr
             side[:, 1 - axis] = edge[1 - axis] + sign * bulge
             sides.append(side if axis == 0 else side[1:-1])  # the corners belong to the first two sides
     return np.concatenate(sides).astype(np.float32)
+
+
+def corner_positions(low: np.ndarray, high: np.ndarray, gap: float = CORNER_GAP) -> np.ndarray:
+    """f32[4, 2]: the corners of the extent f64[2], f64[2] after it has been widened by ``gap`` metres on every side."""
+    (west, south), (east, north) = low - gap, high + gap
+    return np.array([[west, south], [east, south], [east, north], [west, north]], np.float32)
 
 
 def with_elevation(border: np.ndarray, xyz: np.ndarray) -> np.ndarray:

@@ -220,14 +220,26 @@ def _surroundings(lowest: np.ndarray, grid: Grid, suspect: np.ndarray, bottom: n
 
 
 def bar_outliers(
-    points: Points, *, radius: float, min_neighbours: int, clusters: bool, workers: int | None = None
+    points: Points,
+    *,
+    radius: float,
+    min_neighbours: int,
+    clusters: bool,
+    neighbours: int = 0,
+    deviations: float = 3.0,
+    workers: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which points no filter should take as seeds: bool[m] all of them, and bool[m] those in low clusters.
 
-    ``radius`` 0 switches the radius test off, ``clusters`` False the test for low clusters.
+    ``radius`` 0 switches the radius test off, ``clusters`` False the test for low clusters, ``neighbours`` 0 the test of
+    elevations (:func:`knn_outliers`). Where every point would be barred, as in a cloud too sparse for the radius, none is.
     """
     low = low_clusters(points).barred if clusters else np.zeros(len(points), bool)
     barred = low.copy()
     if radius > 0:
         barred |= radius_outliers(points.xyz, points.weight, radius, min_neighbours, workers=workers)
+    if neighbours > 0:
+        barred |= knn_outliers(points.xyz, points.weight, neighbours, deviations=deviations, workers=workers)
+    if barred.all():
+        low, barred = np.zeros_like(low), np.zeros_like(low)
     return barred, low

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
 from ..core.errors import InputError
-from ..core.grid import MAX_CELLS
+from ..core.grid import MAX_CELLS, Grid
 from ..core.points import Points
 from ..ops.grid import block_minima, cell_index, padded_shape
 from ..ops.windows import window_layout, window_minima
+from .surfaces import LowestCells, look_up
 
 
 def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray) -> np.ndarray:
@@ -63,3 +65,32 @@ def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarr
     Whole cells only; the last of each axis absorbs what is left over, as the blocks of Li et al. (2021), Sec. II-D, do.
     """
     return lowest_per_window(points, cell, cell, barred)
+
+
+def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray:
+    """i64[s], ascending: rows of the lowest points of the cells of a grid that are not ``barred`` (bool[m]).
+
+    Cells at the upper edges may reach beyond the cloud. Of equally low points the first in canonical order is taken.
+    """
+    rows = np.flatnonzero(~barred)
+    cell, z = grid.flat(points.xyz[rows]), points.xyz[rows, 2]
+    low = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    np.minimum.at(low, cell, z)
+    lowest = np.flatnonzero(z == low[cell])
+    return np.sort(rows[lowest[np.unique(cell[lowest], return_index=True)[1]]])
+
+
+def lowest_of_cells(points: Points, cells: LowestCells, chosen: jax.Array, barred: np.ndarray) -> np.ndarray:
+    """i64[s], ascending: rows of the lowest points of the ``chosen`` cells, bool[rows, columns].
+
+    ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the
+    first in canonical order is taken.
+    """
+    chosen = jnp.where(chosen & cells.seen, cells.lowest, -jnp.inf)
+    (low,) = look_up(points.xyz, cells, chosen)
+    rows = np.flatnonzero(~barred & (points.xyz[:, 2] == low))
+    n = bucket(len(rows))
+    xy = np.zeros((n, 2), np.float32)
+    xy[: len(rows)] = points.xyz[rows, :2]
+    at = np.asarray(cell_index(xy, cells.frame[:2], cells.frame[2], cells.extent, chosen.shape[1]))[: len(rows)]
+    return np.sort(rows[np.unique(at, return_index=True)[1]])

@@ -12,7 +12,7 @@ from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
-from .densify import INSERTIONS, Mirror, densify
+from .densify import INSERTIONS, Adaptive, Mirror, Vertices, densify
 from .network import Network, border_positions, labels_of, one_network
 from .outliers import bar_outliers
 
@@ -69,6 +69,9 @@ class TinFilter(Filter):
         late: np.ndarray,
         mirror: Mirror | None = None,
         refresh_border: bool = False,
+        vertices: Vertices | None = None,
+        adaptive: Adaptive | None = None,
+        review: bool = False,
         workers: int | None,
         progress: Progress,
         trace: bool,
@@ -80,6 +83,9 @@ class TinFilter(Filter):
             mirror=mirror,
             refresh_border=refresh_border,
             vertex_spacing=self.vertex_spacing,
+            vertices=vertices,
+            adaptive=adaptive,
+            review=review,
             insertion=self.insertion,
             max_rounds=self.max_rounds,
             workers=workers,

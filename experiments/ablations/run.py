@@ -1,0 +1,610 @@
+"""The choices within the TIN methods, one at a time, on the 15 ISPRS samples. See README.md."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import shlex
+import statistics
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import jaxfilter as jf
+from experiments.isprs import protocols, samples, search, spaces
+from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from jaxfilter.core.points import Points
+from jaxfilter.stages import outliers
+from jaxfilter.stages.tin_filter import TinFilter
+
+HERE = Path(__file__).parent
+QUICK = ("24", "41")
+COLUMNS = ("choice", "variant", "sample", "key", *search.COUNTS, "status")
+ANGLES = (6.0, 10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 34.0, 38.0, 42.0)
+TINS = ("fptd", "ptd")
+
+Maker = Callable[[str], jf.Filter]
+"""The filter for a sample such as "samp11"."""
+Runner = Callable[[jf.Filter, jf.PointCloud], np.ndarray]
+"""bool[n] ground of a cloud."""
+
+
+def run_filter(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
+    return filter_(cloud, workers=1).ground
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """One way to make a choice. ``baseline``: what the others of the choice are compared with, the fixed set as it stands or
+    nearest to it; ``labels``: it looks at the reference. Names begin with the method and a colon."""
+
+    choice: str
+    name: str
+    make: Maker
+    run: Runner = run_filter
+    baseline: bool = False
+    labels: bool = False
+
+
+def variants() -> list[Variant]:
+    """Every choice of the report, in its order."""
+    return [
+        *_low_outliers(),
+        *_fate(),
+        *_seed_density(),
+        *_seed_cell(),
+        *_sign(),
+        *_angle(),
+        *_blocks(),
+        *_insertion(),
+        *_mirror(),
+        *_border(),
+        *_switches(),
+    ]
+
+
+def _with(method: str, **changes: Any) -> Maker:
+    return lambda sample: spaces.fixed(method, sample).replace(**changes)
+
+
+def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Callable[..., Any]) -> Maker:
+    """The fixed set of a method with steps replaced, as a subclass of it."""
+
+    def make(sample: str) -> jf.Filter:
+        given = spaces.fixed(method, sample).replace(**(changes or {}))
+        cls = type(f"Modified{type(given).__name__}", (type(given),), methods)
+        return cls(**{f.name: getattr(given, f.name) for f in dataclasses.fields(given)})
+
+    return make
+
+
+def _low_outliers() -> list[Variant]:
+    """1. How low outliers are kept from being seeds."""
+    choice = "1. low outliers"
+    out = []
+    for method in TINS:
+        title = method.upper()
+        out += [
+            Variant(choice, f"{title}: none", _with(method, low_clusters=False)),
+            Variant(
+                choice,
+                f"{title}: radius filter, 5 m, 10 neighbours",
+                _with(method, low_clusters=False, radius=5.0, min_neighbours=10),
+            ),
+            Variant(
+                choice, f"{title}: isolated points, 2 m below their 8 neighbours", _modified(method, outliers=_isolated)
+            ),
+            Variant(choice, f"{title}: elevation unlike that of 8 neighbours", _modified(method, outliers=_unlike)),
+            Variant(choice, f"{title}: clusters of low points", _with(method), baseline=True),
+            Variant(choice, f"{title}: clusters and radius filter", _with(method, radius=5.0, min_neighbours=10)),
+            Variant(
+                choice,
+                f"{title}: by the labels, objects 1 m below ground",
+                _modified(method, outliers=_by_labels),
+                labels=True,
+            ),
+        ]
+    return out
+
+
+def _isolated(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    found = outliers.isolated_low(points.xyz, 8, 2.0, workers=workers)
+    return found, found
+
+
+def _unlike(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    found = outliers.knn_outliers(points.xyz, points.weight, 8, workers=workers)
+    return found, found
+
+
+def _by_labels(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Objects more than 1 m below the nearest reference ground: what a perfect manual removal would take out."""
+    truth = np.zeros(len(points), bool)
+    truth[points.member[points.cloud.reference[points.index]]] = True
+    _, nearest = cKDTree(points.xyz[truth, :2]).query(points.xyz[:, :2])
+    found = ~truth & (points.xyz[:, 2] < points.xyz[truth][nearest, 2] - 1.0)
+    return found, found
+
+
+def _fate() -> list[Variant]:
+    """2. What becomes of points that were kept from being seeds."""
+    choice = "2. fate of outliers"
+    radius = {"radius": 5.0, "min_neighbours": 10, "low_clusters": False}
+    return [
+        Variant(choice, "FPTD: low clusters tested after the others", _with("fptd"), baseline=True),
+        Variant(choice, "FPTD: low clusters tested with the others", _modified("fptd", outliers=_at_once)),
+        Variant(choice, "FPTD: low clusters left out", _with("fptd"), run=_left_out),
+        Variant(choice, "FPTD: radius filter, tested with the others", _with("fptd", **radius)),
+        Variant(choice, "FPTD: radius filter, left out", _with("fptd", **radius), run=_left_out),
+    ]
+
+
+def _at_once(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    barred, _ = jf.FPTD.outliers(self, points, workers)
+    return barred, np.zeros_like(barred)
+
+
+def _left_out(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
+    """The labels of what is left when barred points are taken from the cloud and called objects."""
+    kept = ~filter_(cloud, workers=1).barred
+    rest = jf.PointCloud.from_arrays(cloud.coordinates()[kept])
+    ground = np.zeros(len(cloud), bool)
+    ground[kept] = filter_.replace(low_clusters=False, radius=0.0)(rest, workers=1).ground
+    return ground
+
+
+def _seed_density() -> list[Variant]:
+    """3. How many seeds: stride of FPTD's windows of 60 m, and the seeds of each method under the test of PTD."""
+    limits = {
+        "max_angle": spaces.fixed("ptd", "samp11").max_angle,
+        "max_distance": spaces.fixed("ptd", "samp11").max_distance,
+    }
+
+    def rule(self: Any, **unused: float) -> Any:
+        return TinFilter.rule(self, **limits)
+
+    how = "PTD's test"
+    seeds = {
+        "agptd": "cells divided on slopes (AGPTD)",
+        "iptd": "opening and local planes (IPTD)",
+        "spf": "openings (SPF)",
+    }
+    return [
+        *(
+            Variant(
+                "3. seed density",
+                f"FPTD: stride {stride:g} m" + (", one seed per cell" if stride == 60 else ""),
+                _with("fptd", stride=stride),
+                baseline=stride == 10,
+            )
+            for stride in (60.0, 30.0, 20.0, 10.0, 5.0)
+        ),
+        Variant("3. seeds", f"{how}: cell minima (PTD)", _with("ptd"), baseline=True),
+        Variant("3. seeds", f"{how}: sliding windows (FPTD)", _modified("fptd", rule=rule)),
+        *(
+            Variant("3. seeds", f"{how}: {text}", _with(method, **limits))
+            for method, text in seeds.items()
+            if method in jf.FILTERS
+        ),
+    ]
+
+
+def _seed_cell() -> list[Variant]:
+    """4. Size of seed cells and windows, whatever the largest building."""
+    sizes = (6.0, 12.0, 18.0, 30.0, 60.0, 90.0)
+    titles = {"ptd": "PTD: {:g} m", "fptd": "FPTD: {:g} m, stride a sixth", "agptd": "AGPTD: {:g} m"}
+
+    def change(method: str, size: float) -> dict[str, float]:
+        return {"window": size, "stride": size / 6} if method == "fptd" else {"seed_cell": size}
+
+    return [
+        Variant("4. seed cell", title.format(size), _with(method, **change(method, size)), baseline=size == 60)
+        for method, title in titles.items()
+        if method in jf.FILTERS
+        for size in sizes
+    ]
+
+
+def _sign() -> list[Variant]:
+    """5. Signed or not, and elevation over the highest vertex against distance to the plane."""
+
+    def rule(signed: float, distance: bool) -> Callable[..., Any]:
+        def changed(self: Any, **limits: float) -> Any:
+            limits = limits | {"signed": signed}
+            if distance:
+                limits["max_distance"] = limits.pop("max_elevation")
+            return jf.FPTD.rule(self, **limits)
+
+        return changed
+
+    choice = "5. sign and height"
+    return [
+        Variant(choice, "FPTD: signed, elevation over the highest vertex", _with("fptd"), baseline=True),
+        Variant(
+            choice, "FPTD: angle unsigned, elevation over the highest vertex", _modified("fptd", rule=rule(0.0, False))
+        ),
+        Variant(choice, "FPTD: signed, distance to the plane", _modified("fptd", rule=rule(1.0, True))),
+        Variant(choice, "FPTD: unsigned, distance to the plane, as PTD", _modified("fptd", rule=rule(0.0, True))),
+    ]
+
+
+def _angle() -> list[Variant]:
+    """6. Angle limit, and the noise floor."""
+    return [
+        *(
+            Variant(
+                "6. angle limit",
+                f"{method.upper()}: {angle:g} degrees",
+                _with(method, max_angle=angle),
+                baseline=spaces.fixed(method, "samp11").max_angle == angle,
+            )
+            for method in TINS
+            for angle in sorted({*ANGLES, spaces.fixed(method, "samp11").max_angle})
+        ),
+        *(
+            Variant(
+                "6. noise floor",
+                f"{method.upper()}: {'off' if floor == 0 else f'{floor:g} m'}",
+                _with(method, noise_floor=floor),
+                baseline=floor == 0,
+            )
+            for method in TINS
+            for floor in (0.0, 0.05, 0.1, 0.2)
+        ),
+    ]
+
+
+def _blocks() -> list[Variant]:
+    """7. The elevation limit of FPTD's step 1, and how far independent blocks overlap."""
+    blocks = {"blocks": "independent"}
+    return [
+        *(
+            Variant(
+                "7. block overlap", f"FPTD: independent blocks, {overlap:g} m", _with("fptd", **blocks, overlap=overlap)
+            )
+            for overlap in (0.0, 10.0, 30.0)
+        ),
+        Variant("7. block overlap", "FPTD: one triangulation", _with("fptd"), baseline=True),
+        Variant(
+            "7. elevation limit",
+            "FPTD: independent blocks, highest current ground (no effect)",
+            _with("fptd", **blocks),
+            baseline=True,
+        ),
+        Variant(
+            "7. elevation limit",
+            "FPTD: independent blocks, highest initial seed",
+            _modified("fptd", blocks, grow=_below_highest_seed),
+        ),
+    ]
+
+
+def _below_highest_seed(self: Any, points: Points, network: Any, rule: Any, **options: Any) -> Any:
+    """Step 1 of Sec. II-E read literally: points above the highest initial seed of their block plus e never take part."""
+    highest = np.full(network.sheet[-1] + 1, -np.inf)
+    np.maximum.at(highest, network.sheet[network.seed], network.xyz[network.seed, 2])
+    low = network.xyz[:, 2] <= highest[network.sheet] + self.max_elevation
+    return jf.FPTD.grow(self, points, dataclasses.replace(network, open=network.open & low), rule, **options)
+
+
+def _insertion() -> list[Variant]:
+    """8. Which of the points that pass in a round are added."""
+    out = []
+    for method in TINS:
+        field = next((f for f in dataclasses.fields(jf.FILTERS[method]) if f.name == "insertion"), None)
+        for way in field.metadata["choices"] if field else ():
+            out.append(
+                Variant(
+                    "8. insertion",
+                    f"{method.upper()}: {way}",
+                    _with(method, insertion=way),
+                    baseline=way == field.default,
+                )
+            )
+    return out
+
+
+def _mirror() -> list[Variant]:
+    """9. Mirroring of points over steep facets, of PTD."""
+    out = [Variant("9. mirroring", "PTD: off", _with("ptd", mirror="off"))]
+    for angle in (88.0, 30.0, 10.0):
+        for about in ("highest", "nearest"):
+            for mode in ("replace", "or"):
+                changes = {"max_terrain_angle": angle, "mirror": about, "mirror_mode": mode}
+                default = changes == {"max_terrain_angle": 88.0, "mirror": "highest", "mirror_mode": "replace"}
+                out.append(
+                    Variant(
+                        "9. mirroring",
+                        f"PTD: {about}, {mode}, over {angle:g} degrees",
+                        _with("ptd", **changes),
+                        baseline=default,
+                    )
+                )
+    return out
+
+
+def _border() -> list[Variant]:
+    """10. Simulated border points: elevation and number."""
+
+    def corners(self: Any, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Any:
+        return type(self).__mro__[1].network(self, points, seeds, 1e9, late)
+
+    def static(self: Any, *given: Any, **options: Any) -> Any:
+        return type(self).__mro__[1].grow(self, *given, **(options | {"refresh_border": False}))
+
+    out = []
+    for method in TINS:
+        title = method.upper()
+        out += [
+            Variant("10. border points", f"{title}: every 60 m, follow the ground", _with(method), baseline=True),
+            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, grow=static)),
+            Variant(
+                "10. border points", f"{title}: four corners, follow the ground", _modified(method, network=corners)
+            ),
+            Variant(
+                "10. border points", f"{title}: four corners, static", _modified(method, network=corners, grow=static)
+            ),
+        ]
+    return out
+
+
+def _switches() -> list[Variant]:
+    """11. Every switch of the other methods, as far as it can be thrown alone."""
+    choice = "11. switches of other methods"
+    out = []
+    for method in spaces.method_names():
+        fields = [f for f in dataclasses.fields(jf.FILTERS[method]) if f.metadata.get("choices")]
+        if method in TINS or not fields:
+            continue
+        out.append(Variant(choice, f"{method.upper()}: fixed set", _with(method), baseline=True))
+        base = spaces.fixed(method, "samp11")
+        for field in fields:
+            for value in field.metadata["choices"]:
+                try:
+                    base.replace(**{field.name: value})
+                except jf.ParameterError:
+                    continue
+                if value != getattr(base, field.name):
+                    name = f"{method.upper()}: {field.name}={value}"
+                    out.append(Variant(choice, name, _with(method, **{field.name: value})))
+    return out
+
+
+def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[Row]:
+    """One row per variant, named by choice and name; a variant that fails has no counts, and the error as its status."""
+    from jaxfilter.core.compilation import use_persistent_cache
+
+    use_persistent_cache()
+    cloud = jf.read(path)
+    table = {(v.choice, v.name): v for v in variants()}
+    done: dict[str, Row] = {}  # what unchanged methods gave: the baseline of one choice is that of others
+    rows = []
+    for name in names:
+        variant = table[name]
+        row: Row = {"choice": variant.choice, "variant": variant.name, "sample": sample}
+        try:
+            filter_ = variant.make(sample)
+            row["key"] = search.digest(filter_)
+            plain = variant.run is run_filter and type(filter_) in jf.FILTERS.values()
+            if not plain or row["key"] not in done:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", jf.JaxfilterWarning)
+                    counts = jf.evaluate(variant.run(filter_, cloud), cloud.reference).confusion.ravel().tolist()
+                found: Row = dict(zip(search.COUNTS, counts, strict=True)) | {"status": "OK"}
+                if plain:
+                    done[row["key"]] = found
+            row |= done[row["key"]] if plain else found
+        except Exception as error:
+            row |= {"status": f"{type(error).__name__}: {error}"[:200]}
+        rows.append(row)
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run what the command line asks for, as far as it is not at hand, and write the report."""
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
+    numbers = options.samples or list(QUICK if options.quick else samples.SAMPLES)
+    folder = samples.data_folder(options.data)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "runs.csv"
+    if options.fresh:
+        path.unlink(missing_ok=True)
+    chosen = [v for v in variants() if not options.choices or v.choice.split(".")[0] in options.choices]
+    have = {(row["choice"], row["variant"], row["sample"]): row for row in (read_csv(path) if path.exists() else [])}
+    tasks = []
+    for number in numbers:
+        name = f"samp{number}"
+        missing = [(v.choice, v.name) for v in chosen if not _at_hand(have.get((v.choice, v.name, name)), v, name)]
+        parts = [missing[i : i + 30] for i in range(0, len(missing), 30)]
+        tasks += [(name, samples.sample_path(folder, number), part) for part in parts]
+    for i, (task, rows) in enumerate(search.results(evaluate, tasks, options.processes), 1):
+        new = not path.exists()
+        with open(path, "a", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n", restval="")
+            if new:
+                writer.writeheader()
+            writer.writerows(rows)
+        print(f"{i}/{len(tasks)}: {task[0]}, {len(rows)} variants", file=sys.stderr, flush=True)
+    wanted = {(v.choice, v.name, f"samp{n}") for v in chosen for n in numbers}
+    latest = {(row["choice"], row["variant"], row["sample"]): row for row in read_csv(path)}
+    rows = [row | protocols.scores(row) for key, row in latest.items() if key in wanted]
+    lines = summary(rows, chosen)
+    write_csv(options.out / "summary.csv", lines)
+    (options.out / "results.md").write_text(
+        report(shlex.join(["python", "experiments/ablations/run.py", *given]), lines, rows, len(numbers))
+    )
+    figure(lines, options.out / "total.png")
+    print(f"results are in {options.out}")
+
+
+def _at_hand(row: Row | None, variant: Variant, sample: str) -> bool:
+    try:
+        return row is not None and row["key"] == search.digest(variant.make(sample))
+    except jf.ParameterError:
+        return row is not None
+
+
+def summary(rows: Sequence[Row], chosen: Sequence[Variant]) -> list[Row]:
+    """One line per variant: means and medians over the samples, and on how many it is better or worse than its baseline."""
+    by = {
+        (v.choice, v.name): [row for row in rows if (row["choice"], row["variant"]) == (v.choice, v.name)]
+        for v in chosen
+    }
+    out = []
+    for variant in chosen:
+        mine = by[variant.choice, variant.name]
+        good = [row for row in mine if row["total"] == row["total"]]
+        line: Row = {
+            "choice": variant.choice,
+            "variant": variant.name,
+            "baseline": variant.baseline,
+            "labels": variant.labels,
+            "samples": len(good),
+            "failed": len(mine) - len(good),
+        }
+        if good:
+            for key in protocols.SCORES:
+                line[key] = statistics.fmean(row[key] for row in good)
+                line[f"median_{key}"] = statistics.median(row[key] for row in good)
+        base = next(
+            (
+                by[v.choice, v.name]
+                for v in chosen
+                if v.baseline and v.choice == variant.choice and v.name.split(":")[0] == variant.name.split(":")[0]
+            ),
+            [],
+        )
+        pairs = [(b["total"], row["total"]) for row in good for b in base if b["sample"] == row["sample"]]
+        if pairs and not variant.baseline:
+            line |= {
+                "difference": statistics.fmean(t - b for b, t in pairs),
+                "better": sum(t < b for b, t in pairs),
+                "worse": sum(t > b for b, t in pairs),
+            }
+        out.append(line)
+    return out
+
+
+TABLE: list[Column] = [
+    ("title", "variant", ""),
+    ("type1", "T.I", ".2f"),
+    ("type2", "T.II", ".2f"),
+    ("total", "TE", ".2f"),
+    ("kappa", "kappa", ".2f"),
+    ("median_type1", "T.I, median", ".2f"),
+    ("median_type2", "T.II, median", ".2f"),
+    ("median_total", "TE, median", ".2f"),
+    ("median_kappa", "kappa, median", ".2f"),
+    ("difference", "TE less baseline", "+.2f"),
+    ("better", "better on", "d"),
+    ("worse", "worse on", "d"),
+    ("failed", "failed", "d"),
+]
+"""Means, medians, and the comparison with the baseline of the same method."""
+
+
+def report(command: str, lines: Sequence[Row], rows: Sequence[Row], count: int) -> str:
+    """The report as Markdown: a table per choice, and the angle limit per terrain class."""
+    text = [
+        "# Choices within the methods",
+        f"`{command}` on {machine()}.",
+        f"Means and medians over {count} ISPRS samples, in percent. Everything but the choice in question is the fixed "
+        "set of the protocol in `experiments/isprs`: parameters from point spacing and a largest building of 60 m, no labels. "
+        "The baseline, that fixed set, is bold. Variants marked † use the labels and show only what is to be gained.",
+    ]
+    for choice in dict.fromkeys(line["choice"] for line in lines):
+        part = [line | {"title": _title(line)} for line in lines if line["choice"] == choice]
+        used = [column for column in TABLE if any(line.get(column[0]) not in (None, 0) for line in part)]
+        text += [f"## {choice}", markdown(used, part)]
+        if choice == "6. angle limit":
+            text += ["Mean total error by terrain class of Li et al. (2021):", markdown(*_by_class(rows, choice))]
+    return "\n\n".join([*text, "![Mean total error per variant](total.png)"]) + "\n"
+
+
+def _title(line: Row) -> str:
+    title = line["variant"] + (" †" if line["labels"] else "")
+    return f"**{title}**" if line["baseline"] else title
+
+
+def _by_class(rows: Sequence[Row], choice: str) -> tuple[list[Column], list[Row]]:
+    terrain = samples.terrain_classes()
+    table: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        if row["choice"] == choice:
+            table.setdefault(row["variant"], {}).setdefault(terrain[row["sample"]], []).append(row["total"])
+    classes = sorted({c for groups in table.values() for c in groups})
+    order = sorted(table, key=lambda name: (name.split(":")[0], float(name.split()[1])))
+    lines = [{"variant": name} | {c: statistics.fmean(v) for c, v in table[name].items()} for name in order]
+    return [("variant", "variant", ""), *((c, f"TE, {c}", ".2f") for c in classes)], lines
+
+
+def figure(lines: Sequence[Row], path: Path) -> None:
+    """Mean total error of every variant of the ten choices as a dot, its median as a ring, baselines as lines."""
+    from matplotlib.figure import Figure
+
+    choices = [c for c in dict.fromkeys(line["choice"] for line in lines) if not c.startswith("11")]
+    parts = [[line for line in lines if line["choice"] == c and "total" in line] for c in choices]
+    chart = Figure(figsize=(7.4, 0.16 * sum(map(len, parts)) + 0.42 * len(parts) + 0.6), layout="constrained")
+    axes = chart.subplots(len(parts), 1, squeeze=False, sharex=True, height_ratios=[len(p) + 0.6 for p in parts])[:, 0]
+    for ax, choice, part in zip(axes, choices, parts, strict=True):
+        y = np.arange(len(part))
+        for method, colour in (
+            ("FPTD", "#D55E00"),
+            ("PTD", "#0072B2"),
+            ("PTD's test", "#009E73"),
+            ("AGPTD", "#CC79A7"),
+        ):
+            mine = [i for i, line in enumerate(part) if line["variant"].startswith(f"{method}:")]
+            base = [part[i]["total"] for i in mine if part[i]["baseline"]]
+            if base:
+                ax.vlines(base[0], min(mine) - 0.4, max(mine) + 0.4, color=colour, linewidth=0.8, alpha=0.6)
+            ax.scatter([part[i]["total"] for i in mine], mine, s=16, color=colour, zorder=3)
+            ax.scatter(
+                [part[i]["median_total"] for i in mine],
+                mine,
+                s=16,
+                facecolors="none",
+                edgecolors=colour,
+                linewidths=0.8,
+                zorder=2,
+            )
+        ax.set_yticks(y, [line["variant"] + (" †" if line["labels"] else "") for line in part], fontsize=6)
+        ax.set_ylim(len(part) - 0.4, -0.6)
+        ax.set_title(choice, fontsize=7.5, loc="left", pad=2)
+        ax.set_xscale("log")
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.tick_params(axis="x", labelsize=7)
+        ax.grid(axis="x", which="both", linewidth=0.3, alpha=0.5)
+    ticks = (2, 3, 5, 7, 10, 15, 20, 30, 50, 70)
+    low, high = axes[-1].get_xlim()
+    axes[-1].set_xticks([t for t in ticks if low <= t <= high], [str(t) for t in ticks if low <= t <= high])
+    axes[-1].minorticks_off()
+    axes[-1].set_xlabel("total error, %: mean (dot) and median (ring) over the samples; line: baseline", fontsize=8)
+    save_png(chart, path, 150)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, help="folder with isprs/ [JAXFILTER_DATA]")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument(
+        "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all 15]"
+    )
+    parser.add_argument("--choices", nargs="+", metavar="NUMBER", help="such as 1 7 [all]")
+    parser.add_argument("--processes", "--workers", type=int, default=2, help="of one thread each [%(default)s]")
+    parser.add_argument("--fresh", action="store_true", help="discard what an earlier run left in --out")
+    parser.add_argument("--quick", action="store_true", help=f"samples {', '.join(QUICK)}")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

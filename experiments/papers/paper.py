@@ -1,0 +1,161 @@
+"""What the studies of single papers share: the command line, the samples, and a report of measured beside printed figures."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jaxfilter as jf
+from experiments.isprs import samples
+from experiments.report import Column, Row, machine, markdown, save_png, with_averages, write_csv
+from jaxfilter.core.compilation import use_persistent_cache
+
+HERE = Path(__file__).parent
+SCORES = ("type1", "type2", "total", "kappa")
+HEADINGS = {
+    "type1": "T.I",
+    "type2": "T.II",
+    "total": "TE",
+    "kappa": "kappa",
+    "seconds": "s",
+    "points": "points",
+    "ground": "ground points",
+    "seeds": "seeds",
+    "sample": "sample",
+    "method": "method",
+}
+FORMATS = {"points": ",.0f", "ground": ",.0f", "seeds": ",.0f", "seconds": ".3f"}
+"""Of values that are not shown with two decimals."""
+
+
+def arguments(name: str, description: str | None, given: Sequence[str] | None = None) -> argparse.Namespace:
+    """The options of a study called ``name``: data, out, samples, quick; ``command``: what was typed, for the report."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--data", type=Path, help="folder with isprs/ and isprs_sites/ [JAXFILTER_DATA]")
+    parser.add_argument(
+        "--out", type=Path, default=HERE / "results" / name, help="folder for the results [%(default)s]"
+    )
+    parser.add_argument(
+        "--samples", type=samples.sample_name, nargs="+", metavar="SAMPLE", help="such as 11 24 [all of the paper]"
+    )
+    parser.add_argument("--quick", action="store_true", help="a few small samples and one call each")
+    options = parser.parse_args(given)
+    typed = sys.argv[1:] if given is None else list(given)
+    options.command = shlex.join(["python", f"experiments/papers/{name}.py", *typed])
+    options.out.mkdir(parents=True, exist_ok=True)
+    use_persistent_cache()
+    return options
+
+
+def clouds(
+    options: argparse.Namespace, of_paper: Sequence[str] = samples.SAMPLES
+) -> Iterator[tuple[str, jf.PointCloud]]:
+    """Name and cloud of each ISPRS sample that is asked for, such as "samp11": by default those ``of_paper``."""
+    folder = samples.data_folder(options.data)
+    quick = [s for s in ("24", "41", "54", "71", "52") if s in of_paper][:2]
+    for number in options.samples or (quick if options.quick else of_paper):
+        yield f"samp{number}", jf.read(samples.sample_path(folder, number))
+
+
+def score_row(
+    sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 1
+) -> tuple[Row, jf.FilterResult]:
+    """Errors in percent over all points, seconds of a warm call, and the counts of the run (``seeds``, ``rounds``, ...)."""
+    from experiments.isprs.measure import timed
+
+    result, first, seconds = timed(filter_, cloud, repeats)
+    scores = jf.evaluate(result, cloud.reference)
+    row = {"sample": sample, "method": method, "points": len(cloud)} | {key: getattr(scores, key) for key in SCORES}
+    row |= {"seconds": seconds, "first_call_seconds": first, "status": result.status.name}
+    return row | {key: result.info.get(key) for key in ("seeds", "border_points", "rounds")}, result
+
+
+def join(measured: Sequence[Row], printed: Sequence[Row], keys: Sequence[str], values: Sequence[str]) -> list[Row]:
+    """The measured rows with ``printed_*`` and ``off_*`` (measured minus printed) for each of the ``values``.
+
+    ``keys``: which columns name the same thing in both, such as ("sample", "method"). What was not printed stays absent.
+    """
+    table = {tuple(row[key] for key in keys): row for row in printed}
+    out = []
+    for row in measured:
+        there: Mapping[str, Any] = table.get(tuple(row[key] for key in keys), {})
+        row = dict(row)
+        for value in values:
+            if isinstance(there.get(value), (int, float)):
+                row[f"printed_{value}"] = there[value]
+                if isinstance(row.get(value), (int, float)):
+                    row[f"off_{value}"] = row[value] - there[value]
+        out.append(row)
+    return out
+
+
+def columns(rows: Sequence[Row], keys: Sequence[str], values: Sequence[str], off: bool = False) -> list[Column]:
+    """Columns of a table of :func:`join`: each value, printed beside measured, where ``off`` with the difference."""
+    out: list[Column] = [(key, HEADINGS.get(key, key), "") for key in keys]
+    for value in values:
+        title, form = HEADINGS.get(value, value), FORMATS.get(value, ".2f")
+        out.append((value, title, form))
+        if any(f"printed_{value}" in row for row in rows):
+            out.append((f"printed_{value}", f"{title}, printed", form))
+            if off:
+                out.append((f"off_{value}", "difference", "+" + form))
+    return out
+
+
+class Report:
+    """Collects sections, tables and figures, writes each table and figure when it is added, and the text at the end.
+
+    Files in the folder ``out``: ``results.md``, and per table ``<name>.csv``, per figure ``<name>.png``.
+    """
+
+    def __init__(self, title: str, source: str, options: argparse.Namespace) -> None:
+        """``source``: the paper, in full. ``options``: of :func:`arguments`."""
+        self.out: Path = options.out
+        self.parts = [f"# {title}", source, f"`{options.command}` on {machine()}."]
+
+    def text(self, *paragraphs: str) -> None:
+        """Add paragraphs of Markdown."""
+        self.parts.extend(paragraphs)
+
+    def table(
+        self, name: str, title: str, columns: Sequence[Column], rows: Sequence[Row], *, averages: str = ""
+    ) -> None:
+        """Add a section with a table, and write ``<name>.csv``. ``averages``: column to write mean and median under."""
+        write_csv(self.out / f"{name}.csv", rows)
+        self.text(f"## {title}", markdown(columns, with_averages(rows, averages) if averages else rows))
+
+    def beside(
+        self,
+        name: str,
+        title: str,
+        measured: Sequence[Row],
+        printed: Sequence[Row],
+        *,
+        keys: Sequence[str] = ("sample",),
+        values: Sequence[str] = SCORES,
+        averages: bool = True,
+        off: bool = False,
+    ) -> list[Row]:
+        """Add a table of measured beside printed values, joined by ``keys``; returns its rows (see :func:`join`)."""
+        rows = join(measured, printed, keys, values)
+        self.table(name, title, columns(rows, keys, values, off), rows, averages=keys[0] if averages else "")
+        return rows
+
+    def figure(self, figure: Any, name: str, caption: str, dpi: int = 130) -> None:
+        """Save a matplotlib figure as ``<name>.png`` and show it in the report."""
+        save_png(figure, self.out / f"{name}.png", dpi)
+        self.text(f"![{caption}]({name}.png)", caption)
+
+    def verdict(self, claim: str, printed: str, measured: str, holds: bool | None) -> None:
+        """Add a line on a claim of the paper: what it prints, what was measured; ``holds`` None = cannot be decided."""
+        word = {True: "confirmed", False: "refuted", None: "undecided"}[holds]
+        self.text(f"- **{claim}** Printed: {printed}. Measured: {measured}. **{word.capitalize()}.**")
+
+    def write(self) -> None:
+        """Write ``results.md``."""
+        (self.out / "results.md").write_text("\n\n".join(self.parts) + "\n")
+        print(f"results are in {self.out}")

@@ -1,0 +1,110 @@
+"""Seeds from a grid whose cells are divided where the terrain is steep (Zheng et al. 2024, Sec. 3.2)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.compilation import bucket
+from ..core.errors import InputError
+from ..core.grid import MAX_CELLS
+from ..core.points import Points
+from ..ops.grid import cell_index, padded_shape
+from ..ops.refinement import cell_slopes
+
+REMAINDERS = ("absorbed", "own_cells")
+"""What lies beyond the last whole cell joins that cell, or makes a smaller cell of its own (the paper's eqs. 1 and 2)."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AdaptiveSeeds:
+    """Seeds of an adaptive grid.
+
+    Attributes:
+        rows: i64[s], ascending, the seeds of all levels.
+        levels: i64[.] per level, the lowest points of its cells; a cell that is divided gives its lowest point to both.
+        divided: per level but the last, how many cells were divided.
+        steepest: degrees; the largest mean slope of a cell that holds enough points to be divided, 0 if none does.
+    """
+
+    rows: np.ndarray
+    levels: list[np.ndarray]
+    divided: list[int]
+    steepest: float
+
+
+def lowest_per_adaptive_cell(
+    points: Points,
+    cell: float,
+    barred: np.ndarray,
+    *,
+    levels: int = 2,
+    least_points: int = 5,
+    relative_slope: float = 0.06,
+    remainder: str = "absorbed",
+) -> AdaptiveSeeds:
+    """Lowest points of the cells of an adaptive grid (Zheng et al. 2024, Sec. 3.2).
+
+    The cells of each level are quarters of those of the level above. A cell is divided if it holds ``least_points``
+    points or more, and its relative slope exceeds ``relative_slope``: the mean less the least of the slopes (rise over
+    run) from its lowest point to its others.
+
+    Args:
+        cell: side of the cells of the first level, metres.
+        barred: bool[m], points that take no part.
+        levels: of the grid; with one, nothing is divided.
+        remainder: one of :data:`REMAINDERS`.
+
+    The grid starts at the lower left corner of the points, or at the nearest multiple of the cell from the cloud's anchor.
+    Raises: InputError if the extent needs too many cells.
+    """
+    xy = points.xyz[:, :2].astype(np.float64)
+    corner, high = xy.min(axis=0), xy.max(axis=0)
+    if points.cloud.anchor is not None:
+        offset = np.array(points.offset(cell))
+        corner = np.floor((corner - offset) / cell + 1e-9) * cell + offset
+    cells = (high - corner) / cell
+    whole = np.floor(cells + 1e-9) if remainder == "absorbed" else np.ceil(cells - 1e-6)
+    columns, rows = np.maximum(whole, 1).astype(np.int64)
+    finest = 2 ** (levels - 1)
+    if columns * rows * finest**2 > MAX_CELLS:
+        raise InputError(
+            f"seed_cell={cell:g} m with {levels} grid levels makes {columns * finest} x {rows * finest} cells over this "
+            "extent: use larger cells or fewer levels, or remove stray points far from the rest"
+        )
+    n = bucket(len(points))
+    xyz = np.zeros((n, 3), np.float32)
+    xyz[: len(points)] = points.xyz
+    counted = np.zeros(n, bool)
+    counted[: len(points)] = ~barred
+    device = jnp.asarray(xyz)
+    part: jax.Array = jnp.asarray(counted)
+    found, divided, steepest = [], [], 0.0
+    for level in range(levels):
+        extent = (int(rows) * 2**level, int(columns) * 2**level)
+        shape = padded_shape(extent)
+        index = cell_index(
+            device,
+            jnp.asarray(corner, jnp.float32),
+            np.float32(cell / 2**level),  # halves are exact, so that the levels are nested
+            np.array(extent, np.int32),
+            shape[1],
+        )
+        slopes = cell_slopes(index, device, part, shape[0] * shape[1])
+        number, first, mean, least = (np.asarray(v) for v in slopes)
+        found.append(np.sort(first[number > 0]).astype(np.int64))
+        enough = number >= least_points
+        steepest = max(steepest, float(mean[enough].max(initial=0.0)))
+        if level < levels - 1:
+            split = enough & (mean - least > relative_slope)
+            divided.append(int(split.sum()))
+            part = part & jnp.asarray(split)[index]
+    return AdaptiveSeeds(
+        rows=np.unique(np.concatenate(found)),
+        levels=found,
+        divided=divided,
+        steepest=float(np.degrees(np.arctan(steepest))),
+    )

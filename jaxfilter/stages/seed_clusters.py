@@ -1,0 +1,106 @@
+"""Removing noise from potential seeds on their triangulation (Chen et al. 2023, Sec. 2.3)."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..host.tin import Tin
+
+CLUSTERS = ("not_raised", "largest")
+"""Which clusters of facets are ground: those that do not stand above most of their surroundings, or the largest only."""
+_RAISED = 2 / 3
+
+
+def clustered_seeds(
+    xyz: np.ndarray,
+    *,
+    long_edge: float,
+    narrow_angle: float,
+    steep_angle: float,
+    raised: float,
+    clusters: str = "not_raised",
+    workers: int | None = None,
+) -> np.ndarray:
+    """bool[s]: the potential seeds that are ground, by the facets of their Delaunay triangulation.
+
+    1. The highest vertex of a facet with a long edge is noise.
+    2. Facets with such a vertex, and facets that are both narrow and steep (as between a roof and the ground beside it),
+       separate; the others form clusters with the neighbours that they share an edge with (flood fill).
+    3. Seeds are the vertices of ground clusters. A vertex in no cluster at all, such as a lone high point, is noise.
+
+    Args:
+        xyz: f32[s, 3], local metres, at positions of their own, in canonical order.
+        long_edge: metres, in 3-D.
+        narrow_angle: degrees; the smallest angle of a narrow facet, in 3-D, is less than this.
+        steep_angle: degrees of slope of a steep facet.
+        raised: metres. A cluster is raised if the ground drops by more than this over at least two thirds of its perimeter,
+            the border of the network included in the perimeter. The largest cluster never is.
+        clusters: one of :data:`CLUSTERS`.
+
+    Fewer than three seeds, or seeds on one line, are all kept.
+    """
+    s = len(xyz)
+    xy = xyz[:, :2].astype(np.float64)
+    if s < 4 or np.linalg.matrix_rank(xy - xy[0], tol=1e-3) < 2:
+        return np.ones(s, bool)
+    threads = workers or os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        tin = Tin(xyz, np.zeros(s, np.int32), np.arange(s), pool, threads)
+    facet, beside = tin.triangles, tin.neighbours
+    corner = xyz[facet]
+    z = corner[:, :, 2]
+    edge = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # edge k lies opposite vertex k
+    square = (edge.astype(np.float64) ** 2).sum(axis=2)
+    noise = np.zeros(s, bool)
+    long_facet = np.flatnonzero(square.max(axis=1) > long_edge**2)
+    noise[facet[long_facet, z[long_facet].argmax(axis=1)]] = True
+    separates = noise[facet].any(axis=1) | (
+        (_smallest_angle(square) < narrow_angle) & (_slope(edge[:, 0], edge[:, 1]) > steep_angle)
+    )
+    row, side = np.nonzero((beside >= 0) & ~separates[beside] & ~separates[:, None])
+    links = coo_array((np.ones(len(row), np.int8), (row, beside[row, side])), shape=(len(facet), len(facet)))
+    cluster = connected_components(links, directed=False)[1]
+    cluster[separates] = -1
+    inner = np.flatnonzero(~separates)
+    if len(inner) == 0:
+        return ~noise
+    size = np.bincount(cluster[inner], minlength=cluster.max() + 1)
+    good = np.zeros(len(size), bool)
+    good[size.argmax()] = True
+    if clusters == "not_raised":
+        good |= ~_raised(corner, beside, cluster, len(size), raised) & (size > 0)
+    keep = np.zeros(s, bool)
+    keep[facet[inner[good[cluster[inner]]]]] = True
+    return keep & ~noise
+
+
+def _smallest_angle(square: np.ndarray) -> np.ndarray:
+    """f64[t], degrees, of triangles with squared edges f64[t, 3]: the angle opposite the shortest edge."""
+    a, b, c = np.sort(square, axis=1).T
+    return np.degrees(np.arccos(np.clip((b + c - a) / (2 * np.sqrt(np.maximum(b * c, 1e-12))), -1.0, 1.0)))
+
+
+def _slope(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """f64[t], degrees: slope of the planes spanned by f32[t, 3] and f32[t, 3]."""
+    n = np.cross(u.astype(np.float64), v.astype(np.float64))
+    return np.degrees(np.arctan2(np.hypot(n[:, 0], n[:, 1]), np.abs(n[:, 2])))
+
+
+def _raised(corner: np.ndarray, beside: np.ndarray, cluster: np.ndarray, count: int, raised: float) -> np.ndarray:
+    """bool[count]: clusters of which at least two thirds of the perimeter border on facets that fall by more than ``raised``.
+
+    ``corner``: f32[t, 3, 3]; ``beside``: i32[t, 3]; ``cluster``: i32[t], -1 for facets that separate.
+    """
+    facet, side = np.nonzero((cluster[:, None] >= 0) & ((beside < 0) | (cluster[beside] != cluster[:, None])))
+    one, two = corner[facet, (side + 1) % 3], corner[facet, (side + 2) % 3]
+    length = np.hypot(*(one - two)[:, :2].T.astype(np.float64))
+    beyond = beside[facet, side]
+    lowest = corner[beyond, :, 2].min(axis=1)
+    falls = (beyond >= 0) & (np.minimum(one[:, 2], two[:, 2]) - lowest > raised)
+    perimeter = np.bincount(cluster[facet], weights=length, minlength=count)
+    return np.bincount(cluster[facet], weights=length * falls, minlength=count) >= _RAISED * perimeter

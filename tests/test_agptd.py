@@ -1,0 +1,224 @@
+"""AGPTD: the adaptive grid against a plain loop, its seeds, the terrain angle, and the switch that uses labels."""
+
+import csv
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.ops.refinement import MAX_SLOPE, cell_slopes
+from jaxfilter.stages.adaptive_grid import lowest_per_adaptive_cell
+from jaxfilter.stages.outliers import bar_outliers
+
+PUBLISHED = Path(__file__).resolve().parents[1] / "experiments" / "isprs" / "published"
+
+
+def hills(count=4000, seed=3, extent=(170.0, 130.0)):
+    """Points f64[count, 3] on hills, with houses; bool[count] truth. Some positions are nearly above each other."""
+    rng = np.random.default_rng(seed)
+    xy = (rng.random((count, 2)) * extent).round(2)
+    xy[: count // 50] = xy[count // 50 : 2 * (count // 50)] + 0.002
+    z = 0.02 * xy[:, 0] + 4 * np.sin(xy[:, 1] / 20) + rng.normal(0, 0.03, count)
+    house = (np.abs(xy[:, 0] - 60) < 8) & (np.abs(xy[:, 1] - 45) < 8)
+    z[house] += 6
+    return np.column_stack([xy, z]).round(3), ~house
+
+
+def slopes_from_lowest(xyz):
+    """Slopes from the lowest of a few points to the others that are not straight above it, by definition."""
+    rise, run = xyz[:, 2] - xyz[:, 2].min(), np.hypot(*(xyz[:, :2] - xyz[np.argmin(xyz[:, 2]), :2]).T)
+    return np.minimum(rise[run > 0] / run[run > 0], MAX_SLOPE)
+
+
+def plain_loop(xyz, counted, cell, levels, least_points, relative_slope, whole):
+    """Rows of the seeds and numbers of divided cells, one cell after the other."""
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    shape = np.maximum(whole((high - low) / cell), 1).astype(int)
+    cells = {(i, j): [] for i in range(shape[0]) for j in range(shape[1])}
+    for row in np.flatnonzero(counted):
+        i, j = np.minimum(np.floor((xyz[row, :2] - low) / cell).astype(int), shape - 1)
+        cells[i, j].append(row)
+    seeds, divided, steepest = set(), [], 0.0
+    for level in range(levels):
+        finer = {}
+        n = 0
+        for rows in cells.values():
+            if not rows:
+                continue
+            seeds.add(min(rows, key=lambda row: (xyz[row, 2], row)))
+            if len(rows) < least_points:
+                continue
+            slope = slopes_from_lowest(xyz[rows])
+            steepest = max(steepest, slope.mean() if len(slope) else 0.0)
+            if level + 1 < levels and len(slope) and slope.mean() - slope.min() > relative_slope:
+                n += 1
+                size = cell / 2 ** (level + 1)
+                for row in rows:
+                    a, b = np.minimum(np.floor((xyz[row, :2] - low) / size).astype(int), shape * 2 ** (level + 1) - 1)
+                    finer.setdefault((a, b), []).append(row)
+        if level + 1 < levels:
+            divided.append(n)
+        cells = finer
+    return sorted(seeds), divided, np.degrees(np.arctan(steepest))
+
+
+@pytest.mark.parametrize("levels", [1, 2, 4])
+@pytest.mark.parametrize("remainder, whole", [("absorbed", np.floor), ("own_cells", np.ceil)])
+def test_adaptive_grid_is_that_of_a_plain_loop(levels, remainder, whole):
+    points = canonical_points(jf.PointCloud.from_arrays(hills()[0]))
+    barred = np.arange(len(points)) % 7 == 0
+    found = lowest_per_adaptive_cell(
+        points, 24.0, barred, levels=levels, least_points=9, relative_slope=0.1, remainder=remainder
+    )
+    xyz = points.xyz.astype(float)
+    seeds, divided, steepest = plain_loop(xyz, ~barred, 24.0, levels, 9, 0.1, whole)
+    assert found.rows.tolist() == seeds and found.divided == divided
+    assert found.steepest == pytest.approx(steepest, abs=1e-3)
+    assert levels == 1 or 0 < divided[0] < 30
+
+
+def test_slopes_of_a_cell_do_not_depend_on_the_order_of_its_points(rng):
+    xyz = hills(1000)[0].astype(np.float32)
+    cell = rng.integers(0, 5, 1000).astype(np.int32)
+    counted = rng.random(1000) < 0.9
+    order = rng.permutation(1000)
+    one = cell_slopes(cell, xyz, counted, 8)
+    two = cell_slopes(cell[order], xyz[order], counted[order], 8)
+    for name in ("number", "mean", "least"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    for k in range(5):
+        slopes = slopes_from_lowest(xyz[(cell == k) & counted].astype(float))
+        np.testing.assert_allclose((one.mean[k], one.least[k]), (slopes.mean(), slopes.min()), atol=1e-5)
+    assert (np.asarray(one.number)[5:] == 0).all() and (np.asarray(one.mean)[5:] == 0).all()
+
+
+def test_only_the_steep_cell_with_enough_points_gives_more_seeds():
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 40), np.arange(0.5, 20)))
+    z = np.where(x > 20, np.abs(x - 30) * 0.5 + y * 0.2, 0.001 * x)  # flat on the left, a valley on the right
+    steep_but_empty = [[45, 5, 0], [47, 5, 3], [48, 7, 6], [59.5, 19.5, 9]]
+    points = canonical_points(jf.PointCloud.from_arrays(np.concatenate([np.column_stack([x, y, z]), steep_but_empty])))
+    found = lowest_per_adaptive_cell(points, 20.0, np.zeros(len(points), bool), remainder="own_cells")
+    assert [len(rows) for rows in found.levels] == [3, 4] and found.divided == [1]
+    corner = points.cloud.origin[:2]
+    seeds = {tuple((points.xyz[row, :2] + corner).round(1)) for row in found.rows}
+    assert {(29.5, 0.5), (45.0, 5.0), (0.5, 0.5)} <= seeds  # the lowest point of each of the three cells
+    quarters = {(int((a - 20.5) // 10), int((b - 0.5) // 10)) for a, b in seeds if 20.5 <= a < 40.5}
+    assert quarters == {(0, 0), (0, 1), (1, 0), (1, 1)}
+
+
+def test_with_one_level_it_is_ptd():
+    xyz = hills()[0]
+    shared = {"seed_cell": 40.0, "max_angle": 20.0, "radius": 0.0, "max_terrain_angle": 15.0}
+    one = jf.AGPTD(levels=1, **shared)(xyz)
+    two = jf.PTD(**shared)(xyz)
+    assert (one.ground == two.ground).all() and one.info["seeds"] == two.info["seeds"]
+
+
+def test_a_hill_in_one_cell_is_found_with_more_levels():
+    """A cone of 45 degrees in one cell of 60 m: only seeds on its flank let ground on it pass an angle of 12 degrees."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 121), np.arange(0.0, 121)))
+    z = np.maximum(0, 28 - np.hypot(x - 90, y - 90))
+    xyz = np.column_stack([x, y, z])
+    results = [jf.AGPTD(levels=n, max_angle=12.0)(xyz) for n in (1, 3, 5)]
+    assert [r.info["seeds_by_level"][:2] for r in results] == [[4], [4, 4], [4, 4]]
+    assert [r.info["divided_cells"][:2] for r in results] == [[], [1, 4], [1, 4]]
+    lost = [1 - r.ground[z > 2].mean() for r in results]
+    assert lost[0] > lost[1] > lost[2] and lost[2] < 0.05
+
+
+def test_the_terrain_angle_is_that_of_the_steepest_cell():
+    xyz = hills()[0]
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    barred = bar_outliers(points, radius=6.0, min_neighbours=4, clusters=True)[0]
+    steepest = plain_loop(points.xyz.astype(float), ~barred, 60.0, 2, 5, 0.06, np.floor)[2]
+    of_grid = jf.AGPTD(terrain_angle="steepest_cell")
+    result = of_grid(xyz)
+    assert result.info["terrain_angle"] == pytest.approx(steepest, abs=1e-3)
+    assert of_grid.replace(max_terrain_angle=7.0)(xyz).info["terrain_angle"] == 7.0
+    assert jf.AGPTD()(xyz).info["terrain_angle"] == 88.0
+    off, steep = jf.AGPTD(mirror="off")(xyz), jf.AGPTD()(xyz)
+    assert (off.ground == steep.ground).all() and (off.ground != result.ground).any()
+
+
+def test_points_of_odd_elevation_are_no_seeds():
+    xyz, _ = hills()
+    low = np.concatenate([xyz, [[100.0, 30.0, -25.0]]])
+    plain = {"radius": 0.0, "low_clusters": False}
+    assert jf.AGPTD(**plain)(low).decision[-1] == jf.Decision.SEED
+    result = jf.AGPTD(neighbours=4, **plain)(low)
+    assert result.barred[-1] and not result.ground[-1]
+    assert (jf.AGPTD(deviations=1e6, neighbours=4, **plain)(low).ground == jf.AGPTD(**plain)(low).ground).all()
+
+
+def test_labelled_objects_are_taken_away_reproducibly(rng):
+    xyz, truth = hills()
+    cloud = jf.PointCloud.from_arrays(xyz, reference=truth)
+    research = jf.AGPTD(oracle_removal=0.6, seed_cell=12.0)
+    result = research(cloud)
+    removed = result.decision == jf.Decision.SET_ASIDE
+    assert result.info["uses_labels"] and not truth[removed].any()
+    assert removed.sum() == round(0.6 * (~truth).sum())
+    assert (research(cloud, key=jax.random.key(0)).decision == result.decision).all()
+    assert (research(cloud, key=jax.random.key(1)).decision != result.decision).any()
+    order = rng.permutation(len(xyz))
+    shuffled = research(jf.PointCloud.from_arrays(xyz[order], reference=truth[order]))
+    assert (shuffled.decision == result.decision[order]).all()
+    assert jf.evaluate(jf.AGPTD(oracle_removal=1.0, seed_cell=12.0)(cloud), truth).type2 == 0
+    assert cloud.candidate.all()
+
+
+def test_without_labels_it_refuses_to_use_them():
+    xyz, truth = hills()
+    with pytest.raises(jf.ParameterError, match=r"oracle_removal.*reference labels"):
+        jf.AGPTD(oracle_removal=0.5)(xyz)
+    with pytest.raises(jf.ParameterError, match="oracle_removal"):
+        jf.AGPTD(oracle_removal=1.2)
+    plain, labelled = jf.AGPTD()(xyz), jf.AGPTD()(jf.PointCloud.from_arrays(xyz, reference=truth))
+    assert not labelled.info["uses_labels"] and (plain.ground == labelled.ground).all()
+
+
+def test_presets_hold_the_values_of_table_1():
+    with open(PUBLISHED / "zheng2024_table1.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 15
+    for row in rows:
+        preset = jf.AGPTD.preset(row["sample"])
+        printed = tuple(float(row[name]) for name in ("neighbours", "max_angle", "max_distance"))
+        assert (preset.neighbours, preset.max_angle, preset.max_distance) == printed
+        assert preset.radius == (14.0 if row["sample"][4] in "567" else 6.0)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("number, share, total, kappa", [(21, 89.50, 0.97, 97.05), (24, 83.92, 4.14, 89.34),
+                                                         (41, 97.66, 1.50, 96.78), (71, 70.06, 1.66, 91.57)])  # fmt: skip
+def test_the_printed_errors_need_the_labels(data, number, share, total, kappa):
+    """Tables 3 and 6: within half a point of the printed error with the objects of Table 3 taken away, far off without."""
+    cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+    method = jf.AGPTD.preset(f"samp{number}")
+    with_labels = jf.evaluate(method.replace(oracle_removal=share / 100)(cloud), cloud.reference)
+    without = jf.evaluate(method(cloud), cloud.reference)
+    assert abs(with_labels.total - total) < 0.5 and abs(with_labels.kappa - kappa) < 1.5
+    assert without.total > 2.5 * total
+
+
+@pytest.mark.data
+def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(data):
+    """Table 4 prints 1071 and 876 primary seeds for samples 11 and 22: cells of 6 m that hold reference ground."""
+    for number, printed in ((11, 1071), (22, 876)):
+        cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+        points = canonical_points(cloud)
+        is_object = np.ones(len(points), bool)
+        is_object[points.member[cloud.reference[points.index]]] = False
+        seeds = lowest_per_adaptive_cell(points, 6.0, is_object, levels=1, remainder="own_cells")
+        assert len(seeds.rows) == printed
+
+
+@pytest.mark.data
+def test_without_labels_a_second_level_helps_where_ptd_has_too_few_seeds(data):
+    for number, at_most in ((41, 5.0), (52, 16.0)):
+        cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+        one, two = (jf.evaluate(jf.AGPTD(levels=n)(cloud), cloud.reference).total for n in (1, 2))
+        assert two < one - 2.0 and two < at_most

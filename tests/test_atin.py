@@ -1,0 +1,86 @@
+"""ATIN: the same as PTD at constant thresholds, and thresholds that follow the surface."""
+
+import math
+
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """Terrain with a scarp, a house, bushes; rough in one half."""
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(0, 120, (7000, 2)).round(1)
+    z = 0.08 * xy[:, 0] + np.sin(xy[:, 1] / 14) + np.where(xy[:, 1] > 80, 2.5, 0.0) + rng.normal(0, 0.03, 7000)
+    house = (np.abs(xy[:, 0] - 50) < 9) & (np.abs(xy[:, 1] - 40) < 7)
+    bush = (rng.random(7000) < 0.2) & ~house
+    z[house] += 5
+    z[bush] += rng.uniform(0.1, 1.5, bush.sum())
+    return np.column_stack([xy, z.round(2)]), ~(house | bush)
+
+
+@pytest.mark.parametrize("mode", ["or", "replace"])
+@pytest.mark.parametrize("refresh", [True, False])
+def test_at_constant_thresholds_it_is_ptd_with_mirroring_about_the_nearest_vertex(rough, mode, refresh):
+    common = {"max_angle": 12.0, "max_distance": 0.9, "seed_cell": 30.0, "mirror": "nearest", "mirror_mode": mode}
+    common["refresh_border"] = refresh
+    atin = jf.ATIN(**common, thresholds="constant", max_terrain_slope=30.0)(rough[0])
+    ptd = jf.PTD(**common, max_terrain_angle=math.degrees(math.atan(0.3)))(rough[0])
+    assert (atin.ground == ptd.ground).all()
+    np.testing.assert_array_equal(atin.height, ptd.height)
+    without = jf.PTD(**(common | {"mirror": "off"}))(rough[0])
+    assert (atin.ground != without.ground).sum() > 5
+
+
+def test_limits_are_median_and_robust_deviations_below_the_users(rng):
+    f = jf.ATIN(max_angle=40.0, max_distance=3.0, deviations=2.0)
+    distance = np.abs(rng.normal(1.0, 0.2, 20001)).astype(np.float32)
+    rule = f.limits(distance, np.full(9, 30.0, np.float32))
+    assert rule.max_distance in (pytest.approx(1.4), pytest.approx(1.45))  # mean and two standard deviations
+    assert rule.max_angle == 30.0
+    assert f.limits(np.full(9, 0.51), np.full(9, 7.2))[:3:2] == pytest.approx((8.0, 0.55))
+    assert f.limits(100 * distance, distance).max_distance == 3.0
+
+
+@pytest.mark.parametrize("deviations", [2.0, 5.0])
+def test_thresholds_settle_and_do_not_shrink_to_nothing(rough, deviations):
+    result = jf.ATIN(thresholds="adaptive", seed_cell=30.0, max_distance=5.0, max_angle=60.0, deviations=deviations)(
+        rough[0]
+    )
+    assert result.status == jf.Status.CONVERGED
+    limits = [step["max_distance"] for step in result.trace]
+    assert len(set(limits)) > 1 and len(set(limits[-3:])) == 1
+    assert limits[-1] > 3 * 0.03  # ground with this noise still passes
+    angles = [step["max_angle"] for step in result.trace]
+    assert angles[-1] > angles[0]  # the facets get smaller
+
+
+def test_limits_follow_the_noise_of_the_ground(rng):
+    xy = rng.uniform(0, 100, (6000, 2)).round(1)
+    f = jf.ATIN(thresholds="adaptive", seed_cell=25.0, max_distance=5.0, max_angle=80.0)
+    last = {}
+    for noise in (0.02, 0.1):
+        z = 0.05 * xy[:, 0] + rng.normal(0, noise, 6000)
+        result = f(np.column_stack([xy, z.round(3)]))
+        last[noise] = result.trace[-1]["max_distance"]
+        assert result.ground.mean() > 0.95
+    assert 3.5 < last[0.1] / last[0.02] < 6.5
+
+
+def test_border_switch_changes_the_number_of_simulated_points(rough):
+    xyz = rough[0]
+    corners = jf.ATIN(border="corners", seed_cell=30.0)(xyz)
+    perimeter = jf.ATIN(border="perimeter", seed_cell=30.0)(xyz)
+    assert corners.info["border_points"] == 4 and perimeter.info["border_points"] == 2 * (4 + 4)
+
+
+def test_adaptive_thresholds_accept_fewer_objects_on_the_samples(data):
+    adaptive, constant = [], []
+    for name in ("samp12", "samp71"):
+        cloud = jf.read(data / "isprs" / f"{name}.txt")
+        f = jf.ATIN.preset(name, mirror="off", deviations=4.0)
+        adaptive.append(jf.evaluate(f(cloud), cloud.reference).type2)
+        constant.append(jf.evaluate(f.replace(thresholds="constant")(cloud), cloud.reference).type2)
+    assert (np.array(adaptive) < np.array(constant)).all()

@@ -1,0 +1,189 @@
+"""CSF: the cloth against one moved particle by particle, and labels against the authors' package."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxfilter as jf
+from jaxfilter.filters.csf import _join_slopes, _surface
+from jaxfilter.ops.cloth import drape, fill_along_lines
+
+MOVES = {1: (0.3, 0.3), 2: (0.51, 0.42), 3: (0.657, 0.468)}
+RING = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1), (1, 0), (0, 1), (1, 1)]
+PACKAGE = """
+import sys, numpy, CSF
+clouds = numpy.load(sys.argv[1])
+labels = {}
+for name in clouds:
+    csf = CSF.CSF()
+    csf.setPointCloud(clouds[name])
+    ground, rest = CSF.VecInt(), CSF.VecInt()
+    csf.do_filtering(ground, rest, False)
+    labels[name] = numpy.isin(numpy.arange(len(clouds[name])), numpy.asarray(ground))
+numpy.savez(sys.argv[2], **labels)
+"""
+
+
+def one_by_one(limit, moves, fall, tolerance, iterations):
+    """The cloth with plain loops, in double precision."""
+    rows, columns = limit.shape
+    z, before, pinned = np.zeros(limit.shape), np.zeros(limit.shape), np.zeros(limit.shape, bool)
+    for taken in range(1, iterations + 1):  # noqa: B007
+        z, before = np.where(pinned, z, z + 0.99 * (z - before) - fall), np.where(pinned, before, z)
+        for y, x in np.ndindex(rows, columns):
+            for dx, dy in RING + [(2 * dx, 2 * dy) for dx, dy in RING]:
+                v, u = y + dy, x + dx
+                if not (0 <= v < rows and 0 <= u < columns):
+                    continue
+                gap = z[v, u] - z[y, x]
+                share = moves[0] if pinned[y, x] or pinned[v, u] else moves[1]
+                z[y, x] += 0 if pinned[y, x] else share * gap
+                z[v, u] -= 0 if pinned[v, u] else share * gap
+        most = np.abs(z - before)[~pinned].max(initial=0)
+        pinned |= z < limit
+        z = np.where(pinned & (z < limit), limit, z)
+        if 0 < most < tolerance:
+            break
+    return z, pinned, taken
+
+
+def ragged(rng, rows, columns):
+    y, x = np.mgrid[:rows, :columns]
+    z = -3 + 2 * np.sin(x / 4) + np.cos(y / 3) - 0.1 * x + rng.normal(0, 0.1, (rows, columns))
+    z[rows // 3 : rows // 2, columns // 3 : columns // 2] -= 6
+    return (z - z.max() - 0.05).astype(np.float32)
+
+
+@pytest.mark.parametrize("rigidness, shape, iterations", [(1, (11, 14), 500), (2, (14, 9), 500), (3, (6, 21), 8)])
+def test_the_cloth_is_that_of_one_particle_after_the_other(rng, rigidness, shape, iterations):
+    limit = ragged(rng, *shape)
+    z, pinned, steps = one_by_one(limit.astype(float), MOVES[rigidness], 0.0357, 0.005, iterations)
+    padded = np.pad(limit, ((0, 20), (0, 30)), constant_values=9)
+    cloth = drape(padded, shape, MOVES[rigidness], 0.0357, 0.005, iterations)
+    assert cloth.steps == steps and (steps == iterations or 5 < steps < 100)
+    inner = np.s_[: shape[0], : shape[1]]
+    np.testing.assert_allclose(np.asarray(cloth.height)[inner], z, atol=1e-4)
+    assert (np.asarray(cloth.pinned)[inner] == pinned).all() and 0 < pinned.sum() < pinned.size
+    outside = np.ones(padded.shape, bool)
+    outside[inner] = False
+    assert not np.asarray(cloth.pinned)[outside].any() and not np.asarray(cloth.height)[outside].any()
+
+
+def test_a_cloth_in_free_fall_follows_gravity():
+    cloth = drape(np.full((8, 8), -1e6, np.float32), (8, 8), MOVES[3], 0.1, 0.005, 40)
+    way = speed = 0.0
+    for _ in range(40):
+        speed = 0.99 * speed + 0.1
+        way += speed
+    np.testing.assert_allclose(np.asarray(cloth.height), -way, rtol=1e-5)
+    assert cloth.steps == 40
+
+
+@pytest.mark.parametrize("rigidness", [2, 3])
+def test_the_cloth_bridges_a_hole_of_sixty_particles(rigidness):
+    limit = np.full((80, 80), -0.05, np.float32)
+    limit[10:70, 10:70] = -40
+    cloth = drape(limit, (80, 80), MOVES[rigidness], 0.2 * 0.65**2, 0.005, 500)
+    assert -2 < np.asarray(cloth.height).min() < -1
+
+
+def test_empty_nodes_take_the_next_value_along_lines(rng):
+    known = rng.random((9, 12)) < 0.15
+    known[4], known[:, 5] = False, False
+    z = rng.normal(size=known.shape).astype(np.float32)
+    filled = np.asarray(fill_along_lines(jnp.asarray(z), jnp.asarray(known), jnp.ones(known.shape, bool)))
+    for y, x in np.ndindex(known.shape):
+        lines = (z[y, x:][known[y, x:]], z[y, :x][known[y, :x]][::-1],
+                 z[:y, x][known[:y, x]][::-1], z[y:, x][known[y:, x]])  # fmt: skip
+        first = next((line[0] for line in lines if len(line)), None)
+        assert filled[y, x] in z[known]
+        assert first is None or filled[y, x] == first
+
+
+def test_slopes_join_as_when_grown_step_by_step(rng):
+    limit = ndimage.gaussian_filter(rng.normal(0, 9, (60, 70)), 3).astype(np.float32)
+    free = ndimage.gaussian_filter(rng.normal(size=(60, 70)), 2.5) > 0
+    label, n = ndimage.label(free)
+    sizes = ndimage.sum(free, label, range(n + 1))
+    grown = ~free
+    while True:
+        new = grown.copy()
+        for y, x in np.argwhere(~grown & (sizes[label] > 50)):
+            around = [(y + dy, x + dx) for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+            new[y, x] = any(
+                0 <= v < 60 and 0 <= u < 70 and grown[v, u] and abs(limit[y, x] - limit[v, u]) < 0.3 for v, u in around
+            )
+        if (new == grown).all():
+            break
+        grown = new
+    padded = np.pad(limit, ((0, 4), (0, 8)))
+    joined = _join_slopes(padded, np.pad(~free, ((0, 4), (0, 8))), (60, 70), 0.3)
+    assert (joined[:60, :70] == (grown & free)).all() and not joined[60:].any()
+    assert 0 < joined.sum() < free.sum() and (sizes[1:] <= 50).any()
+
+
+def test_a_particle_takes_the_nearest_or_the_lowest_of_its_points(rng):
+    xyz = np.column_stack([rng.uniform(0, 9, (400, 2)), rng.normal(0, 5, 400)]).astype(np.float32)
+    xyz[50:60, :2] = xyz[:10, :2]
+    carries = rng.random(400) < 0.9
+    frame, extent = np.array([-2, -2, 1], np.float32), np.array([14, 14], np.int32)
+    node = np.floor(xyz[:, :2] + 2.5).astype(int)
+    for nearest in (True, False):
+        height, found = (np.asarray(a) for a in _surface(xyz, carries, np.float32(0), frame, extent, (16, 20), nearest))
+        for y, x in np.ndindex(16, 20):
+            own = np.flatnonzero((node == (x, y)).all(axis=1) & carries)
+            assert found[y, x] == (len(own) > 0)
+            if len(own):
+                far = np.round(((xyz[own, :2] + 2 - (x, y)) ** 2).sum(axis=1), 5) if nearest else np.zeros(len(own))
+                assert height[y, x] == -xyz[own[np.lexsort((xyz[own, 2], far))[0]], 2]
+
+
+def package_labels(clouds, folder):
+    """What cloth-simulation-filter says, in a process with one thread: with more it does not repeat itself."""
+    pytest.importorskip("CSF", reason="the authors' program is not installed: pip install cloth-simulation-filter")
+    np.savez(folder / "clouds.npz", **clouds)
+    line = [sys.executable, "-c", PACKAGE, str(folder / "clouds.npz"), str(folder / "labels.npz")]
+    subprocess.run(line, check=True, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    return np.load(folder / "labels.npz")
+
+
+def test_generated_scenes_get_the_labels_of_the_package(tmp_path):
+    scenes = {name: jf.scenes.make(name, size=(90, 80), density=1.5, seed=4).cloud for name in ("town", "forest")}
+    xyz = {name: cloud.xyz[cloud.candidate].astype(float) for name, cloud in scenes.items()}
+    expected = package_labels(xyz, tmp_path)
+    for name in xyz:
+        ground = jf.CSF.preset("wheel")(xyz[name]).ground
+        assert (ground == expected[name]).mean() >= 0.98 and 0.1 < ground.mean() < 0.9
+
+
+def test_isprs_samples_get_the_labels_of_the_package(data: Path, tmp_path):
+    xyz = {name: np.loadtxt(data / "isprs" / f"{name}.txt")[:, :3] for name in ("samp21", "samp24", "samp31")}
+    expected = package_labels(xyz, tmp_path)
+    for name in xyz:
+        assert (jf.CSF.preset("wheel")(xyz[name]).ground == expected[name]).mean() >= 0.98, name
+
+
+def test_gravity_of_the_program_is_weaker_than_that_of_the_equation():
+    scene = jf.scenes.make("town", size=(80, 80), density=1.0, seed=2)
+    steps = [jf.CSF(gravity=gravity)(scene.cloud) for gravity in ("equation", "program")]
+    assert steps[0].height[scene.cloud.candidate].mean() > 0
+    same = jf.CSF(gravity="equation", time_step=0.65**2)(scene.cloud)
+    assert (same.ground == jf.CSF(gravity="program", time_step=0.65)(scene.cloud).ground).all()
+    assert steps[0].ground.sum() > steps[1].ground.sum()
+
+
+def test_barred_clusters_carry_no_cloth():
+    scene = jf.scenes.make("town", size=(80, 80), density=1.0, seed=2)
+    xyz = scene.cloud.xyz[scene.cloud.candidate].astype(float)
+    low = np.array([[40.0, 40.0, xyz[:, 2].min() - 30], [40.2, 40.1, xyz[:, 2].min() - 30.1]])
+    with_low = jf.CSF()(np.concatenate([xyz, low]))
+    assert with_low.barred[-2:].all() and not with_low.ground[-2:].any()
+    assert (with_low.ground[:-2] == jf.CSF()(xyz).ground).mean() > 0.995
+    plain = jf.CSF(low_clusters=False)(np.concatenate([xyz, low]))
+    assert not plain.barred.any()

@@ -1,0 +1,92 @@
+"""IPTD against NumPy and constructed scenes, and the figures printed by Uray and Varlik (2024)."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.stages.local_planes import over_local_planes
+
+PRINTED = {11: 13, 12: 9, 23: 7, 52: 4, 71: 2}  # total errors, per cent
+
+
+def surface(n=9000, side=89.5, seed=5):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, side, (n, 2)).round(2)
+    return np.column_stack([xy, 0.1 * xy[:, 0] + 0.5 * np.sin(xy[:, 1] / 9) + rng.normal(0, 0.03, n)]).round(2)
+
+
+@pytest.mark.parametrize("k", [12, 60, 900])
+def test_planes_agree_with_numpy(k, rng):
+    xyz = np.column_stack([rng.uniform(0, 50, (700, 2)), rng.normal(0, 1, 700)]).astype(np.float32)
+    xyz[:, 2] += 0.4 * xyz[:, 0]
+    _, around = cKDTree(xyz[:, :2]).query(xyz[:, :2], k=min(k, 700))
+    for translation in ("lowest", "none"):
+        got = over_local_planes(xyz, k, translation)
+        for i in range(0, 700, 29):
+            p = xyz[around[i]].astype(float)
+            (a, b, c), *_ = np.linalg.lstsq(np.column_stack([p[:, :2], np.ones(len(p))]), p[:, 2], rcond=None)
+            residual = (p[:, 2] - a * p[:, 0] - b * p[:, 1] - c) / np.sqrt(1 + a * a + b * b)
+            base = residual.min() if translation == "lowest" else 0.0
+            assert got[i] == pytest.approx(residual[around[i] == i][0] - base, abs=2e-3)
+
+
+def test_planes_of_few_seeds():
+    assert (over_local_planes(np.float32([[0, 0, 1], [5, 5, 3]]), 300, "lowest") == [0, 2]).all()
+    assert len(over_local_planes(np.zeros((0, 3), np.float32), 300)) == 0
+
+
+def test_potential_seeds_are_the_lowest_points_of_cells_the_opening_keeps():
+    xyz = surface()
+    xyz[np.hypot(xyz[:, 0] - 40, xyz[:, 1] - 40) < 8, 2] += 5
+    f = jf.IPTD(cell=2.0, window=22.0, tolerance=0.4)
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    seeds = f.potential_seeds(points, np.zeros(len(points), bool))
+    column, row = np.floor(points.xyz[:, :2] / 2.0).astype(int).T
+    z = np.full((row.max() + 1, column.max() + 1), np.inf, np.float32)
+    np.minimum.at(z, (row, column), points.xyz[:, 2])
+    width = 2 * 6 + 1  # the first odd number of cells that exceeds 22 m
+    eroded = ndimage.minimum_filter(z, width, mode="constant", cval=np.inf)
+    opened = ndimage.maximum_filter(eroded, width, mode="constant", cval=-np.inf)
+    kept = z - opened <= np.float32(0.4)
+    assert set(zip(row[seeds], column[seeds], strict=True)) == set(zip(*np.nonzero(kept), strict=True))
+    assert (points.xyz[seeds, 2] == z[row[seeds], column[seeds]]).all()
+
+
+def test_seeds_on_a_roof_larger_than_the_window_are_removed_by_the_planes():
+    xyz = surface()
+    roof = (np.abs(xyz[:, 0] - 45) < 14) & (np.abs(xyz[:, 1] - 45) < 14)
+    xyz[roof, 2] += 6
+    out, blind = (jf.IPTD(window=15.0, k=1200, translation="lowest", plane_error=r)(xyz) for r in (3.0, 100.0))
+    assert blind.ground[roof].mean() > 0.5 and out.ground[roof].mean() < 0.05
+    assert out.info["removed_seeds"] > 0 and blind.info["removed_seeds"] == 0
+    assert out.info["seeds"] == out.info["potential_seeds"] - out.info["removed_seeds"]
+
+
+def test_the_downward_step_takes_points_below_the_network_and_only_these():
+    xyz = surface(n=12000)
+    ditch = np.abs(xyz[:, 1] - 40) < 1.5
+    xyz[ditch, 2] -= 1.5
+    f = jf.IPTD(cell=10.0, window=30.0, tolerance=5.0, plane_error=50.0, max_angle=0.001, max_distance=1e-6)
+    result = f(xyz, trace=True)
+    assert result.info["downward_rounds"] > 1 and result.ground.sum() > result.info["seeds"]
+    assert (result.height[~result.ground] > 0).all()  # nothing is left below the network
+    assert (result.height[result.ground] <= 0.01).all()
+    assert len(result.trace) == result.info["downward_rounds"] + result.info["rounds"]
+
+
+def test_presets_hold_the_printed_parameters():
+    f = jf.IPTD.preset("samp23")
+    assert (f.window, f.k, f.plane_error, f.max_angle, f.max_distance) == (40.0, 600, 0.8, 45.0, 1.5)
+    with pytest.raises(jf.ParameterError, match="1000 cells"):
+        jf.IPTD(cell=0.01)
+
+
+@pytest.mark.data
+def test_the_operators_parameters_reach_the_printed_mean(data):
+    clouds = {s: jf.read(data / "isprs" / f"samp{s}.txt") for s in PRINTED}
+    total = {s: jf.evaluate(jf.IPTD.preset(f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
+    assert np.mean(list(total.values())) <= 7.0
+    assert max(abs(total[s] - PRINTED[s]) for s in PRINTED) < 2.0

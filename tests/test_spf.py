@@ -1,0 +1,179 @@
+"""SPF against closed forms, SciPy and constructed scenes, and its published figure."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.ops.spread import fill_from_neighbours
+from jaxfilter.stages.seed_clusters import clustered_seeds
+
+SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
+FILTER = {"long_edge": 60.0, "narrow_angle": 30.0, "steep_angle": 60.0, "raised": 2.5}
+
+
+def lattice(nx, ny, step=1.0):
+    """Points a little off a lattice, f32[nx * ny, 3], all at elevation 0."""
+    rng = np.random.default_rng(3)
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(nx) * step, np.arange(ny) * step))
+    off = rng.uniform(-0.2, 0.2, (2, nx * ny)) * step
+    return np.column_stack([x + off[0] + step, y + off[1] + step, 0 * x]).astype(np.float32)
+
+
+def potential(f, xyz):
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    return points, f.potential_seeds(points, np.zeros(len(points), bool))
+
+
+# Schedules, eq. 1 to 3
+
+
+def test_linear_windows():
+    f = jf.SPF(cell=1.0, initial_window=2, window=30.0)
+    assert f.windows() == [2 * k * 2 + 1 for k in range(1, 9)]  # 33 is the first beyond 30
+    assert jf.SPF(cell=2.0, window=60.0).windows() == list(range(3, 33, 2))
+
+
+def test_exponential_windows():
+    sizes = jf.SPF(cell=1.0, window=60.0, growth="exponential").windows()
+    assert sizes == [2 ** (k + 1) - 1 for k in range(1, 6)]  # W_k = 2 W_(k-1) + 1 from 3: 3, 7, 15, 31, 63
+
+
+def test_thresholds_follow_slope_and_growth_up_to_the_largest():
+    f = jf.SPF(cell=1.0, window=60.0, growth="exponential", slope=0.1, initial_distance=0.4, max_height=1.9)
+    np.testing.assert_allclose(f.thresholds(), [0.4, 0.4 + 0.1 * 4, 0.4 + 0.1 * 8, 1.9, 1.9])
+    f = jf.SPF(cell=2.0, initial_window=2, slope=0.3, initial_distance=0.2, max_height=9.0)
+    np.testing.assert_allclose(f.thresholds(), [0.2 + 0.3 * 4 * 2] * len(f.windows()))
+
+
+def test_a_window_of_too_many_cells_is_an_error():
+    with pytest.raises(jf.ParameterError, match="1000 cells"):
+        jf.SPF(cell=0.05, window=60.0)
+
+
+# Grid
+
+
+def test_filling_from_neighbours(rng):
+    z = rng.normal(0, 3, (30, 40)).astype(np.float32)
+    seen = rng.random((30, 40)) < 0.3
+    seen[8:16, 10:22] = False
+    want, known = np.where(seen, z, 0.0).astype(float), seen.copy()
+    around = np.ones((3, 3))
+    for rounds in range(1, 9):
+        count = ndimage.convolve(known.astype(float), around, mode="constant")
+        mean = ndimage.convolve(np.where(known, want, 0), around, mode="constant") / np.maximum(count, 1)
+        new = ~known & (count > 0)
+        want[new] = mean[new]
+        known |= new
+        got, filled = fill_from_neighbours(np.where(seen, z, 0), seen, np.ones_like(seen), rounds)
+        np.testing.assert_array_equal(np.asarray(filled), known)
+        np.testing.assert_allclose(np.asarray(got), want, atol=1e-5)
+    assert known.all()
+
+
+def test_openings_mark_the_cells_that_scipy_marks(rng):
+    xyz = np.column_stack([rng.uniform(0, 59.5, (9000, 2)), np.zeros(9000)])
+    xyz[:, 2] = np.sin(xyz[:, 0] / 7) + 4 * (np.hypot(xyz[:, 0] - 30, xyz[:, 1] - 25) < 9) + (rng.random(9000) < 0.1)
+    xyz = xyz.round(2)
+    f = jf.SPF(cell=2.0, window=24.0, slope=0.2, max_height=1.5)
+    points, seeds = potential(f, xyz)
+    column, row = np.floor(points.xyz[:, :2] / 2.0).astype(int).T
+    z = np.full((row.max() + 1, column.max() + 1), np.inf)
+    np.minimum.at(z, (row, column), points.xyz[:, 2])
+    assert np.isfinite(z).all()
+    lowest = points.xyz[:, 2] == z[row, column].astype(np.float32)
+    marked = np.zeros(z.shape, bool)
+    for w, h in zip(f.windows(), f.thresholds(), strict=True):
+        eroded = ndimage.minimum_filter(z, w, mode="constant", cval=np.inf)
+        opened = ndimage.maximum_filter(eroded, w, mode="constant", cval=-np.inf)
+        marked |= z - opened > h
+        z = opened
+    assert 0 < marked.sum() < marked.size
+    assert set(zip(row[seeds], column[seeds], strict=True)) == set(zip(*np.nonzero(~marked), strict=True))
+    assert lowest[seeds].all() and len(seeds) == (~marked).sum()
+
+
+def test_zero_elevation_in_empty_cells_pulls_the_surface_down():
+    xyz = lattice(80, 80)
+    gap = (xyz[:, 0] % 16 < 9) & (xyz[:, 1] % 16 < 9)  # one in every large window
+    xyz = xyz[~gap] + np.float32([0, 0, 300])
+    xyz[:, 2] += 0.01 * xyz[:, 0]
+    neighbours, zero = (len(potential(jf.SPF(window=20.0, fill=f), xyz)[1]) for f in ("neighbours", "zero"))
+    assert neighbours > 1000 and zero == 0
+
+
+# Seed filter
+
+
+def test_a_roof_goes_and_a_ridge_stays():
+    xyz = lattice(60, 40)
+    x, y = xyz[:, 0], xyz[:, 1]
+    roof = (np.abs(x - 15) < 6) & (np.abs(y - 20) < 8)
+    ridge = np.abs(x - 45) < 10
+    xyz[:, 2] = np.where(roof, 7.0, np.where(ridge, 10.0 - np.abs(x - 45), 0.0))
+    keep = clustered_seeds(xyz, **FILTER)
+    assert not keep[roof].any() and keep[ridge].all()
+    assert keep[~roof].mean() > 0.99
+    assert (clustered_seeds(xyz, **FILTER, clusters="largest") == keep).all()
+
+
+def test_a_plateau_over_a_cliff_stays_unless_only_the_largest_cluster_does():
+    xyz = lattice(60, 40)
+    upper = xyz[:, 0] > 40
+    xyz[upper, 2] = 12.0
+    assert clustered_seeds(xyz, **FILTER)[upper].mean() > 0.95
+    assert not clustered_seeds(xyz, **FILTER, clusters="largest")[upper].any()
+
+
+def test_lone_high_seeds_go():
+    xyz = lattice(40, 40)
+    xyz[[205, 810, 1333], 2] = 9.0
+    keep = clustered_seeds(xyz, **FILTER)
+    assert not keep[[205, 810, 1333]].any() and keep.sum() >= len(xyz) - 6
+
+
+def test_the_highest_vertex_of_a_long_facet_goes():
+    xyz = lattice(20, 30)
+    far = np.float32([[120.0, 15.0, 3.0]])
+    xyz = np.concatenate([xyz, far])
+    keep = clustered_seeds(xyz, **FILTER)
+    assert not keep[-1] and keep[:-1].all()
+    assert clustered_seeds(xyz, **{**FILTER, "long_edge": 200.0}).all()
+
+
+def test_few_seeds_and_seeds_on_a_line_are_kept():
+    assert clustered_seeds(np.float32([[0, 0, 0], [1, 0, 50], [0, 1, 0]]), **FILTER).all()
+    line = np.arange(10, dtype=np.float32)
+    assert clustered_seeds(np.column_stack([line, 2 * line, 100 * (line % 2)]).astype(np.float32), **FILTER).all()
+
+
+def test_a_building_larger_than_the_window_is_removed_by_the_seed_filter_only():
+    xyz = lattice(100, 80)
+    roof = (np.abs(xyz[:, 0] - 50) < 22) & (np.abs(xyz[:, 1] - 40) < 18)
+    xyz[:, 2] = 0.02 * xyz[:, 0] + np.where(roof, 8.0, 0.0)
+    with_filter, without = (jf.SPF(cell=1.0, window=20.0, seed_filter=on)(xyz) for on in (True, False))
+    assert without.ground[roof].mean() > 0.5 and with_filter.ground[roof].mean() < 0.02
+    assert with_filter.ground[~roof].mean() > 0.98
+    seed = [r.decision == jf.Decision.SEED for r in (with_filter, without)]
+    assert not (seed[0] & roof).any() and (seed[1] & roof).sum() > 0.8 * roof.sum()
+    assert with_filter.info["seeds"] == with_filter.info["potential_seeds"] - with_filter.info["removed_seeds"]
+
+
+def test_halo_covers_the_largest_opening():
+    f = jf.SPF(window=40.0, cell=2.0)
+    assert f.halo() == pytest.approx(2 * 21 * 2 + 1.5 * math.sqrt(2) * 40)
+
+
+# Published
+
+
+@pytest.mark.data
+def test_one_set_for_all_samples_is_below_the_published_mean(data):
+    clouds = [jf.read(data / "isprs" / f"samp{s}.txt") for s in SAMPLES]
+    scores = [jf.evaluate(jf.SPF()(c), c.reference) for c in clouds]
+    assert np.mean([s.total for s in scores]) <= 11.28  # Chen et al. (2023), Table 2, tuned for each sample
+    assert np.mean([s.type1 for s in scores]) <= 14.66

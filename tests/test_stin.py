@@ -1,0 +1,210 @@
+"""STIN against plain loops, closed forms and the figures of Uray & Varlik (2024)."""
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay, cKDTree
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.host.tin import perturbed
+from jaxfilter.host.trend import quadratic_trend
+
+TABLE_2 = {  # initial grid m, slope %, distance m, angle degrees
+    "samp11": (30, 17, 2.0, 30),
+    "samp12": (30, 3, 2.0, 45),
+    "samp23": (40, 15, 4.0, 45),
+    "samp52": (35, 10, 2.4, 25),
+    "samp71": (25, 5, 4.0, 20),
+}
+
+
+def scene(seed, n=5000, side=90.0):
+    """A slope with a scarp, a house and bushes, in decimetre steps."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, side, (n, 2)).round(1)
+    z = 0.1 * xy[:, 0] + np.sin(xy[:, 1] / 12) + np.where(xy[:, 0] > 60, 3.0, 0.0) + rng.normal(0, 0.03, n)
+    house = (np.abs(xy[:, 0] - 30) < 8) & (np.abs(xy[:, 1] - 40) < 7)
+    bush = (rng.random(n) < 0.2) & ~house
+    z += np.where(house, 6.0, 0.0) + np.where(bush, rng.uniform(0, 2, n), 0.0)
+    return np.column_stack([xy, z.round(2)])
+
+
+def lowest(xyz, rows, cell):
+    """The lowest of these rows in each cell counted from zero; of equals the first. The upper edge is in the last cell."""
+    last = np.ceil(xyz[:, :2].max(0) / cell) - 1
+    key = np.minimum(np.floor(xyz[rows, :2] / cell), last) @ (10000, 1)
+    order = np.lexsort((rows, xyz[rows, 2], key))
+    return np.sort(rows[order[np.append(True, np.diff(key[order]) != 0)]])
+
+
+def plain(points, f, barred=None, lost=None):
+    """The method without any machinery: float64, a new triangulation and all points in every round."""
+    xyz, xy, n = points.xyz.astype(float), perturbed(points.xyz), len(points)
+    barred = np.zeros(n, bool) if barred is None else barred
+    lost = np.zeros(n, bool) if lost is None else lost
+    seeds = lowest(xyz, np.flatnonzero(~barred), f.seed_cell)
+    (west, south), (east, north) = xyz[:, :2].min(0) - 10, xyz[:, :2].max(0) + 10
+    corner = np.float32([[west, south], [east, south], [east, north], [west, north]]).astype(float)
+    corner = np.column_stack([corner, xyz[seeds[cKDTree(xy[seeds]).query(corner)[1]], 2]])
+    ground = np.isin(np.arange(n), seeds)
+    far, steep, cell = f.max_distance, f.max_angle, f.seed_cell
+
+    def judge(p, where, far, steep):
+        facet = nodes[mesh.simplices[where]]
+        normal = np.cross(facet[:, 1] - facet[:, 0], facet[:, 2] - facet[:, 0])
+        normal *= (np.sign(normal[:, 2]) / np.linalg.norm(normal, axis=1))[:, None]
+        d = np.abs(((p - facet[:, 0]) * normal).sum(1))
+        gap = np.linalg.norm(facet - p[:, None], axis=2)
+        sine = np.divide(d, gap.min(1), out=np.zeros_like(d), where=gap.min(1) > 0)
+        angle = np.degrees(np.arcsin(np.clip(sine, 0, 1)))
+        return (d <= far) & (angle <= steep), d, angle, facet, normal, gap
+
+    while True:
+        start = True
+        while True:
+            vertices = lowest(xyz, np.flatnonzero(ground), cell)
+            nodes = np.concatenate([xyz[vertices], corner])
+            flat = np.concatenate([xy[vertices], corner[:, :2]])
+            mesh, middle = Delaunay(flat - flat.mean(0)), flat.mean(0)
+            if start and f.thresholds == "quantile" and cell < f.seed_cell:
+                others = np.setdiff1d(np.flatnonzero(ground), vertices)
+                _, d, angle, *_ = judge(xyz[others], mesh.find_simplex(xy[others] - middle), far, steep)
+                far, steep = (
+                    min(f.max_distance, np.quantile(d, f.quantile)),
+                    min(f.max_angle, np.quantile(angle, f.quantile)),
+                )
+            start = False
+            rest = np.flatnonzero(~ground & ~lost)
+            ok, _, _, facet, normal, gap = judge(xyz[rest], mesh.find_simplex(xy[rest] - middle), far, steep)
+            if f.mirror != "off":
+                over = np.flatnonzero(np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2] > f.max_terrain_slope / 100)
+                about = facet[over, gap[over].argmin(1)]
+                image = np.column_stack([2 * about[:, :2] - xyz[rest[over], :2], xyz[rest[over], 2]])
+                there = mesh.find_simplex(image[:, :2] - middle)
+                over, image, there = over[there >= 0], image[there >= 0], there[there >= 0]
+                second = judge(image, there, far, steep)[0]
+                ok[over] = {"or": ok[over] | second, "and": ok[over] & second, "replace": second}[f.mirror_mode]
+            ground[rest[ok]] = True
+            if f.passes == "one" or ok.sum() < f.stop_ratio * n:
+                break
+        if cell <= f.final_cell:
+            break
+        cell = max(cell / 2, f.final_cell)
+    if f.retest:
+        rest = np.setdiff1d(np.arange(n), vertices)
+        ground[rest] = judge(xyz[rest], mesh.find_simplex(xy[rest] - middle), far, steep)[0]
+    return ground
+
+
+BARE = {"low_clusters": False, "outlier_surface": "off", "seed_cell": 20.0, "max_angle": 12.0, "max_distance": 0.8}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"passes": "one"},
+        {"thresholds": "quantile", "quantile": 0.9},
+        {"mirror": "nearest", "max_terrain_slope": 15.0},
+        {"mirror": "nearest", "max_terrain_slope": 15.0, "mirror_mode": "and"},
+        {"mirror": "nearest", "max_terrain_slope": 15.0, "mirror_mode": "replace"},
+        {"final_cell": 3.0, "stop_ratio": 0.01, "seed_cell": 18.0},
+    ],
+    ids=str,
+)
+def test_labels_equal_those_of_a_plain_loop(changes):
+    points = canonical_points(jf.PointCloud.from_arrays(scene(1)))
+    f = jf.STIN(**(BARE | changes))
+    expected = plain(points, f)
+    assert 0.4 < expected.mean() < 0.95
+    result = f(points.cloud)
+    assert (result.ground[points.index] != expected[points.member]).sum() <= 3
+    if changes:
+        assert (result.ground != jf.STIN(**BARE)(points.cloud).ground).sum() > 5
+
+
+def test_retest_revokes_what_does_not_fit_the_final_triangulation():
+    points = canonical_points(jf.PointCloud.from_arrays(scene(2)))
+    f = jf.STIN(**BARE, retest=True, stop_ratio=1e-9)
+    expected = plain(points, f)
+    result = f(points.cloud)
+    assert (result.ground[points.index] != expected[points.member]).sum() <= 4
+    assert result.trace[-1]["revoked"] > 10
+    assert f.replace(retest=False)(points.cloud).ground.sum() != result.ground.sum()
+
+
+def test_vertices_are_the_lowest_ground_points_of_the_final_cells():
+    points = canonical_points(jf.PointCloud.from_arrays(scene(3)))
+    f = jf.STIN(**BARE)
+    result = f(points.cloud)
+    ground = np.zeros(len(points), bool)
+    ground[points.member] = result.ground[points.index]
+    vertices = lowest(points.xyz.astype(float), np.flatnonzero(ground), 2.0)
+    assert result.info["vertices"] == len(vertices) + 4
+    height = np.zeros(len(points))
+    height[points.member] = result.height[points.index]
+    assert (height[vertices] == 0).all()
+
+
+def test_the_quadratic_surface_is_the_least_squares_fit_to_the_means_of_cells(rng):
+    xy = rng.uniform(0, 200, (3000, 2))
+    exact = (
+        3 + 0.02 * xy[:, 0] - 0.01 * xy[:, 1] + 1e-4 * xy[:, 0] ** 2 - 2e-4 * xy[:, 0] * xy[:, 1] + 3e-4 * xy[:, 1] ** 2
+    )
+    xyz = np.column_stack([xy, exact + rng.normal(0, 1, 3000)]).astype(np.float32)
+    key = np.floor(xyz[:, :2] / np.float32(25)) @ (100, 1)
+    means = np.array([xyz[key == k].astype(float).mean(0) for k in np.unique(key)])
+
+    def terms(x, y):
+        return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+    a = terms(means[:, 0], means[:, 1])
+    coefficient = np.linalg.solve(a.T @ a, a.T @ means[:, 2])  # normal equations
+    found = quadratic_trend(xyz, 25.0)
+    np.testing.assert_allclose(found, terms(*xyz[:, :2].astype(float).T) @ coefficient, atol=2e-3)
+    assert np.abs(found - exact).max() < 1.5
+
+
+def test_outliers_of_the_quadratic_surface_are_barred_or_removed():
+    xyz = scene(4)
+    xyz = np.concatenate([xyz, [[20.0, 20.0, -30.0], [70.0, 30.0, 60.0]]])
+    f = jf.STIN(**(BARE | {"outlier_surface": "quadratic", "outlier_distance": 4.0}))
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    far = np.abs(points.xyz[:, 2] - quadratic_trend(points.xyz, 10.0)) > 4.0
+    barred, removed = f(xyz), f.replace(outlier_fate="removed")(xyz)
+    assert (barred.barred[points.index] == far[points.member]).all() and barred.barred[-2:].all()
+    assert not barred.ground[-2:].any()
+    assert not removed.ground[removed.barred].any()
+    assert (barred.ground[points.index] == plain(points, f, far)[points.member]).mean() > 0.999
+    assert (removed.ground[points.index] == plain(points, f, far, far)[points.member]).mean() > 0.999
+
+
+def test_only_low_points_are_outliers_of_the_local_surface():
+    x, y = (v.ravel().astype(float) for v in np.meshgrid(np.arange(0, 120), np.arange(0, 120)))
+    z = 30 * np.cos(x / 40) + 0.3 * y
+    z[7000] -= 14.0
+    z[[3000, 3001]] += 25.0
+    result = jf.STIN(low_clusters=False)(np.column_stack([x, y, z.round(2)]))
+    assert np.flatnonzero(result.barred).tolist() == [7000]
+
+
+def test_what_contradicts_the_method_is_an_error():
+    with pytest.raises(jf.ParameterError, match="vertex_spacing"):
+        jf.STIN(vertex_spacing=0.5)
+    with pytest.raises(jf.ParameterError, match="final_cell"):
+        jf.STIN(final_cell=70.0)
+
+
+@pytest.mark.parametrize("name", TABLE_2)
+def test_presets_have_the_values_of_table_2(name):
+    for method in (jf.STIN, jf.ATIN):
+        f = method.preset(name)
+        assert (f.seed_cell, f.max_terrain_slope, f.max_distance, f.max_angle) == TABLE_2[name]
+
+
+def test_total_error_of_the_five_samples(data):
+    totals = []
+    for name in TABLE_2:
+        cloud = jf.read(data / "isprs" / f"{name}.txt")
+        totals.append(jf.evaluate(jf.STIN.preset(name)(cloud), cloud.reference).total)
+    assert np.mean(totals) <= 8.57  # Table 3, from its counts
