@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PTD, PTDF, SMRF, SPF, STIN
+    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .host.las import info, read, write
     from .host.raster import Raster
     from .scoring import Scores, evaluate
@@ -51,7 +51,7 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
+    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
     "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status",
     "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "write",

@@ -8,6 +8,7 @@ from .fptd import FPTD
 from .iptd import IPTD
 from .msf import MSF
 from .pmf import PMF
+from .ppdf import PPDF
 from .ptd import PTD
 from .ptdf import PTDF
 from .smrf import SMRF

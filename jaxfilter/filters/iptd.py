@@ -41,7 +41,7 @@ class IPTD(TinFilter):
 
     X. Zhao, Q. Guo, Y. Su, B. Xue (2016): Improved progressive TIN densification filtering algorithm for airborne LiDAR
     data in forested areas. ISPRS J. Photogramm. Remote Sens. 117, 79-91. doi:10.1016/j.isprsjprs.2016.03.016.
-    Reconstructed from the summaries and parameters in M. Uray, A. Varlik (2024) and from Zheng et al. (2024).
+    Reconstructed from the summaries and parameters in F. Uray, A. Varlik (2024) and from Zheng et al. (2024).
 
     1. Lowest point per cell; empty cells get the mean of their neighbours. Cells that one opening, with a square as large
        as the largest object, lowers by at most ``tolerance`` give potential seeds: their lowest points.

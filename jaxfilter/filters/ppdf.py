@@ -1,0 +1,280 @@
+"""PPDF: progressive plane detection filtering of forested landscapes (Cai, Liang & Yu 2023)."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.filter import Filter, Labels
+from ..core.grid import Grid, grid_over
+from ..core.params import filter_params, param, static
+from ..core.points import Points
+from ..core.result import Decision, Progress, Status
+from ..ops.grid import inside, padded_shape
+from ..ops.inpaint import fill_membrane
+from ..ops.morphology import opening
+from ..stages.outliers import bar_outliers
+from ..stages.planes import progressive_planes
+from ..stages.quadrants import NearestReferences, QuadrantReferences, local_planes
+
+MAX_CELLS = 100_000_000
+
+
+@filter_params
+class PPDF(Filter):
+    """Planes found in ever smaller cells give the seeds; planes through the nearest ground in four quadrants the rest.
+
+    S. Cai, X. Liang, S. Yu (2023): A progressive plane detection filtering method for airborne LiDAR data in forested
+    landscapes. Forests 14 (3), 498. doi:10.3390/f14030498
+
+    1. Points under the canopy: less than ``canopy_height`` above the lowest of their ``canopy_cell`` (Sec. 2.3).
+    2. In each ``cell`` of these, the plane with most points near it (RANSAC), if it has ``min_points``. Where a point lies
+       ``division_distance`` or more below the plane, the cell is divided into four, and so on (Sec. 2.4, eq. 2).
+    3. Seeds: points within ``buffer`` of the plane of their cell (Sec. 2.5).
+    4. A point is compared with the least-squares plane through the nearest reference points, one in each quadrant around
+       it (eq. 3), and is ground within ``max_distance``. This is repeated until nothing is added.
+
+    "paper" is that to the letter: every ground point is a reference. On clouds with undergrowth it floods: a shrub within
+    1.5 m of the ground becomes a reference, which lifts the plane under its neighbour. In "recommended", the default,
+    (a) only one point in each ``reference_cell`` can be a reference, its lowest seed, or without one its lowest point;
+    (b) it becomes one within ``reference_distance``, the width of the seeds' buffer; (c) all other points are judged once,
+    at the end, seeds that are no references included; (d) planes that an opening of the seeds with disks of up to
+    ``window`` lowers too much, as those on roofs, make no seeds; (e) clusters of low outliers are left to the end.
+
+    Departures (docs/fidelity.md): equally good hypotheses are settled by their order and all cells share their random
+    numbers, so labels depend on the points alone; references farther than ``reach`` do not count.
+    """
+
+    seeds: str = static(
+        "planes",
+        choices=("planes", "lowest"),
+        doc="seeds: points near the planes, or the lowest point of each cell",
+    )
+    references: str = static(
+        "quadrants", choices=("quadrants", "nearest"), doc="references: one in each quadrant, or the nearest four"
+    )
+    canopy_cell: float = static(2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")
+    canopy_height: float = param(5.0, symbol="T_h", unit="m", gt=0, doc="height over it below which points are kept")
+    cell: float = static(10.0, unit="m", gt=0, doc="initial size of the planes")
+    min_points: int = static(20, symbol="N_i", ge=3, doc="interior points that make a plane")
+    inlier_distance: float = param(0.5, unit="m", gt=0, doc="distance of interior points from their plane")
+    hypotheses: int = static(128, ge=1, doc="planes tried per cell")
+    max_slope: float = param(75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
+    division_distance: float = param(
+        1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
+    )
+    buffer: float = param(0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
+    window: float = static(
+        18.0,
+        unit="m",
+        ge=0,
+        doc="radius of the largest disk that opens the seeds: half the width of buildings; 0 = off",
+    )
+    slope: float = param(0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius")
+    max_step: float = param(2.5, unit="m", gt=0, doc="or by more than this")
+    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the planes")
+    reach: float = static(30.0, unit="m", gt=0, doc="distance to the farthest reference point")
+    reference_cell: float = static(
+        1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
+    )
+    reference_distance: float = param(0.5, unit="m", ge=0, doc="distance to the local plane that makes a reference")
+    max_distance: float = param(0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
+    max_rounds: int = static(100, ge=1, doc="limit of rounds")
+
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
+        "recommended": {},
+        "paper": {
+            "max_slope": 90.0,
+            "window": 0.0,
+            "low_clusters": False,
+            "reference_cell": 0.0,
+            "reference_distance": 1.5,
+            "max_distance": 1.5,
+        },
+    }
+
+    @classmethod
+    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+        """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
+        return {
+            "canopy_cell": max(2.0, 1.5 * spacing),
+            "cell": max(10.0, 7.0 * spacing),
+            "min_points": 20 if spacing <= 0.75 else 10,
+            "reference_cell": max(1.0, spacing),
+            "window": largest_building / 2,
+            "reach": max(30.0, largest_building / 2),
+        }
+
+    def halo(self) -> float:
+        """Reach of a cell, of all openings one after the other, and of a reference, metres.
+
+        Growth goes on from reference to reference, but that is not how far a border is felt in practice.
+        """
+        disks = math.ceil(self.window / self.canopy_cell - 1e-6)
+        return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
+
+    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+        """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
+
+        ``key`` draws the hypotheses; without one they are the same in every call.
+        """
+        xyz = points.xyz
+        progress(0.0, "points under the canopy")
+        grid = grid_over(xyz, self.canopy_cell, points.offset(self.canopy_cell), "PPDF(canopy_cell)", MAX_CELLS)
+        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
+        under = ~barred & _under_canopy(xyz, ~barred, grid, self.canopy_height)
+
+        progress(0.1, "planes")
+        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (self.hypotheses, 3))
+        planes = progressive_planes(
+            points,
+            under if self.seeds == "planes" else np.zeros_like(under),
+            draws,
+            cell=self.cell,
+            min_points=self.min_points,
+            inlier_distance=self.inlier_distance,
+            division_distance=self.division_distance,
+            max_slope=self.max_slope,
+        )
+        height, slope, distance = planes.height, planes.slope, planes.distance
+        seed = ~barred & (np.abs(distance) <= self.buffer)
+        found = seed.any()
+        if not found:
+            seed = _lowest(points, seed, ~barred, self.cell)
+            distance[seed], height[seed], slope[seed] = 0, 0, 0
+        if self.window > 0 and (found or self.seeds == "lowest"):
+            lowest = _lowest(points, seed, ~barred, self.canopy_cell)
+            seed &= ~_raised(xyz, lowest, grid, self.window, self.slope, self.max_step)
+
+        if self.reference_cell > 0:
+            may_be, side = _lowest(points, seed, ~barred, self.reference_cell), self.reference_cell
+        else:
+            may_be, side = np.ones(len(xyz), bool), points.spacing()
+        reference = seed & may_be
+        new, open_ = np.flatnonzero(reference), np.flatnonzero(may_be & ~reference)
+        around = self._around(xyz, open_, side)
+        steps: list[dict[str, Any]] = []
+        status = Status.ROUND_LIMIT
+        for n in range(self.max_rounds):
+            progress(0.3 + 0.4 * n / self.max_rounds, "growing the references")
+            changed = around.add(new, workers)
+            rows = open_[changed]
+            distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row[changed])
+            new = rows[np.abs(distance[rows]) <= self.reference_distance]
+            reference[new] = True
+            steps.append(
+                {"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())}
+            )
+            if trace:
+                steps[-1]["ground"] = reference.copy()
+            if len(new) == 0:
+                status = Status.CONVERGED
+                break
+            left = ~reference[open_]
+            open_ = open_[left]
+            around.keep(left)
+
+        progress(0.7, "classifying")
+        rows = np.flatnonzero(~may_be)
+        around = self._around(xyz, rows, side)
+        around.add(np.flatnonzero(reference), workers)
+        distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row)
+        ground = reference | (np.abs(distance) <= self.max_distance)
+        decision = np.where(ground, Decision.ACCEPTED, np.where(distance < 0, Decision.LOW, Decision.ELEVATION))
+        decision[reference & seed] = Decision.SEED
+        limit = np.where(reference, max(self.buffer, self.reference_distance), self.max_distance)
+        progress(1.0, "done")
+        return Labels(
+            ground,
+            height=height,
+            slope=slope,
+            elevation=distance,
+            margin=(np.abs(distance) - limit).astype(np.float32),
+            decision=decision.astype(np.uint8),
+            barred=barred,
+            status=status,
+            info={
+                "under_canopy": int(under.sum()),
+                "planes": planes.accepted,
+                "divided_cells": planes.divided,
+                "seeds": int(seed.sum()),
+                "references": int(reference.sum()),
+                "rounds": len(steps),
+            },
+            trace=steps,
+        )
+
+    def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
+        if self.references == "nearest":
+            return NearestReferences(xyz, query, self.reach)
+        return QuadrantReferences(xyz, query, side, self.reach)
+
+
+def _under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float) -> np.ndarray:
+    """bool[m]: points less than ``height`` above the lowest point of their cell, of those ``counted`` (eq. 1)."""
+    at = grid.flat(xyz)
+    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    np.minimum.at(lowest, at[counted], xyz[counted, 2])
+    return xyz[:, 2] - lowest[at] < height
+
+
+def _lowest(points: Points, seed: np.ndarray, counted: np.ndarray, side: float) -> np.ndarray:
+    """bool[m]: the lowest seed of every cell that has seeds, and the lowest of the points ``counted`` of the others.
+
+    Of equally low points the first in canonical order is taken.
+    """
+    grid = grid_over(points.xyz, side, points.offset(side), "PPDF(reference_cell)", MAX_CELLS)
+    at = grid.flat(points.xyz)
+    seeded = np.zeros(grid.nx * grid.ny, bool)
+    seeded[at[seed]] = True
+    rows = np.flatnonzero(seed | (counted & ~seeded[at]))
+    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    np.minimum.at(lowest, at[rows], points.xyz[rows, 2])
+    rows = rows[points.xyz[rows, 2] == lowest[at[rows]]]
+    _, first = np.unique(at[rows], return_index=True)
+    found = np.zeros(len(points), bool)
+    found[rows[first]] = True
+    return found
+
+
+def _raised(
+    xyz: np.ndarray, lowest: np.ndarray, grid: Grid, window: float, slope: float, max_step: float
+) -> np.ndarray:
+    """bool[m]: points in cells whose ``lowest`` point, bool[m], stands on an object, or ``max_step`` above that point.
+
+    The surface of these points, with a membrane over empty cells, is opened with disks of 1, 2, ... cells. Cells that
+    the k-th opening lowers by more than slope x k x cell are objects, as in Pingel et al. (2013), Sec. 2.2, or by more
+    than ``max_step``: a hill loses little from one disk to the next, a roof all its height at once.
+    """
+    at = grid.flat(xyz)
+    z = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    z[at[lowest]] = xyz[lowest, 2]
+    padded = np.full(padded_shape(grid.shape), np.inf, np.float32)
+    padded[: grid.ny, : grid.nx] = z.reshape(grid.shape)
+    rise = np.asarray([slope * grid.cell, max_step], np.float32)
+    raised = _raised_cells(padded, np.asarray(grid.shape, np.int32), rise, math.ceil(window / grid.cell - 1e-6))
+    objects = np.asarray(raised)[: grid.ny, : grid.nx].ravel()
+    return objects[at] | (xyz[:, 2] - z[at] > max_step)
+
+
+@functools.partial(jax.jit, static_argnames="reach")
+def _raised_cells(z: jax.Array, extent: jax.Array, rise: jax.Array, reach: int) -> jax.Array:
+    """bool[rows, columns] of elevations f32[rows, columns], +inf where there are none.
+
+    ``rise``: f32[2], metres per cell of radius, and metres at most.
+    """
+    valid = inside((z.shape[0], z.shape[1]), extent)
+    known = z < jnp.inf
+
+    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        last, objects = state
+        opened = opening(last, k, reach, valid=valid)
+        return opened, objects | (valid & (last - opened > jnp.minimum(rise[0] * k, rise[1])))
+
+    surface = fill_membrane(jnp.where(known, z, 0), known, valid).z
+    return jax.lax.fori_loop(1, reach + 1, open_once, (surface, jnp.zeros_like(valid)))[1]
