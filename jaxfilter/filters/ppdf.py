@@ -50,14 +50,6 @@ class PPDF(Filter):
     numbers, so labels depend on the points alone; references farther than ``reach`` do not count.
     """
 
-    seeds: str = static(
-        "planes",
-        choices=("planes", "lowest"),
-        doc="seeds: points near the planes, or the lowest point of each cell",
-    )
-    references: str = static(
-        "quadrants", choices=("quadrants", "nearest"), doc="references: one in each quadrant, or the nearest four"
-    )
     canopy_cell: float = static(2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")
     canopy_height: float = param(5.0, symbol="T_h", unit="m", gt=0, doc="height over it below which points are kept")
     cell: float = static(10.0, unit="m", gt=0, doc="initial size of the planes")
@@ -85,6 +77,14 @@ class PPDF(Filter):
     reference_distance: float = param(0.5, unit="m", ge=0, doc="distance to the local plane that makes a reference")
     max_distance: float = param(0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
     max_rounds: int = static(100, ge=1, doc="limit of rounds")
+    seeds: str = static(
+        "planes",
+        choices=("planes", "lowest"),
+        doc="seeds: points near the planes, or the lowest point of each cell",
+    )
+    references: str = static(
+        "quadrants", choices=("quadrants", "nearest"), doc="references: one in each quadrant, or the nearest four"
+    )
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
