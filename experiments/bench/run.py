@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.bench import peers
-from experiments.report import Column, Row, machine, markdown, save_png, write_csv
+from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 
 HERE = Path(__file__).parent
 COMMAND = "import sys; from jaxfilter.cli import main; sys.exit(main())"
@@ -54,6 +54,8 @@ def main(arguments: list[str] | None = None) -> None:
     rows, failures = measure_all(options)
     if not rows:
         raise SystemExit("nothing was measured")
+    if options.add:
+        rows = added(rows, options.out / "bench.csv")
     write_csv(options.out / "bench.csv", rows)
     text = report(rows, shlex.join(["python", "experiments/bench/run.py", *given]), options.repeats)
     (options.out / "results.md").write_text(text)
@@ -61,6 +63,19 @@ def main(arguments: list[str] | None = None) -> None:
     print(text)
     if failures:
         raise SystemExit(f"{failures} measurements failed, see above")
+
+
+def added(rows: list[Row], path: Path) -> list[Row]:
+    """The rows with those of an earlier run that they do not replace, by density and name."""
+    earlier = [{k: v for k, v in row.items() if v != ""} for row in read_csv(path)] if path.exists() else []
+
+    def key(row: Row) -> tuple[float, str, int]:
+        return float(row["density"]), row["name"], int(row["points"])
+
+    known = {key(row) for row in rows}
+    names = [*CASES, *peers.ALL]
+    return sorted([*rows, *(row for row in earlier if key(row) not in known)],
+                  key=lambda row: (float(row["density"]), names.index(row["name"]), int(row["points"])))
 
 
 def measure_all(options: argparse.Namespace) -> tuple[list[Row], int]:
@@ -284,6 +299,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="largest cloud that other programs are run on, million points [%(default)s]")
     parser.add_argument("--repeats", type=int, default=3, help="warm calls, of which the median counts [%(default)s]")
     parser.add_argument("--platform", help="of JAX, such as cpu or cuda [what JAX finds]")
+    parser.add_argument("--add", action="store_true", help="to the figures of an earlier run in --out, instead of anew")
     parser.add_argument("--keep-scenes", action="store_true", help="keep the LAS files for the next run")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     return parser

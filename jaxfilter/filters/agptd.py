@@ -18,7 +18,6 @@ from ..core.points import Points, canonical_points
 from ..core.result import FilterResult, Progress
 from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
 from ..stages.densify import Mirror
-from ..stages.outliers import bar_outliers
 from ..stages.tin_filter import TinFilter
 
 _PAPER = {
@@ -103,10 +102,10 @@ class AGPTD(TinFilter):
         choices=("constant", "steepest_cell"),
         doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell",
     )
-    max_terrain_angle: float = static(88.0, unit="degrees", gt=0, le=90, doc="upper limit of the terrain angle")
-    refresh_border: bool = static(
-        True, choices=(True, False), doc="simulated border points follow the growing ground, as in FPTD"
+    max_terrain_angle: float = static(
+        88.0, unit="degrees", gt=0, le=90, doc="mirror over steeper facets; the upper limit of steepest_cell"
     )
+    refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
     neighbours: int = static(
         0, symbol="k", ge=0, doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off"
     )
@@ -154,17 +153,9 @@ class AGPTD(TinFilter):
         result.info["uses_labels"] = self.oracle_removal > 0
         return result
 
-    def outliers(self, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
-        return bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            neighbours=self.neighbours,
-            deviations=self.deviations,
-            workers=workers,
-        )
+        return super().outliers(points, workers, neighbours=self.neighbours, deviations=self.deviations, **tests)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")

@@ -38,13 +38,12 @@ class ATIN(TinFilter):
     Seeds are the lowest points of square cells as large as the largest building. All ground points are vertices. In each
     round a point is ground if its distance to the facet it lies in, and its angles at the vertices, are within limits, on
     either side. With ``thresholds="adaptive"`` the limits are derived from the triangulation before each round, and never
-    exceed the user's. Over facets
-    steeper than a slope the mirror image of a point about the nearest vertex is tested too. Lengths in metres, angles in
-    degrees, slopes in percent.
+    exceed the user's. With ``mirror="nearest"`` the mirror image of a point about the nearest vertex is tested too over
+    facets steeper than a slope. Lengths in metres, angles in degrees, slopes in percent.
 
     How the limits follow from the data is a reconstruction (docs/fidelity.md): the median plus ``deviations`` standard
     deviations, robustly estimated, of the distances (angles) of vertices over the facets next to theirs. With
-    ``thresholds="constant"`` it is PTD with mirroring about the nearest vertex.
+    ``thresholds="constant"``, the default, it is PTD with other defaults.
 
     Presets: "recommended" is the default; border points follow the ground, clusters of low points are no seeds, and the
     limits are constant, since in no variant that was tried did adaptive ones do better on simulated scenes. "paper" has
@@ -53,7 +52,7 @@ class ATIN(TinFilter):
     """
 
     max_angle: float = param(
-        30.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="upper limit of the angle: facet to point"
+        25.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="upper limit of the angle: facet to point"
     )
     max_distance: float = param(
         1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"

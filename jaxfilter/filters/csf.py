@@ -49,8 +49,8 @@ class CSF(Filter):
     The result's ``height`` is metres above the cloth, ``slope`` that of the cloth in degrees, ``margin`` |height| minus
     the threshold; ``info`` has the numbers of particles, of those on the ground, and of steps.
 
-    "wheel" has the defaults of the authors' Python package, cloth-simulation-filter 1.1.7, and repeats it; "ppdf" are
-    the settings of Cai et al. (2023, Table 2) for the same program. "paper" takes gravity from the equation instead, and
+    "wheel" has the defaults of the authors' Python package, cloth-simulation-filter 1.1.7, and repeats it; "cai2023"
+    are the settings of Cai et al. (2023, Table 2) for the same program. "paper" takes gravity from the equation instead, and
     the finer resolution. In "recommended" the cloth is of medium rigidness, low clusters carry no cloth, and a particle
     falls onto the lowest of its points instead of the nearest.
     """
@@ -65,7 +65,9 @@ class CSF(Filter):
     gravity: str = static(
         "equation", doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)", choices=("equation", "program")
     )
-    smooth: bool = static(True, doc="put free particles on ground that adjoins without a step", symbol="ST")
+    smooth: bool = static(
+        True, doc="put free particles on ground that adjoins without a step", symbol="ST", choices=(True, False)
+    )
     max_step: float = param(0.3, doc="smallest difference in elevation that is a step", symbol="hcp", unit="m", gt=0)
     surface: str = static(
         "lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
@@ -74,13 +76,19 @@ class CSF(Filter):
     min_neighbours: int = static(
         1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1
     )
-    low_clusters: bool = static(True, doc="clusters of low outliers carry no cloth")
+    low_clusters: bool = static(True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
         "paper": {"resolution": 0.5, "rigidness": 3, "surface": "nearest", "low_clusters": False},
         "wheel": {"rigidness": 3, "gravity": "program", "surface": "nearest", "low_clusters": False},
-        "ppdf": {"resolution": 0.3, "rigidness": 3, "gravity": "program", "surface": "nearest", "low_clusters": False},
+        "cai2023": {
+            "resolution": 0.3,
+            "rigidness": 3,
+            "gravity": "program",
+            "surface": "nearest",
+            "low_clusters": False,
+        },
     }
 
     @classmethod

@@ -40,7 +40,7 @@ class FPTD(TinFilter):
     follows the growing ground, in which form it never rejects a point that the elevation test would accept, and is left out.
     """
 
-    max_angle: float = param(22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle between facet and point")
+    max_angle: float = param(22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
     max_elevation: float = param(
         1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex"
     )

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.errors import ParameterError
 from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
@@ -18,7 +17,7 @@ from ..ops.spread import fill_from_neighbours
 from ..stages.densify import Mirror
 from ..stages.local_planes import TRANSLATIONS, over_local_planes
 from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import lowest_cells
+from ..stages.surfaces import cell_for, check_width, lowest_cells
 from ..stages.tin_filter import TinFilter
 
 
@@ -68,9 +67,9 @@ class IPTD(TinFilter):
     translation: str = static(
         "none", choices=TRANSLATIONS, doc="planes are moved down to the lowest of their seeds, or stay as fitted"
     )
-    max_below: float = param(math.inf, unit="m", gt=0, doc="points further below the triangulation are no ground")
-    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="iteration angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="iteration distance: point to facet plane")
+    max_below: float = param(math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
+    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
+    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
     max_terrain_angle: float = static(88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets")
     mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
     mirror_mode: str = static(
@@ -90,16 +89,13 @@ class IPTD(TinFilter):
 
     def check(self) -> None:
         super().check()
-        if self.window > 1000 * self.cell:
-            raise ParameterError(
-                f"IPTD(window={self.window!r}): more than 1000 cells of {self.cell:g} m; use a larger cell"
-            )
+        check_width(self, "window", 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         """Cells of two point spacings, in steps of 0.5 m and 1 m at least, so that few of them are empty."""
-        cell = max(1.0, 0.5 * math.ceil(4 * spacing - 1e-6))
-        return super().from_spacing(spacing, largest_building) | {"cell": cell, "window": largest_building}
+        own = {"cell": cell_for(spacing, 2), "window": largest_building}
+        return super().from_spacing(spacing, largest_building) | own
 
     @property
     def reach(self) -> int:

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
@@ -17,7 +16,17 @@ from ..core.result import Progress
 from ..ops.cones import cone_erosion, cone_limits
 from ..ops.morphology import erosion
 from ..stages.outliers import bar_outliers
-from ..stages.surfaces import LowestCells, hold_against, labels_between, look_up, lowest_cells, lowest_places, steepness
+from ..stages.surfaces import (
+    LowestCells,
+    cell_for,
+    check_width,
+    hold_against,
+    labels_between,
+    look_up,
+    lowest_cells,
+    lowest_places,
+    steepness,
+)
 
 MAX_REACH = 100  # cells; the time grows with the square
 
@@ -65,17 +74,14 @@ class MSF(Filter):
     def check(self) -> None:
         """Validate the fields. Raises ParameterError."""
         super().check()
-        if self.window > MAX_REACH * self.cell:
-            raise ParameterError(
-                f"MSF(window={self.window!r}): more than {MAX_REACH} cells of {self.cell:g} m; use a larger cell"
-            )
+        check_width(self, "window", MAX_REACH)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         """A window as wide as the largest building, and cells of 1 m, or of the point spacing in steps of 0.5 m, or of a
         hundredth of the window. The largest rise grows with windows over 20 m, so that hillsides of 30 % stay."""
         window = largest_building / 2
-        cell = max(1.0, 0.5 * math.ceil(2 * spacing - 1e-6), 0.5 * math.ceil(2 * window / MAX_REACH - 1e-6))
+        cell = max(cell_for(spacing), 0.5 * math.ceil(2 * window / MAX_REACH - 1e-6))
         return {"cell": cell, "window": window, "max_height": max(6.0, 0.3 * window)}
 
     def halo(self) -> float:

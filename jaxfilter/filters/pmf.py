@@ -19,7 +19,7 @@ from ..ops.inpaint import fill_nearest
 from ..ops.morphology import opening
 from ..stages.boxes import PointBoxes
 from ..stages.outliers import bar_outliers
-from ..stages.surfaces import labels_between, look_up, lowest_cells, steepness
+from ..stages.surfaces import cell_for, check_width, labels_between, look_up, lowest_cells, steepness
 
 MAX_REACH = 1000  # cells
 
@@ -114,20 +114,17 @@ class PMF(Filter):
     def check(self) -> None:
         """Validate the fields and their combination. Raises ParameterError."""
         super().check()
-        if self.max_window > 2 * MAX_REACH * self.cell:
-            raise ParameterError(
-                f"PMF(max_window={self.max_window!r}): more than {2 * MAX_REACH} cells of {self.cell:g} m; use a larger cell"
-            )
+        check_width(self, "max_window", 2 * MAX_REACH)
         if self.reading == "points" and self.compare == "surfaces":
             raise ParameterError(
-                "PMF(reading='points', compare='surfaces'): without a grid only points can be compared"
+                "PMF(reading='points', compare='surfaces'): without a grid only points can be compared; set compare='points'"
             )
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         """A cell of 1 m, or of the point spacing in steps of 0.5 m where points are sparser; the largest building as the
         largest window."""
-        return {"cell": max(1.0, 0.5 * math.ceil(2 * spacing - 1e-6)), "max_window": largest_building}
+        return {"cell": cell_for(spacing), "max_window": largest_building}
 
     def radii(self) -> list[int]:
         """Radii of the windows, cells: a window is 2 r + 1 cells wide."""

@@ -21,6 +21,7 @@ from ..ops.morphology import opening
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.quadrants import NearestReferences, QuadrantReferences, local_planes
+from ..stages.seeds import lowest_on_grid
 
 MAX_CELLS = 100_000_000
 
@@ -68,7 +69,9 @@ class PPDF(Filter):
         doc="radius of the largest disk that opens the seeds: half the width of buildings; 0 = off",
     )
     slope: float = param(0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius")
-    max_step: float = param(2.5, unit="m", gt=0, doc="or by more than this")
+    max_step: float = param(
+        2.5, unit="m", gt=0, doc="largest drop in an opening, and height above the lowest point of the cell, of a seed"
+    )
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the planes")
     reach: float = static(30.0, unit="m", gt=0, doc="distance to the farthest reference point")
     reference_cell: float = static(
@@ -232,13 +235,8 @@ def _lowest(points: Points, seed: np.ndarray, counted: np.ndarray, side: float) 
     at = grid.flat(points.xyz)
     seeded = np.zeros(grid.nx * grid.ny, bool)
     seeded[at[seed]] = True
-    rows = np.flatnonzero(seed | (counted & ~seeded[at]))
-    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    np.minimum.at(lowest, at[rows], points.xyz[rows, 2])
-    rows = rows[points.xyz[rows, 2] == lowest[at[rows]]]
-    _, first = np.unique(at[rows], return_index=True)
     found = np.zeros(len(points), bool)
-    found[rows[first]] = True
+    found[lowest_on_grid(points, grid, ~(seed | (counted & ~seeded[at])))] = True
     return found
 
 

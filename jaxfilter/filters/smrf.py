@@ -10,14 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening
-from ..stages.surfaces import hold_against, lowest_cells, steepness
+from ..stages.surfaces import cell_for, check_width, hold_against, lowest_cells, steepness
 
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 
@@ -90,16 +89,13 @@ class SMRF(Filter):
         """Validate the fields. Raises ParameterError."""
         super().check()
         for name in ("window", "cut"):
-            if getattr(self, name) > 1000 * self.cell:
-                raise ParameterError(
-                    f"SMRF({name}={getattr(self, name)!r}): more than 1000 cells of {self.cell:g} m; use a larger cell"
-                )
+            check_width(self, name, 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         """A cell of 1 m, or of the point spacing in steps of 0.5 m where points are sparser; a disk as wide as the
         largest building."""
-        return {"cell": max(1.0, 0.5 * math.ceil(2 * spacing - 1e-6)), "window": largest_building / 2}
+        return {"cell": cell_for(spacing), "window": largest_building / 2}
 
     @property
     def reach(self) -> int:

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.errors import ParameterError
 from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
@@ -20,7 +19,7 @@ from ..ops.spread import fill_from_neighbours
 from ..stages.densify import Mirror
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import lowest_cells
+from ..stages.surfaces import cell_for, check_width, lowest_cells
 from ..stages.tin_filter import TinFilter
 
 GROWTHS = ("linear", "exponential")
@@ -31,8 +30,8 @@ FILLS = ("neighbours", "zero")
 class SPF(TinFilter):
     """Seed points filtering: progressive TIN densification from many seeds.
 
-    C. Chen et al. (2023): an improved progressive TIN densification filter with seed points filtering. Frontiers in Earth
-    Science 10. doi:10.3389/feart.2022.1015153
+    N. Chen, N. Wang, Y. He, X. Ding, J. Kong (2023): An improved progressive triangular irregular network densification
+    filtering algorithm for airborne LiDAR data. Frontiers in Earth Science 10, 1015153. doi:10.3389/feart.2022.1015153
 
     1. Lowest point per cell; empty cells get the mean of their neighbours (Sec. 2.2 A).
     2. Openings with squares of W_1, W_2, ... cells, each of the surface left by the one before, until W exceeds
@@ -66,8 +65,8 @@ class SPF(TinFilter):
     narrow_angle: float = param(30.0, unit="degrees", gt=0, le=60, doc="smallest angle of facets that may separate")
     steep_angle: float = param(60.0, unit="degrees", gt=0, le=90, doc="slope above which narrow facets separate")
     clusters: str = static("not_raised", choices=CLUSTERS, doc="seed clusters that are kept")
-    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="iteration angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="iteration distance: point to facet plane")
+    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
+    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
     max_terrain_angle: float = static(88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets")
     mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
     mirror_mode: str = static(
@@ -82,16 +81,13 @@ class SPF(TinFilter):
 
     def check(self) -> None:
         super().check()
-        if self.window > 1000 * self.cell:
-            raise ParameterError(
-                f"SPF(window={self.window!r}): more than 1000 cells of {self.cell:g} m; use a larger cell"
-            )
+        check_width(self, "window", 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
         """Cells of two point spacings, in steps of 0.5 m and 1 m at least, so that few of them are empty."""
-        cell = max(1.0, 0.5 * math.ceil(4 * spacing - 1e-6))
-        return super().from_spacing(spacing, largest_building) | {"cell": cell, "window": largest_building}
+        own = {"cell": cell_for(spacing, 2), "window": largest_building}
+        return super().from_spacing(spacing, largest_building) | own
 
     def halo(self) -> float:
         """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""

@@ -38,15 +38,16 @@ class STIN(TinFilter):
     Points far from a smooth surface are outliers and no seeds. Four simulated points stand around the cloud, 10 m outside.
     The lowest point of every cell of a grid as large as the largest building is ground. Only the lowest *ground* point of
     each cell is a vertex of the triangulation. The other points are tested: those within a distance of their facet, and
-    within an angle at its vertices, on either side, are ground too. Over facets steeper than a slope the mirror image of
-    a point about the nearest vertex is tested as well (eqs. 1 to 3). This is repeated while a round adds a thousandth of all
-    points or more; then the cells are halved, down to 2 m. Lengths in metres, angles in degrees, slopes in percent.
+    within an angle at its vertices, on either side, are ground too. With ``mirror="nearest"`` the mirror
+    image of a point is tested as well over facets steeper than a slope (eqs. 1 to 3). This is repeated while a round adds a
+    thousandth of all points or more; then the cells are halved, down to 2 m. Lengths in metres, angles in degrees, slopes
+    in percent.
 
-    Presets: "recommended" is the default; it takes as outliers what lies below the trend of the
-    low terrain and clusters of low points, and mirrors nothing. "paper" takes everything as printed, with the medians of
-    Table 2. "samp11", "samp12", "samp23", "samp52" and "samp71" have the values of Table 2 as upper limits of thresholds
-    that are recomputed for each cell size, as the text says, and mirror nothing: with mirror images as a second chance
-    most buildings are accepted, and no error in Table 3 can be met.
+    Presets: "recommended" is the default; it takes as outliers what lies below the trend of the low terrain and clusters of
+    low points, and mirrors nothing. "paper" takes everything as printed, with the medians of Table 2.
+    "samp11", "samp12", "samp23", "samp52" and "samp71" have the values of Table 2 as upper limits of thresholds that are
+    recomputed for each cell size, as the text says, and mirror nothing: with mirror images as a second chance most
+    buildings are accepted, and no error in Table 3 can be met.
 
     Departures (docs/fidelity.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
     """
@@ -153,7 +154,7 @@ class STIN(TinFilter):
             return np.zeros(len(points), bool)
         if self.outlier_surface == "quadratic":
             return np.abs(points.xyz[:, 2] - quadratic_trend(points.xyz, self.outlier_cell)) > self.outlier_distance
-        grid = grid_over(points.xyz, self.outlier_cell, points.offset(self.outlier_cell), name="outlier_cell")
+        grid = grid_over(points.xyz, self.outlier_cell, points.offset(self.outlier_cell), name="STIN(outlier_cell)")
         low = low_trend(points.xyz, grid.x0, grid.y0, self.outlier_cell)
         return low - points.xyz[:, 2] > self.outlier_distance
 

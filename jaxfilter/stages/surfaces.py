@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -12,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
-from ..core.filter import Labels
+from ..core.errors import ParameterError
+from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
 from ..core.result import Decision
 from ..ops.grid import cell_index, inside, padded_shape
@@ -41,6 +43,20 @@ class LowestCells:
     valid: jax.Array
     extent: np.ndarray
     frame: np.ndarray
+
+
+def check_width(filter_: Filter, name: str, most: int) -> None:
+    """Raises: ParameterError if the field ``name`` of a filter, metres, is more than ``most`` of its cells wide."""
+    width, cell = getattr(filter_, name), filter_.cell  # type: ignore[attr-defined]
+    if width > most * cell:
+        raise ParameterError(
+            f"{type(filter_).__name__}({name}={width!r}): more than {most} cells of {cell:g} m; use a larger cell"
+        )
+
+
+def cell_for(spacing: float, spacings: float = 1.0) -> float:
+    """Side of grid cells in metres: so many point spacings, in steps of 0.5 m, and 1 m at least."""
+    return max(1.0, 0.5 * math.ceil(2 * spacings * spacing - 1e-6))
 
 
 def lowest_cells(

@@ -39,14 +39,18 @@ class TinFilter(Filter):
         dense = spacing < 0.5
         return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0}
 
-    def outliers(self, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
-        """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points."""
+    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
+        """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points.
+
+        ``tests``: further ones, see :func:`jaxfilter.stages.outliers.bar_outliers`.
+        """
         return bar_outliers(
             points,
             radius=self.radius,
             min_neighbours=self.min_neighbours,
             clusters=self.low_clusters,
             workers=workers,
+            **tests,
         )
 
     def network(self, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Network:
