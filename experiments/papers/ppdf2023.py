@@ -25,7 +25,7 @@ IGNORED = (7, 9, 12, 18, 26, 65, 66, 67)
 TILTS = {"slope A": 0.2, "slope B": 0.4, "slope C": 0.6, "slope D": 0.75}
 """General slope, rise over run, of the simulated forests."""
 LARGEST_BUILDING = 20.0
-SETTINGS = {"ppdf": "paper", "msf": "paper", "pmf": "cai2023", "csf": "ppdf", "ptdf": "paper"}
+SETTINGS = {"ppdf": "paper", "msf": "paper", "pmf": "cai2023", "csf": "cai2023", "ptdf": "paper"}
 """The preset of every method that has the values of the paper."""
 COMPARED = ("ppdf", "msf", "pmf", "csf", "ptdf", "smrf", "ptd")
 COLOURS = {"ppdf": "#0072B2", "msf": "#E69F00", "pmf": "#009E73", "csf": "#CC79A7", "ptdf": "#D55E00", "smrf": "#56B4E9",
