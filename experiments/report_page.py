@@ -24,6 +24,10 @@ COMMANDS = (
         "python experiments/isprs/run.py --out experiments/isprs/results",
         "every method on the ISPRS samples, three protocols",
     ),
+    (
+        "python experiments/tiles/run.py --out experiments/tiles/results",
+        "every method on six labelled tiles",
+    ),
     ("python experiments/ablations/run.py", "choices within the methods"),
     ("python experiments/papers/<paper>.py", "each paper's tables, measured beside printed"),
     ("python experiments/outliers/run.py --out experiments/outliers/results", "search for clusters of low points"),
