@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxfilter.ops.planes import fit_planes, is_planar, plane_inliers, plane_residuals
+from jaxfilter.ops.planes import fit_planes, plane_residuals
 
 
 def blocks(count=20, size=30, seed=0):
@@ -36,19 +36,13 @@ def test_padding_values_and_length_do_not_matter():
     np.testing.assert_allclose(fit_planes(*longer).gradient, fit_planes(xyz, mask).gradient, atol=1e-5)
 
 
-def test_exact_plane_has_no_residuals_and_an_outlier_is_no_inlier():
+def test_exact_plane_has_no_residuals():
     xyz, mask = blocks(seed=2)
     xyz[..., 2] = 0.25 * xyz[..., 0] - 0.5 * xyz[..., 1]
     planes = fit_planes(xyz, mask)
     np.testing.assert_allclose(planes.gradient, np.tile([0.25, -0.5], (20, 1)), atol=1e-3)
-    assert np.asarray(plane_inliers(planes, xyz, mask, 0.05)).sum() == mask.sum()
-    assert np.asarray(is_planar(planes, xyz, mask, 0.05)).all()
-    assert not np.asarray(is_planar(planes, xyz, mask, 0.05, max_slope=20.0)).any()
-    xyz[:, 0, 2] += 2
-    inliers = np.asarray(plane_inliers(planes, xyz, mask, 0.05))
-    assert not inliers[:, 0].any() and inliers[:, 1:].sum() == mask[:, 1:].sum()
-    assert not np.asarray(is_planar(planes, xyz, mask, 0.05)).any()
-    assert np.asarray(is_planar(planes, xyz, mask, 0.05, share=0.75)).all()
+    np.testing.assert_allclose(np.asarray(plane_residuals(planes, xyz))[mask], 0, atol=2e-3)
+    np.testing.assert_allclose(planes.slope, np.degrees(np.arctan(np.hypot(0.25, 0.5))), atol=0.02)
 
 
 def test_collinear_and_short_blocks_determine_no_plane():
@@ -59,4 +53,3 @@ def test_collinear_and_short_blocks_determine_no_plane():
     mask[1, 2:] = False
     planes = fit_planes(xyz, mask)
     assert not np.asarray(planes.determined).any() and np.isfinite(planes.gradient).all()
-    assert not np.asarray(is_planar(planes, xyz, mask, 100.0)).any()

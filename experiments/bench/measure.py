@@ -39,7 +39,12 @@ def measure(task: dict[str, Any]) -> dict[str, Any]:
     start = time.perf_counter()
     cloud = jf.read(task["cloud"], units="m")
     read = time.perf_counter() - start
-    out = {"device": jax.devices()[0].device_kind, "points": len(cloud), "import_seconds": imported, "read_seconds": read}
+    out = {
+        "device": jax.devices()[0].device_kind,
+        "points": len(cloud),
+        "import_seconds": imported,
+        "read_seconds": read,
+    }
 
     start = time.perf_counter()
     result = filter_(cloud)
@@ -85,9 +90,14 @@ def another_of_its_bucket(cloud: Any) -> Any:
     for share in (0.97, 0.98, 0.99, 0.995):
         kept = x < np.float32(share * width)
         if sizes(int(kept.sum()), share * width) == sizes(len(cloud), width):
-            return jf.PointCloud.from_arrays(cloud.coordinates()[kept], return_number=cloud.return_number[kept],
-                                             number_of_returns=cloud.number_of_returns[kept])
-    raise SystemExit(f"{len(cloud)} points over {width:.0f} m are at the edge of a bucket: choose another number of points")
+            return jf.PointCloud.from_arrays(
+                cloud.coordinates()[kept],
+                return_number=cloud.return_number[kept],
+                number_of_returns=cloud.number_of_returns[kept],
+            )
+    raise SystemExit(
+        f"{len(cloud)} points over {width:.0f} m are at the edge of a bucket: choose another number of points"
+    )
 
 
 def peak_bytes() -> int:

@@ -37,6 +37,8 @@ def command(peer: str, source: Path, target: Path) -> list[str]:
 def write_pcd(path: Path, xyz: np.ndarray) -> None:
     """Coordinates f32[n, 3] as a binary PCD file."""
     n = len(xyz)
-    header = (f"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {n}\nHEIGHT 1\n"
-              f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n")
+    header = (
+        f"VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {n}\nHEIGHT 1\n"
+        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
+    )
     path.write_bytes(header.encode() + np.ascontiguousarray(xyz, "<f4").tobytes())

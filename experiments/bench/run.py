@@ -74,8 +74,10 @@ def added(rows: list[Row], path: Path) -> list[Row]:
 
     known = {key(row) for row in rows}
     names = [*CASES, *peers.ALL]
-    return sorted([*rows, *(row for row in earlier if key(row) not in known)],
-                  key=lambda row: (float(row["density"]), names.index(row["name"]), int(row["points"])))
+    return sorted(
+        [*rows, *(row for row in earlier if key(row) not in known)],
+        key=lambda row: (float(row["density"]), names.index(row["name"]), int(row["points"])),
+    )
 
 
 def measure_all(options: argparse.Namespace) -> tuple[list[Row], int]:
@@ -95,8 +97,10 @@ def measure_all(options: argparse.Namespace) -> tuple[list[Row], int]:
                 failures += 1
                 continue
             rows.append({**row, "area_km2": row["points"] / density / 1e6})
-            _say(f"{name:12} {density:4g}/m2 {row['points']:>9,} points  warm {row.get('warm_seconds', np.nan):7.2f} s  "
-                 f"command {row['command_seconds']:7.2f} s  total error {row.get('total', np.nan):5.2f} %")
+            _say(
+                f"{name:12} {density:4g}/m2 {row['points']:>9,} points  warm {row.get('warm_seconds', np.nan):7.2f} s  "
+                f"command {row['command_seconds']:7.2f} s  total error {row.get('total', np.nan):5.2f} %"
+            )
         if not options.keep_scenes:
             for path in scenes.iterdir():
                 path.unlink()
@@ -124,8 +128,13 @@ def make_scene(folder: Path, millions: float, density: float) -> Path:
 def measure_case(case: Case, place: Path, scratch: Path, repeats: int) -> Row:
     """Two fresh processes with one compilation cache: the first finds it empty, the second filled."""
     environment = os.environ | {"JAXFILTER_CACHE": str(scratch / "cache")}
-    task = {"method": case.method, "parameters": case.parameters, "cloud": str(place),
-            "truth": str(place.with_suffix(".npy")), "repeats": repeats}
+    task = {
+        "method": case.method,
+        "parameters": case.parameters,
+        "cloud": str(place),
+        "truth": str(place.with_suffix(".npy")),
+        "repeats": repeats,
+    }
     row = _measured(task, environment)
     again = _measured({**task, "repeats": 0}, environment)
     return row | {"cached_first_seconds": again["first_seconds"], "cached_compile_seconds": again["compile_seconds"]}
@@ -134,8 +143,13 @@ def measure_case(case: Case, place: Path, scratch: Path, repeats: int) -> Row:
 def _measured(task: dict[str, Any], environment: dict[str, str]) -> Row:
     root = str(HERE.parents[1])
     paths = os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])
-    done = subprocess.run([sys.executable, str(HERE / "measure.py"), json.dumps(task)], capture_output=True, text=True,
-                          check=True, env=environment | {"PYTHONPATH": paths})
+    done = subprocess.run(
+        [sys.executable, str(HERE / "measure.py"), json.dumps(task)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment | {"PYTHONPATH": paths},
+    )
     answer: Row = json.loads(done.stdout)
     return answer
 
@@ -149,10 +163,23 @@ def whole_command(name: str, place: Path, scratch: Path) -> Row:
     environment = dict(os.environ)
     if name in CASES:
         flags = [f"--{key.replace('_', '-')}={value:g}" for key, value in CASES[name].parameters.items()]
-        line = [sys.executable, "-c", COMMAND, "ground", CASES[name].method, str(place), str(target), "--units=m", "-q", *flags]
+        line = [
+            sys.executable,
+            "-c",
+            COMMAND,
+            "ground",
+            CASES[name].method,
+            str(place),
+            str(target),
+            "--units=m",
+            "-q",
+            *flags,
+        ]
         root = str(HERE.parents[1])
-        environment |= {"JAXFILTER_CACHE": str(scratch / "cache"),
-                        "PYTHONPATH": os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])])}
+        environment |= {
+            "JAXFILTER_CACHE": str(scratch / "cache"),
+            "PYTHONPATH": os.pathsep.join([root, *filter(None, [environment.get("PYTHONPATH")])]),
+        }
     else:
         line = peers.command(name, place, target)
         if name == "pcl_pmf":
@@ -160,8 +187,9 @@ def whole_command(name: str, place: Path, scratch: Path) -> Row:
             peers.write_pcd(place.with_suffix(".pcd"), cloud.xyz[cloud.candidate])
     figures = scratch / "figures.json"
     launcher = [sys.executable, "-S", str(HERE / "timed.py"), str(figures)]
-    done = subprocess.run([*launcher, *line], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True,
-                          env=environment)
+    done = subprocess.run(
+        [*launcher, *line], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True, env=environment
+    )
     used = json.loads(figures.read_text())
     if used["code"] != 0:
         raise subprocess.CalledProcessError(used["code"], line, stderr=done.stdout)
@@ -186,35 +214,60 @@ def _peer_scores(place: Path, target: Path) -> Row:
 def report(rows: list[Row], command: str, repeats: int) -> str:
     """Everything as Markdown."""
     time_columns: list[Column] = [
-        ("name", "method", ""), ("density", "points/m2", "g"), ("points", "points", ",d"), ("area_km2", "km2", ".2f"),
-        ("warm_seconds", "warm, s", ".2f"), ("warm_cpu_seconds", "warm, CPU s", ".2f"),
-        ("command_seconds", "command, s", ".2f"), ("command_cpu_seconds", "command, CPU s", ".2f"),
-        ("command_peak", "command, GB", ".2f"), ("peak", "in process, GB", ".2f"), ("total", "total error, %", ".2f"),
+        ("name", "method", ""),
+        ("density", "points/m2", "g"),
+        ("points", "points", ",d"),
+        ("area_km2", "km2", ".2f"),
+        ("warm_seconds", "warm, s", ".2f"),
+        ("warm_cpu_seconds", "warm, CPU s", ".2f"),
+        ("command_seconds", "command, s", ".2f"),
+        ("command_cpu_seconds", "command, CPU s", ".2f"),
+        ("command_peak", "command, GB", ".2f"),
+        ("peak", "in process, GB", ".2f"),
+        ("total", "total error, %", ".2f"),
         ("kappa", "kappa, %", ".2f"),
     ]
     start_columns: list[Column] = [
-        ("name", "method", ""), ("density", "points/m2", "g"), ("points", "points", ",d"),
-        ("import_seconds", "import, s", ".2f"), ("read_seconds", "read, s", ".2f"),
-        ("first_seconds", "first call, s", ".2f"), ("cached_first_seconds", "first call, cached, s", ".2f"),
-        ("warm_seconds", "warm call, s", ".2f"), ("compilations", "compiled", "d"),
-        ("compile_seconds", "compiling, s", ".2f"), ("cached_compile_seconds", "cached, s", ".2f"),
-        ("second_points", "second cloud, points", ",d"), ("second_compilations", "it compiles", "d"),
+        ("name", "method", ""),
+        ("density", "points/m2", "g"),
+        ("points", "points", ",d"),
+        ("import_seconds", "import, s", ".2f"),
+        ("read_seconds", "read, s", ".2f"),
+        ("first_seconds", "first call, s", ".2f"),
+        ("cached_first_seconds", "first call, cached, s", ".2f"),
+        ("warm_seconds", "warm call, s", ".2f"),
+        ("compilations", "compiled", "d"),
+        ("compile_seconds", "compiling, s", ".2f"),
+        ("cached_compile_seconds", "cached, s", ".2f"),
+        ("second_points", "second cloud, points", ",d"),
+        ("second_compilations", "it compiles", "d"),
     ]
     shown = [
-        row | {"peak": row["peak_bytes"] / 1e9 if "peak_bytes" in row else None,
-               "command_peak": row["command_peak_bytes"] / 1e9}
+        row
+        | {
+            "peak": row["peak_bytes"] / 1e9 if "peak_bytes" in row else None,
+            "command_peak": row["command_peak_bytes"] / 1e9,
+        }
         for row in rows
     ]
     text = [
-        "# Speed and memory", "", f"`{command}` on {machine()}.", "",
+        "# Speed and memory",
+        "",
+        f"`{command}` on {machine()}.",
+        "",
         f"Scene `benchmark`, seed 1. Warm = a call on a cloud in memory, after a first one, median of {repeats}; its results are "
         "on the host, so nothing is still running when it returns. Command = a fresh process from LAS to LAS with a filled "
         "compilation cache. CPU seconds are those of all threads. In process = peak resident memory of a process that reads "
         "the cloud and filters it. Errors over the points that are filtered. For the CSF wheel, warm = its call alone.",
-        "", markdown(time_columns, shown), "", "## Start", "",
+        "",
+        markdown(time_columns, shown),
+        "",
+        "## Start",
+        "",
         "First call = in a process that finds the compilation cache empty; cached = in one that finds it filled. The "
         "second cloud lacks a strip of up to 3 % of the width; its arrays have the same padded sizes.",
-        "", markdown(start_columns, [row for row in shown if "first_seconds" in row]),
+        "",
+        markdown(start_columns, [row for row in shown if "first_seconds" in row]),
     ]
     text += ["", "## Growth", "", *_growth(rows)] if _growth(rows) else []
     text += ["", "## Vertex spacing and noise floor on dense clouds", "", *_spacing(rows)] if _spacing(rows) else []
@@ -227,8 +280,10 @@ def _growth(rows: list[Row]) -> list[str]:
     for name, density in dict.fromkeys((row["name"], row["density"]) for row in rows):
         line = [r for r in rows if (r["name"], r["density"]) == (name, density) and "warm_seconds" in r]
         for a, b in itertools.pairwise(line):
-            lines.append(f"- {name}, {density:g} points/m2: {b['points'] / a['points']:.2f} times the points "
-                         f"({a['points']:,} to {b['points']:,}) take {b['warm_seconds'] / a['warm_seconds']:.2f} times as long")
+            lines.append(
+                f"- {name}, {density:g} points/m2: {b['points'] / a['points']:.2f} times the points "
+                f"({a['points']:,} to {b['points']:,}) take {b['warm_seconds'] / a['warm_seconds']:.2f} times as long"
+            )
     return lines
 
 
@@ -237,7 +292,9 @@ def _spacing(rows: list[Row]) -> list[str]:
     lines = []
     for row in rows:
         if row["name"].endswith("_spaced"):
-            plain = [r for r in rows if r["name"] == row["name"].removesuffix("_spaced") and r["points"] == row["points"]]
+            plain = [
+                r for r in rows if r["name"] == row["name"].removesuffix("_spaced") and r["points"] == row["points"]
+            ]
             for other in plain:
                 lines.append(
                     f"- {row['name'].removesuffix('_spaced')}, {row['density']:g} points/m2, {row['points']:,} points: "
@@ -263,9 +320,14 @@ def scaling(rows: list[Row], path: Path) -> None:
             line = [row for row in rows if row["name"] == name and row["density"] == density]
             points = [row["points"] for row in line]
             number = known.index(CASES[name].method if name in CASES else name)
-            style = {"color": shades[number % 10], "marker": marks[number // 10 + 2 * name.endswith("_spaced")],
-                     "markersize": 4, "linewidth": 1.2, "label": name.replace("_", " "),
-                     "linestyle": "--" if name.endswith("_spaced") else "-" if name in CASES else ":"}
+            style = {
+                "color": shades[number % 10],
+                "marker": marks[number // 10 + 2 * name.endswith("_spaced")],
+                "markersize": 4,
+                "linewidth": 1.2,
+                "label": name.replace("_", " "),
+                "linestyle": "--" if name.endswith("_spaced") else "-" if name in CASES else ":",
+            }
             for ax, values in (
                 (panels[0, column], [row.get("warm_seconds", row["command_seconds"]) for row in line]),
                 (panels[1, column], [row.get("peak_bytes", row["command_peak_bytes"]) / 1e9 for row in line]),
@@ -288,15 +350,25 @@ def scaling(rows: list[Row], path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     have = [*CASES, *peers.installed()]
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="+", choices=have, default=have, metavar="NAME", help=f"of {', '.join(have)} [all]")
-    parser.add_argument("--sizes", nargs="+", type=float, default=[0.1, 0.3, 1.0], metavar="M",
-                        help="million points [%(default)s]")
-    parser.add_argument("--densities", nargs="+", type=float, default=[1.0, 12.0], metavar="D",
-                        help="per m2 [%(default)s]")
-    parser.add_argument("--full", action="store_const", const=[0.1, 0.3, 1.0, 3.0, 5.0], dest="sizes",
-                        help="sizes 0.1 to 5 million")
-    parser.add_argument("--peer-limit", type=float, default=0.3, metavar="M",
-                        help="largest cloud that other programs are run on, million points [%(default)s]")
+    parser.add_argument(
+        "--only", nargs="+", choices=have, default=have, metavar="NAME", help=f"of {', '.join(have)} [all]"
+    )
+    parser.add_argument(
+        "--sizes", nargs="+", type=float, default=[0.1, 0.3, 1.0], metavar="M", help="million points [%(default)s]"
+    )
+    parser.add_argument(
+        "--densities", nargs="+", type=float, default=[1.0, 12.0], metavar="D", help="per m2 [%(default)s]"
+    )
+    parser.add_argument(
+        "--full", action="store_const", const=[0.1, 0.3, 1.0, 3.0, 5.0], dest="sizes", help="sizes 0.1 to 5 million"
+    )
+    parser.add_argument(
+        "--peer-limit",
+        type=float,
+        default=0.3,
+        metavar="M",
+        help="largest cloud that other programs are run on, million points [%(default)s]",
+    )
     parser.add_argument("--repeats", type=int, default=3, help="warm calls, of which the median counts [%(default)s]")
     parser.add_argument("--platform", help="of JAX, such as cpu or cuda [what JAX finds]")
     parser.add_argument("--add", action="store_true", help="to the figures of an earlier run in --out, instead of anew")

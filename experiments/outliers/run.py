@@ -38,19 +38,33 @@ TILE_NOISE = (7, 9, 12, 18, 26, 65, 66, 67)
 """Classes of the tiles that are neither ground nor objects."""
 
 COUNTS = (
-    ("points", "points", ",.0f"), ("false", "false low", ",.0f"), ("found", "found", ",.0f"),
-    ("clusters", "clusters", ",.0f"), ("ground_barred", "ground barred", ",.0f"), ("ground_back", "of it back", ",.0f"),
-    ("seeds", "seeds", ",.0f"), ("bad_before", "false seeds without", ",.0f"), ("bad_after", "with", ",.0f"),
+    ("points", "points", ",.0f"),
+    ("false", "false low", ",.0f"),
+    ("found", "found", ",.0f"),
+    ("clusters", "clusters", ",.0f"),
+    ("ground_barred", "ground barred", ",.0f"),
+    ("ground_back", "of it back", ",.0f"),
+    ("seeds", "seeds", ",.0f"),
+    ("bad_before", "false seeds without", ",.0f"),
+    ("bad_after", "with", ",.0f"),
 )
 AVERAGES = (
-    ("total_without", "TE without", ".2f"), ("total_with", "TE with", ".2f"), ("total_ideal", "TE ideal", ".2f"),
+    ("total_without", "TE without", ".2f"),
+    ("total_with", "TE with", ".2f"),
+    ("total_ideal", "TE ideal", ".2f"),
     ("milliseconds", "ms", ".0f"),
 )
 COLUMNS = (("name", "cloud", ""), *COUNTS, *AVERAGES)
 SITE_COLUMNS = (
-    ("name", "cloud", ""), ("points", "points", ",.0f"), ("clusters", "clusters", ".0f"),
-    ("barred", "points barred", ",.0f"), ("per_mille", "per mille", ".2f"), ("ground_back", "of them ground", ",.0f"),
-    ("deepest", "lowest barred, m", ".1f"), ("kept", "lowest kept, m", ".1f"), ("milliseconds", "ms", ".0f"),
+    ("name", "cloud", ""),
+    ("points", "points", ",.0f"),
+    ("clusters", "clusters", ".0f"),
+    ("barred", "points barred", ",.0f"),
+    ("per_mille", "per mille", ".2f"),
+    ("ground_back", "of them ground", ",.0f"),
+    ("deepest", "lowest barred, m", ".1f"),
+    ("kept", "lowest kept, m", ".1f"),
+    ("milliseconds", "ms", ".0f"),
 )
 
 
@@ -78,10 +92,16 @@ def labelled(name: str, cloud: jf.PointCloud, false_low: np.ndarray, preset: str
     result = method(cloud)
     ideal = dataclasses.replace(cloud, candidate=cloud.candidate & ~false_low)
     return {
-        "name": name, "points": len(points.index), "false": int(false_low.sum()), "found": int((rows & false_low).sum()),
-        "clusters": clusters, "ground_barred": int((rows & ground).sum()),
-        "ground_back": int((rows & ground & result.ground).sum()), "seeds": len(seeds),
-        "bad_before": int(false_row[without].sum()), "bad_after": int(false_row[seeds].sum()),
+        "name": name,
+        "points": len(points.index),
+        "false": int(false_low.sum()),
+        "found": int((rows & false_low).sum()),
+        "clusters": clusters,
+        "ground_barred": int((rows & ground).sum()),
+        "ground_back": int((rows & ground & result.ground).sum()),
+        "seeds": len(seeds),
+        "bad_before": int(false_row[without].sum()),
+        "bad_after": int(false_row[seeds].sum()),
         "total_without": jf.evaluate(method.replace(low_clusters=False)(cloud), cloud.reference).total,
         "total_with": jf.evaluate(result, cloud.reference).total,
         "total_ideal": jf.evaluate(method.replace(low_clusters=False)(ideal), cloud.reference).total,
@@ -133,9 +153,15 @@ def site_rows(folder: Path, quick: bool) -> Iterator[report.Row]:
         back = jf.FPTD.preset(samples.terrain_classes()[site])(cloud).ground[points.index] & barred[points.member]
         z = points.xyz[:, 2] + cloud.origin[2]
         yield {
-            "name": path.stem, "points": len(points.index), "clusters": clusters, "barred": int(barred.sum()),
-            "per_mille": 1000 * float(barred.mean()), "deepest": float(z[barred].min()) if barred.any() else np.nan,
-            "kept": float(z[~barred].min()), "ground_back": int(back.sum()), "milliseconds": milliseconds,
+            "name": path.stem,
+            "points": len(points.index),
+            "clusters": clusters,
+            "barred": int(barred.sum()),
+            "per_mille": 1000 * float(barred.mean()),
+            "deepest": float(z[barred].min()) if barred.any() else np.nan,
+            "kept": float(z[~barred].min()),
+            "ground_back": int(back.sum()),
+            "milliseconds": milliseconds,
         }
 
 
@@ -152,8 +178,10 @@ def draw(axes: Any, cloud: jf.PointCloud, section: tuple[int, float, float] | No
         across, up = 1 - axis, 2
     size = 0.5 if section is None else 2.0
     for mask, colour, label, scale in (
-        (~ground & ~barred, "0.75", "object", 1), (ground & ~barred, "tab:green", "ground", 1),
-        (barred & ~ground, "tab:red", "barred, object", 6), (barred & ground, "tab:blue", "barred, ground", 6),
+        (~ground & ~barred, "0.75", "object", 1),
+        (ground & ~barred, "tab:green", "ground", 1),
+        (barred & ~ground, "tab:red", "barred, object", 6),
+        (barred & ground, "tab:blue", "barred, ground", 6),
     ):
         axes.scatter(xyz[mask, across], xyz[mask, up], s=scale * size, c=colour, label=label, linewidths=0)
     axes.set(title=title, xlabel="m", ylabel="m")

@@ -43,11 +43,19 @@ STAGES = ("fptd", "ptd", "spf", "iptd", "stin")
 """Other methods that bar outliers and choose seeds, run with their defaults and with their preset "paper"."""
 BY_LABELS = "threshold chosen on the labels"
 
-paper.HEADINGS.update({
-    "outliers": "outliers", "outliers_ground": "of these ground", "outlier_precision": "precision",
-    "share_of_objects": "share of the objects", "primary": "primary seeds", "secondary": "secondary seeds",
-    "extra_share": "more than primary, %", "divided": "divided cells", "seed_precision": "precision",
-})
+paper.HEADINGS.update(
+    {
+        "outliers": "outliers",
+        "outliers_ground": "of these ground",
+        "outlier_precision": "precision",
+        "share_of_objects": "share of the objects",
+        "primary": "primary seeds",
+        "secondary": "secondary seeds",
+        "extra_share": "more than primary, %",
+        "divided": "divided cells",
+        "seed_precision": "precision",
+    }
+)
 paper.FORMATS.update(dict.fromkeys(("outliers", "outliers_ground", "primary", "secondary", "divided"), ",.0f"))
 
 
@@ -68,7 +76,9 @@ def main(given: Sequence[str] | None = None) -> None:
     others(report, by_run)
     levels(report, by_run)
     claims(report, by_run, [row for row in readings if row["reading"] == BY_LABELS])
-    report.figure(error_bars(by_run), "errors", "Total error per sample: printed, and measured with and without labels.")
+    report.figure(
+        error_bars(by_run), "errors", "Total error per sample: printed, and measured with and without labels."
+    )
     if chosen := next((name for name in ("samp52", "samp24", *clouds) if name in clouds), None):
         report.figure(seed_map(clouds[chosen]), "seeds", f"Seeds of PTD and AGPTD on {chosen}, cells of 60 m.")
     report.write()
@@ -433,7 +443,9 @@ def seed_map(cloud: jf.PointCloud) -> Any:
         for kind, colour in ((cloud.reference, "0.8"), (~cloud.reference, "#d8b365")):
             axes.scatter(*cloud.xyz[kind, :2].T, s=0.4, c=colour, linewidths=0)
         axes.scatter(*cloud.xyz[seed & cloud.reference, :2].T, s=14, c="tab:blue", label="seed on ground")
-        axes.scatter(*cloud.xyz[seed & ~cloud.reference, :2].T, s=18, c="tab:red", marker="x", label="seed on an object")
+        axes.scatter(
+            *cloud.xyz[seed & ~cloud.reference, :2].T, s=18, c="tab:red", marker="x", label="seed on an object"
+        )
         axes.set(title=f"{title}: {int(seed.sum())} seeds", aspect="equal", xlabel="m")
     all_axes[0].legend(fontsize=8, loc="upper right")
     return figure

@@ -149,7 +149,9 @@ def fixed(method: str, cloud: jf.PointCloud) -> jf.Filter:
     return jf.FILTERS[method].for_cloud(cloud, LARGEST_BUILDING)
 
 
-def run(site: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 0, **names: Any) -> tuple[Row, jf.FilterResult]:
+def run(
+    site: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 0, **names: Any
+) -> tuple[Row, jf.FilterResult]:
     """Errors in percent and seconds of a call: with ``repeats`` of a warm one."""
     result, _, seconds = timed(filter_, cloud, repeats)
     scores = jf.evaluate(result, cloud.reference)
@@ -158,7 +160,9 @@ def run(site: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 0, *
     return row | {"seconds": seconds, "rounds": result.info.get("rounds"), "status": result.status.name}, result
 
 
-def table(report: paper.Report, name: str, title: str, rows: Sequence[Row], keys: Sequence[str], values: Sequence[str]) -> None:
+def table(
+    report: paper.Report, name: str, title: str, rows: Sequence[Row], keys: Sequence[str], values: Sequence[str]
+) -> None:
     """A table of some columns of ``rows``; all columns are in the CSV."""
     report.table(name, title, paper.columns(rows, keys, values), rows)
 
@@ -235,7 +239,9 @@ def verdicts(report: paper.Report, rows: Sequence[Row], means: Sequence[Row], si
     worst = max(row["total"] for row in own.values())
     report.verdict("Below 5 % also under dense canopy and on broken ground.", "Sites 2 and 6 below 5 %",
                    f"{worst:.2f} % at most", worst < 5)  # fmt: skip
-    best = {s: min((r for r in rows if r["site"] == s and r["method"] != "ppdf"), key=lambda r: r["total"]) for s in sites}
+    best = {
+        s: min((r for r in rows if r["site"] == s and r["method"] != "ppdf"), key=lambda r: r["total"]) for s in sites
+    }
     lost = [s for s in sites if best[s]["total"] <= own[s]["total"]]
     where = "".join(f"; not on {s}, where {best[s]['method'].upper()} has {best[s]['total']:.2f} %" for s in lost)
     report.text(f"Against all others, SMRF and PTD included, PPDF has the lowest total error at {len(sites) - len(lost)} of "
@@ -257,7 +263,9 @@ def literal(report: paper.Report, crops: Mapping[str, jf.PointCloud]) -> None:
         rows.append(run(site, jf.PPDF.preset("paper"), cloud, method="ppdf", settings="as printed")[0])
         rows.append(run(site, recommended, cloud, method="ppdf", settings="recommended")[0])
         for method in ("msf", "pmf", "csf", "ptdf"):
-            rows.append(run(site, jf.FILTERS[method].preset(SETTINGS[method]), cloud, method=method, settings="Table 2")[0])
+            rows.append(
+                run(site, jf.FILTERS[method].preset(SETTINGS[method]), cloud, method=method, settings="Table 2")[0]
+            )
     sides = " and ".join(f"{side:g} m" for side in TILES.values())
     keys, values = ("site", "method", "settings"), (*paper.SCORES, "rounds")
     table(report, "literal", "The printed constants to the letter", rows, keys, values)
@@ -312,7 +320,9 @@ def ablation(report: paper.Report, sites: Mapping[str, jf.PointCloud], crops: Ma
                 "also the opening that takes seeds off roofs. The columns of sites and `mean`: as recommended. `As printed`: "
                 'preset "paper" on the squares. Last column: every ground point is a reference as printed, but within 0.3 m of '
                 "the plane; squares of the tiles, and slopes A to D.")  # fmt: skip
-    report.figure(ablation_bars(means, list(sites)), "ablation", "Fig. 16: total errors with and without each contribution.")
+    report.figure(
+        ablation_bars(means, list(sites)), "ablation", "Fig. 16: total errors with and without each contribution."
+    )
     for reading in readings:
         value = {row["case"]: row[reading] for row in means}
         both, first, second = (value[case] for case in PRINTED)
@@ -322,7 +332,9 @@ def ablation(report: paper.Report, sites: Mapping[str, jf.PointCloud], crops: Ma
         mine = {(r["site"], r["case"]): r["total"] for r in rows if r["reading"] == reading}
         names = list(dict.fromkeys(site for site, _ in mine))
         count = sum(mine[s, "both"] < min(mine[s, case] for case in list(PRINTED)[1:]) for s in names)
-        report.verdict(f"They do so at all sites ({reading}).", "6 of 6", f"{count} of {len(names)}", count == len(names))
+        report.verdict(
+            f"They do so at all sites ({reading}).", "6 of 6", f"{count} of {len(names)}", count == len(names)
+        )
         report.verdict(f"The planes are worth more than the quadrants ({reading}).", "5.70 against 0.33 points",
                        f"{second - both:.2f} against {first - both:.2f} points", second - both > first - both)  # fmt: skip
 
@@ -343,8 +355,12 @@ def speed(report: paper.Report, rows: Sequence[Row], sites: Mapping[str, jf.Poin
     mine = total["ppdf fixed"]
     other = {name: total[f"{name} fixed"] for name in ("msf", "pmf", "csf")}
     text = f"PPDF {mine:.2f} s, " + ", ".join(f"{k.upper()} {v:.2f} s" for k, v in other.items())
-    report.verdict("PPDF is about as fast as PMF and CSF.", "no numbers", text, mine < 3 * min(other["pmf"], other["csf"]))
-    report.verdict("It is much faster than MSF (the text says PMF a second time).", "no numbers", text, mine < other["msf"] / 2)
+    report.verdict(
+        "PPDF is about as fast as PMF and CSF.", "no numbers", text, mine < 3 * min(other["pmf"], other["csf"])
+    )
+    report.verdict(
+        "It is much faster than MSF (the text says PMF a second time).", "no numbers", text, mine < other["msf"] / 2
+    )
 
 
 def sensitivity(report: paper.Report, crops: Mapping[str, jf.PointCloud]) -> None:
@@ -439,7 +455,9 @@ def curves(rows: Sequence[Row], sites: Sequence[str]) -> Any:
     for ax, (name, title) in zip(figure.subplots(2, 3, sharey=True).ravel(), PANELS.items(), strict=True):
         for site, colour in zip(sites, ("#0072B2", "#D55E00"), strict=True):
             mine = [r for r in rows if (r["site"], r["parameter"]) == (site, name)]
-            ax.plot([r["value"] for r in mine], [r["total"] for r in mine], "o-", color=colour, markersize=4, label=site)
+            ax.plot(
+                [r["value"] for r in mine], [r["total"] for r in mine], "o-", color=colour, markersize=4, label=site
+            )
         ax.axvline(getattr(jf.PPDF(), name), color="0.5", linestyle="--", linewidth=0.9)
         ax.set_xlabel(title, fontsize=9)
         ax.set_ylim(0, top)

@@ -95,8 +95,14 @@ def table2(report: paper.Report, rows: Sequence[Row]) -> None:
     """Table 2 and the sentences about it."""
     printed = samples.published("chen2023_table2")
     for method, title in (("spf", "Table 2, our method"), ("ptd", "Table 2, PTD")):
-        report.beside(f"table2_{method}", title, of(rows, method), [r for r in printed if r["method"] == method],
-                      keys=("sample", "method"), values=VALUES)
+        report.beside(
+            f"table2_{method}",
+            title,
+            of(rows, method),
+            [r for r in printed if r["method"] == method],
+            keys=("sample", "method"),
+            values=VALUES,
+        )
     report.figure(bars(rows, printed), "bars", "Figs. 9 to 11: T.I, T.II and total error; printed as outlines.")
     report.text("## Claims")
     names = [row["sample"] for row in of(rows, "spf")]
@@ -106,19 +112,37 @@ def table2(report: paper.Report, rows: Sequence[Row]) -> None:
         return sum(here[s, "spf"][value] < here[s, "ptd_same"][value] for s in names)
 
     report.text("PTD here is `ptd_same`: it has the thresholds of SPF, so that the seeds alone make the difference.")
-    report.verdict("T.I is below that of PTD in most samples.", "12 of 15", f"{better('type1')} of {len(names)}",
-                   better("type1") > len(names) / 2)
-    report.verdict("The total error is below that of PTD in most samples.", "10 of 15 in the text, 11 in its table",
-                   f"{better('total')} of {len(names)}", better("total") > len(names) / 2)
-    report.verdict("T.II of PTD is higher in few samples only.", "4 of 15 in the text, 3 in its table",
-                   f"{better('type2')} of {len(names)}", better("type2") < len(names) / 2)
+    report.verdict(
+        "T.I is below that of PTD in most samples.",
+        "12 of 15",
+        f"{better('type1')} of {len(names)}",
+        better("type1") > len(names) / 2,
+    )
+    report.verdict(
+        "The total error is below that of PTD in most samples.",
+        "10 of 15 in the text, 11 in its table",
+        f"{better('total')} of {len(names)}",
+        better("total") > len(names) / 2,
+    )
+    report.verdict(
+        "T.II of PTD is higher in few samples only.",
+        "4 of 15 in the text, 3 in its table",
+        f"{better('type2')} of {len(names)}",
+        better("type2") < len(names) / 2,
+    )
     for value, title, drop in (("type1", "mean T.I", 8.46), ("total", "mean total error", 5.06)):
         measured = mean(rows, "ptd_same", value) - mean(rows, "spf", value)
         against = mean(rows, "ptd", value) - mean(rows, "spf", value)
-        report.verdict(f"The {title} falls from PTD to SPF.", f"by {drop} points",
-                       f"by {measured:.2f} points; against the default PTD by {against:.2f}", measured > 0)
+        report.verdict(
+            f"The {title} falls from PTD to SPF.",
+            f"by {drop} points",
+            f"by {measured:.2f} points; against the default PTD by {against:.2f}",
+            measured > 0,
+        )
     worst = max(row["total"] for row in of(rows, "spf"))
-    report.verdict("No total error exceeds that of PTD on sample 24.", "32.67 %", f"{worst:.2f} % at most", worst < 32.67)
+    report.verdict(
+        "No total error exceeds that of PTD on sample 24.", "32.67 %", f"{worst:.2f} % at most", worst < 32.67
+    )
 
 
 def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) -> None:
@@ -131,9 +155,15 @@ def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) ->
         "stop at 15 m, so that they leave roofs to it; `spf_largest`: only the largest cluster of seeds; `spf_exponential`: "
         "windows after eq. 2; `spf_paper`: no search for low outliers, and elevation 0 in empty cells that have no neighbour."
     )
-    columns = [("sample", "sample", ""), ("method", "method", ""), ("potential", "potential seeds", ",.0f"),
-               ("removed", "removed", ",.0f"), ("seeds", "seeds", ",.0f"), ("object_seeds", "on objects", ",.0f"),
-               ("objects", "on objects, %", ".2f")]
+    columns = [
+        ("sample", "sample", ""),
+        ("method", "method", ""),
+        ("potential", "potential seeds", ",.0f"),
+        ("removed", "removed", ",.0f"),
+        ("seeds", "seeds", ",.0f"),
+        ("object_seeds", "on objects", ",.0f"),
+        ("objects", "on objects, %", ".2f"),
+    ]
     report.table("seeds", "Seeds", columns, seeds)
     both = ("spf_unfiltered", "spf")
     before, after = ({k: sum(row[k] for row in of(seeds, m)) for k in ("seeds", "object_seeds")} for m in both)
@@ -141,10 +171,12 @@ def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) ->
     gone = max(before["seeds"] - after["seeds"], 1)
     change = {v: mean(rows, "spf_unfiltered", v) - mean(rows, "spf", v) for v in VALUES}
     report.verdict(
-        "The seed filter removes noise and so lowers T.I.", "no figures",
+        "The seed filter removes noise and so lowers T.I.",
+        "no figures",
         f"{gone:,} of {before['seeds']:,} seeds go, {100 * removed / gone:.0f} % of them on objects, where "
         f"{100 * before['object_seeds'] / before['seeds']:.2f} % of all are; T.I falls by {change['type1']:.3f}, T.II by "
-        f"{change['type2']:.3f}, the total error by {change['total']:.3f} points", change["type1"] > 0,
+        f"{change['type2']:.3f}, the total error by {change['total']:.3f} points",
+        change["type1"] > 0,
     )
 
 
@@ -154,12 +186,19 @@ def speed(report: paper.Report, rows: Sequence[Row]) -> None:
     seconds = {m: sum(row["seconds"] for row in of(rows, m)) for m in RUNS}
     sums = ", ".join(f"{m} {s:.2f}" for m, s in seconds.items())
     report.text(f"Seconds of one warm call on each sample, added up: {sums}.")
-    report.verdict("Eight times as fast as PTD.", "16.35 s against 2.25 s, which is 7.3 times; on unnamed data",
-                   f"{seconds['ptd'] / seconds['spf']:.2f} times (PTD {seconds['ptd']:.2f} s, SPF {seconds['spf']:.2f} s, both "
-                   "adding points in batches)", seconds["ptd"] / seconds["spf"] > 4)
-    report.verdict("Adding all points of a round together is what saves time.", "no figures",
-                   f"one point per facet takes {seconds['spf_one_per_facet'] / seconds['spf']:.2f} times as long",
-                   seconds["spf_one_per_facet"] > seconds["spf"])
+    report.verdict(
+        "Eight times as fast as PTD.",
+        "16.35 s against 2.25 s, which is 7.3 times; on unnamed data",
+        f"{seconds['ptd'] / seconds['spf']:.2f} times (PTD {seconds['ptd']:.2f} s, SPF {seconds['spf']:.2f} s, both "
+        "adding points in batches)",
+        seconds["ptd"] / seconds["spf"] > 4,
+    )
+    report.verdict(
+        "Adding all points of a round together is what saves time.",
+        "no figures",
+        f"one point per facet takes {seconds['spf_one_per_facet'] / seconds['spf']:.2f} times as long",
+        seconds["spf_one_per_facet"] > seconds["spf"],
+    )
 
 
 def bars(rows: Sequence[Row], printed: Sequence[Row]) -> Any:
@@ -172,8 +211,17 @@ def bars(rows: Sequence[Row], printed: Sequence[Row]) -> Any:
     there = {(row["sample"], row["method"]): row for row in printed}
     for ax, value in zip(figure.subplots(3, 1, sharex=True), VALUES, strict=True):
         for shift, method, colour in ((-0.2, "ptd", "#D55E00"), (0.2, "spf", "#0072B2")):
-            ax.bar(x + shift, [row[value] for row in of(rows, method)], 0.36, color=colour, alpha=0.8, label=method.upper())
-            ax.bar(x + shift, [there[s, method][value] for s in names], 0.36, facecolor="none", edgecolor="0.15", linewidth=0.9)
+            ax.bar(
+                x + shift, [row[value] for row in of(rows, method)], 0.36, color=colour, alpha=0.8, label=method.upper()
+            )
+            ax.bar(
+                x + shift,
+                [there[s, method][value] for s in names],
+                0.36,
+                facecolor="none",
+                edgecolor="0.15",
+                linewidth=0.9,
+            )
         ax.set_ylabel(f"{paper.HEADINGS[value]}, %")
         ax.spines[["top", "right"]].set_visible(False)
     ax.set_xticks(x, [s.removeprefix("samp") for s in names])

@@ -117,7 +117,10 @@ def measure(sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud) 
     row |= {"kept": kept, "accepted": accepted, "lost": lost, "found": found}
     row |= {"crossed1": 100 * accepted / (kept + lost), "crossed2": 100 * lost / (accepted + found)}
     if method in MODELLED:
-        row |= {"rmse": jf.dtm_rmse(cloud, result).rmse, "rmse_kriging": jf.dtm_rmse(cloud, result, method="kriging").rmse}
+        row |= {
+            "rmse": jf.dtm_rmse(cloud, result).rmse,
+            "rmse_kriging": jf.dtm_rmse(cloud, result, method="kriging").rmse,
+        }
     facets = [step["facets"] for step in result.trace if "facets" in step]
     if facets:
         row |= {"facets": facets[-1], "facet_rounds": sum(facets)}
@@ -158,7 +161,9 @@ def tables(
     alias = {"atin_constant": "atin"}
     compared = [row | {"method": alias.get(row["method"], row["method"])} for row in rows if row["method"] in COMPARED]
     keys, values = ("sample", "method"), ("total",)
-    report.beside("totals", "Total errors in the text", compared, totals, keys=keys, values=values, averages=False, off=True)
+    report.beside(
+        "totals", "Total errors in the text", compared, totals, keys=keys, values=values, averages=False, off=True
+    )
     report.text(
         "Measured `atin` is `atin_constant`. The printed values of ATIN and SMRF equal those of Axelsson's entry to the ISPRS "
         "comparison and of Pingel et al. (2013) to the digit: quoted, and not made with Table 2."
@@ -181,7 +186,9 @@ def sizes(report: paper.Report, by_method: Mapping[str, list[Row]], quick: bool)
     """How large the triangulations of STIN and ATIN get, their seconds, and memory on a larger scene."""
     rows = [row for method in ("stin", "stin_constant", "atin", "atin_constant") for row in by_method[method]]
     values = ("points", "rounds", "facets", "facet_rounds", "seconds")
-    report.table("size", "Size of the triangulations, and time", paper.columns(rows, ("sample", "method"), values), rows)
+    report.table(
+        "size", "Size of the triangulations, and time", paper.columns(rows, ("sample", "method"), values), rows
+    )
     side = 150.0 if quick else 540.0
     scene = jf.scenes.make("benchmark", size=side, density=1.0, seed=1)
     limits = {"max_angle": 30.0, "max_distance": 1.4, "seed_cell": 60.0}
@@ -199,7 +206,9 @@ def sizes(report: paper.Report, by_method: Mapping[str, list[Row]], quick: bool)
                              "facet_rounds": sum(facets), "seconds": seconds, "megabytes": above / 1e6})  # fmt: skip
     title = "One generated scene, one pair of limits: STIN and ATIN at constant thresholds"
     report.table("memory", title, paper.columns(measured, ("method",), (*values, "megabytes")), measured)
-    report.text("Memory is the peak of a process that reads and filters the scene, above that of one that only reads it.")
+    report.text(
+        "Memory is the peak of a process that reads and filters the scene, above that of one that only reads it."
+    )
     small, large = (next(row for row in measured if row["method"] == m) for m in ("stin", "atin"))
     report.text("## Claims")
     for claim, printed, key, form in (
@@ -246,7 +255,9 @@ def pictures(
     """Error maps (Figs. 6 to 10), triangulations per cell size, and a profile."""
     labels = {key: result.ground for key, result in results.items()}
     figures.error_panel(clouds, labels, COMPARED, report.out / "errors.png", 130)
-    report.text("## Figures", "![Errors](errors.png)", "Errors of the methods of Figs. 6 to 10, with the parameters of Table 2.")
+    report.text(
+        "## Figures", "![Errors](errors.png)", "Errors of the methods of Figs. 6 to 10, with the parameters of Table 2."
+    )
     sample = "samp12" if "samp12" in clouds else next(iter(clouds))
     caption = f"The triangulation after each cell size, {sample}: only the lowest ground point of a cell is a vertex."
     report.figure(networks(sample, clouds[sample]), "networks", caption)

@@ -88,7 +88,11 @@ def report(rows: list[Row], command: str, building: float) -> str:
                       facts), ""]  # fmt: skip
     for key, title in (("total", "Total error, %"), ("kappa", "Kappa, %"), ("type1", "Type I, %"), ("type2", "Type II, %"),
                        ("seconds", "Seconds")):  # fmt: skip
-        columns: list[Column] = [("method", "method", ""), *((tile, tile, ".2f") for tile in tiles), ("mean", "mean", ".2f")]
+        columns: list[Column] = [
+            ("method", "method", ""),
+            *((tile, tile, ".2f") for tile in tiles),
+            ("mean", "mean", ".2f"),
+        ]
         table = []
         for method in methods:
             values = {tile: by[tile, method][key] for tile in tiles if (tile, method) in by}
@@ -125,10 +129,16 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
-    parser.add_argument("--tiles", nargs="+", choices=TILES, default=list(TILES), metavar="TILE", help=f"of {', '.join(TILES)}")
+    parser.add_argument(
+        "--tiles", nargs="+", choices=TILES, default=list(TILES), metavar="TILE", help=f"of {', '.join(TILES)}"
+    )
     names = spaces.method_names()
-    parser.add_argument("--methods", nargs="+", choices=names, default=names, metavar="METHOD", help=f"of {', '.join(names)}")
-    parser.add_argument("--building", type=float, default=60.0, metavar="M", help="largest building, metres [%(default)s]")
+    parser.add_argument(
+        "--methods", nargs="+", choices=names, default=names, metavar="METHOD", help=f"of {', '.join(names)}"
+    )
+    parser.add_argument(
+        "--building", type=float, default=60.0, metavar="M", help="largest building, metres [%(default)s]"
+    )
     return parser
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any, ClassVar
 
 import jax
@@ -18,7 +17,7 @@ from ..core.points import Points, canonical_points
 from ..core.result import FilterResult, Progress
 from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
 from ..stages.densify import Mirror
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 _PAPER = {
     "max_angle": 34.0,
@@ -135,7 +134,7 @@ class AGPTD(TinFilter):
 
         The steepest cell and the spread of elevations are taken over the whole cloud, or tile, at any distance.
         """
-        return 1.5 * math.sqrt(2.0) * self.seed_cell
+        return facet_reach(self.seed_cell)
 
     def __call__(
         self,
@@ -179,7 +178,7 @@ class AGPTD(TinFilter):
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
             barred=barred,
             late=late,
-            mirror=None if self.mirror == "off" else Mirror(limit, self.mirror, self.mirror_mode),
+            mirror=Mirror(limit, self.mirror, self.mirror_mode),
             refresh_border=self.refresh_border,
             workers=workers,
             progress=progress,

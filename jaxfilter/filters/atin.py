@@ -15,7 +15,7 @@ from ..ops.facets import Rule
 from ..stages.densify import Adaptive, Mirror
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -94,7 +94,7 @@ class ATIN(TinFilter):
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return 1.5 * math.sqrt(2.0) * self.seed_cell
+        return facet_reach(self.seed_cell)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")
@@ -113,7 +113,7 @@ class ATIN(TinFilter):
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
             barred=barred,
             late=late,
-            mirror=None if self.mirror == "off" else Mirror(slope, self.mirror, self.mirror_mode),
+            mirror=Mirror(slope, self.mirror, self.mirror_mode),
             refresh_border=self.refresh_border,
             adaptive=Adaptive(self.limits) if self.thresholds == "adaptive" else None,
             workers=workers,

@@ -14,7 +14,7 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..stages.network import block_networks, border_positions
 from ..stages.seeds import lowest_per_window
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 
 @filter_params
@@ -77,7 +77,7 @@ class FPTD(TinFilter):
 
     def halo(self) -> float:
         """The neighbourhood radius d of Sec. II-A: the half diagonal of a block and its eight neighbours."""
-        return 1.5 * math.sqrt(2.0) * self.window
+        return facet_reach(self.window)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")

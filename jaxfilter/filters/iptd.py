@@ -18,7 +18,7 @@ from ..stages.densify import Mirror
 from ..stages.local_planes import TRANSLATIONS, over_local_planes
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 
 def _table(window: float, k: int, plane_error: float, max_angle: float, max_distance: float) -> dict[str, Any]:
@@ -105,7 +105,7 @@ class IPTD(TinFilter):
     def halo(self) -> float:
         """Reach of the opening, of the planes, and of facets over what the opening removes."""
         planes = self.cell * math.sqrt(self.k)
-        return 2 * self.reach * self.cell + planes + 1.5 * math.sqrt(2.0) * self.window
+        return 2 * self.reach * self.cell + planes + facet_reach(self.window)
 
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that the opening keeps. ``barred``: bool[m]."""
@@ -136,7 +136,7 @@ class IPTD(TinFilter):
             points,
             self.network(points, np.flatnonzero(downward.ground), self.border_spacing, late),
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            mirror=None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
+            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
             progress=lambda share, step: progress(0.5 + share / 2, step),
             **shared,
         )

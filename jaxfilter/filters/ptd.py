@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 from ..core.filter import Labels
@@ -11,7 +10,7 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..stages.densify import Mirror
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 
 @filter_params
@@ -60,7 +59,7 @@ class PTD(TinFilter):
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return 1.5 * math.sqrt(2.0) * self.seed_cell
+        return facet_reach(self.seed_cell)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")
@@ -73,7 +72,7 @@ class PTD(TinFilter):
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
             barred=barred,
             late=late,
-            mirror=None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
+            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
             refresh_border=self.refresh_border,
             workers=workers,
             progress=progress,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from typing import Any, ClassVar
 
 import jax
@@ -20,7 +19,7 @@ from ..stages.densify import Mirror
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
@@ -91,7 +90,7 @@ class SPF(TinFilter):
 
     def halo(self) -> float:
         """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""
-        return 2 * self.windows()[-1] * self.cell + 1.5 * math.sqrt(2.0) * self.window
+        return 2 * self.windows()[-1] * self.cell + facet_reach(self.window)
 
     def windows(self) -> list[int]:
         """Window sizes W_k in cells, all odd (eq. 1, or eq. 2 with W_1 = 2 w0 + 1); the last exceeds the largest building."""
@@ -151,7 +150,7 @@ class SPF(TinFilter):
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
             barred=barred,
             late=late,
-            mirror=None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
+            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
             workers=workers,
             progress=progress,
             trace=trace,

@@ -18,7 +18,7 @@ from ..ops.facets import Rule
 from ..stages.densify import Adaptive, Mirror, Vertices
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_on_grid
-from ..stages.tin_filter import TinFilter
+from ..stages.tin_filter import TinFilter, facet_reach
 
 _REPRODUCTION = {
     "thresholds": "quantile",
@@ -117,7 +117,7 @@ class STIN(TinFilter):
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return 1.5 * math.sqrt(2.0) * self.seed_cell
+        return facet_reach(self.seed_cell)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         progress(0.0, "outliers")
@@ -139,7 +139,7 @@ class STIN(TinFilter):
             self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
             barred=barred,
             late=late,
-            mirror=None if self.mirror == "off" else Mirror(slope, self.mirror, self.mirror_mode),
+            mirror=Mirror(slope, self.mirror, self.mirror_mode),
             vertices=Vertices(grids, math.inf if self.passes == "one" else float(self.stop_ratio)),
             adaptive=Adaptive(self.lowered, "ground", "grid") if self.thresholds == "quantile" else None,
             review=self.retest,

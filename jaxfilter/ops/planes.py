@@ -1,4 +1,4 @@
-"""Least-squares planes through padded blocks of points, their residuals and inliers, and the test of planarity."""
+"""Least-squares planes through padded blocks of points and their residuals."""
 
 from __future__ import annotations
 
@@ -35,6 +35,17 @@ class Planes(NamedTuple):
         return jnp.rad2deg(jnp.arctan(jnp.linalg.norm(self.gradient, axis=-1)))
 
 
+def gradient_of(
+    count: jax.Array, xx: jax.Array, xy: jax.Array, yy: jax.Array, xz: jax.Array, yz: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """f32[B, 2]: gradients from how many points there are and their sums of products about the mean; bool[B]: whether they
+    determine one. The gradient is zero where they do not: fewer than three points, or all on one line in x and y."""
+    determinant = xx * yy - xy * xy
+    determined = (determinant > _DEGENERATE * (xx + yy) ** 2) & (count >= 3)
+    scaled = jnp.stack([yy * xz - xy * yz, xx * yz - xy * xz], axis=-1)
+    return jnp.where(determined[:, None], scaled / jnp.where(determined, determinant, 1)[:, None], 0), determined
+
+
 @jax.jit
 def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     """Planes with the least sum of squared vertical residuals, in closed form about the mean of each block.
@@ -50,35 +61,11 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     centre = origin[:, 0] + mean
     x, y, z = jnp.moveaxis((xyz - origin - mean[:, None]) * weight, -1, 0)
     xx, xy, yy, xz, yz = ((p * q).sum(axis=1) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
-    determinant = xx * yy - xy * xy
-    determined = (determinant > _DEGENERATE * (xx + yy) ** 2) & (weight[..., 0].sum(axis=1) >= 3)
-    divisor = jnp.where(determined, determinant, 1)
-    gradient = jnp.stack([yy * xz - xy * yz, xx * yz - xy * xz], axis=-1) / divisor[:, None]
-    return Planes(centre, jnp.where(determined[:, None], gradient, 0), determined)
+    gradient, determined = gradient_of(weight[..., 0].sum(axis=1), xx, xy, yy, xz, yz)
+    return Planes(centre, gradient, determined)
 
 
 @jax.jit
 def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
     """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0."""
     return jnp.einsum("bni,bi->bn", xyz - planes.centre[:, None], planes.normal)
-
-
-@jax.jit
-def plane_inliers(planes: Planes, xyz: jax.Array, mask: jax.Array, distance: jax.Array | float) -> jax.Array:
-    """bool[B, N], the points of ``mask`` within ``distance`` metres of the plane; none where it is undetermined."""
-    return mask & planes.determined[:, None] & (jnp.abs(plane_residuals(planes, xyz)) <= distance)
-
-
-@jax.jit
-def is_planar(
-    planes: Planes,
-    xyz: jax.Array,
-    mask: jax.Array,
-    distance: jax.Array | float,
-    share: jax.Array | float = 1.0,
-    max_slope: jax.Array | float = 90.0,
-) -> jax.Array:
-    """bool[B]: at least ``share`` (0..1) of the points lie within ``distance`` metres of a plane of at most ``max_slope``
-    degrees. False for blocks that determine no plane."""
-    inliers = plane_inliers(planes, xyz, mask, distance).sum(axis=1)
-    return planes.determined & (inliers >= share * mask.sum(axis=1)) & (planes.slope <= max_slope)

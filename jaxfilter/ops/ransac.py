@@ -11,10 +11,10 @@ import numpy as np
 from jax import lax
 
 from ..core.compilation import bucket
+from .planes import Planes, gradient_of
 
 WIDTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
 _Best = tuple[jax.Array, jax.Array, jax.Array]  # score, point and normal of the best plane of every cell
-_DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
 
 
 class Cells(NamedTuple):
@@ -142,12 +142,10 @@ def consensus_planes(
     mean = total((xyz * weight).sum(axis=1)) / jnp.maximum(inliers, 1)[:, None]
     x, y, z = jnp.moveaxis((xyz - mean[cell][:, None]) * weight, -1, 0)
     xx, xy, yy, xz, yz = (total((p * q).sum(axis=1)) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
-    determinant = xx * yy - xy * xy
-    fitted = ((inliers >= 3) & (determinant > _DEGENERATE * (xx + yy) ** 2))[:, None]
-    divisor = jnp.where(fitted[:, 0], determinant, 1)
-    plane = jnp.stack([xy * yz - yy * xz, xy * xz - xx * yz, divisor], axis=1)
-    centre = jnp.where(fitted, mean, centre)
-    normal = jnp.where(fitted, plane / jnp.linalg.norm(plane, axis=1, keepdims=True), normal)
+    gradient, fitted = gradient_of(inliers, xx, xy, yy, xz, yz)
+    plane = Planes(mean, gradient, fitted)
+    centre = jnp.where(fitted[:, None], mean, centre)
+    normal = jnp.where(fitted[:, None], plane.normal, normal)
     inliers = total(near_plane(centre, normal).sum(axis=1, dtype=jnp.int32))
     lowest = jnp.where(mask, residuals(centre, normal), 0).min(axis=1)
     below = -jnp.minimum(jax.ops.segment_min(lowest, cell, size, indices_are_sorted=True), 0)

@@ -58,8 +58,8 @@ class Network:
 class Mirror:
     """Mirroring over steep facets (Axelsson 2000; Zhang & Lin 2013).
 
-    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex;
-    ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
+    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex,
+    or "off"; ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
     """
 
     slope: float
@@ -184,7 +184,8 @@ class _Run:
         keep_labels: bool,
     ) -> None:
         k = len(network.xyz)
-        self.net, self.mirror, self.pool, self.keep_labels = network, mirror, pool, keep_labels
+        self.net, self.pool, self.keep_labels = network, pool, keep_labels
+        self.mirror = None if mirror is None or mirror.about == "off" else mirror
         self.rule = Rule(*(jnp.float32(v) for v in rule))
         self.ground = network.seed.copy()
         self.virtual = np.flatnonzero(network.row < 0)

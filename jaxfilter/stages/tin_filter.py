@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,11 @@ from ..ops.facets import Rule
 from .densify import INSERTIONS, Adaptive, Mirror, Vertices, densify
 from .network import Network, border_positions, labels_of, one_network
 from .outliers import bar_outliers
+
+
+def facet_reach(cell: float) -> float:
+    """Metres: the half diagonal of a cell and its eight neighbours, how far facets between one seed per cell reach."""
+    return 1.5 * math.sqrt(2.0) * cell
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
