@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from .host.las import info, read, write
     from .host.raster import Raster
     from .scoring import Scores, evaluate
+    from .sweeps.calibrate import Calibration, Study, calibrate
+    from .sweeps.sweep import sweep
     from .terrain import dtm, dtm_rmse
 
 _HOMES = {
@@ -46,15 +48,17 @@ _HOMES = {
     "host.las": ("info", "read", "write"),
     "host.raster": ("Raster",),
     "scoring": ("Scores", "evaluate"),
+    "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
+    "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
-    "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status",
-    "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "write",
+    "Calibration", "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
+    "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
+    "calibrate", "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "sweep", "write",
 ]  # fmt: skip
 
 

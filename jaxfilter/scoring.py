@@ -124,7 +124,7 @@ def evaluate(
     if ground.ndim != 1 or ground.dtype != bool:
         raise InputError(f"result must be a FilterResult or bool[n] (True = ground), not {_describe(ground)}")
     n = len(ground)
-    truth, counted = _reference_labels(reference)
+    truth, counted = reference_labels(reference)
     if len(truth) != n:
         raise InputError(f"reference has {len(truth)} labels for the {n} points of the result: use the same points")
     if ignore is not None:
@@ -184,7 +184,7 @@ def match_points(
     return match
 
 
-def _reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """bool[n] truth and bool[n] whether there is one."""
     if isinstance(reference, PointCloud):
         if reference.reference is None:

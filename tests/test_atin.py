@@ -37,11 +37,11 @@ def test_at_constant_thresholds_it_is_ptd_with_mirroring_about_the_nearest_verte
 def test_limits_are_median_and_robust_deviations_below_the_users(rng):
     f = jf.ATIN(max_angle=40.0, max_distance=3.0, deviations=2.0)
     distance = np.abs(rng.normal(1.0, 0.2, 20001)).astype(np.float32)
-    rule = f.limits(distance, np.full(9, 30.0, np.float32))
+    rule = f.adapted(distance, np.full(9, 30.0, np.float32))
     assert rule.max_distance in (pytest.approx(1.4), pytest.approx(1.45))  # mean and two standard deviations
     assert rule.max_angle == 30.0
-    assert f.limits(np.full(9, 0.51), np.full(9, 7.2))[:3:2] == pytest.approx((8.0, 0.55))
-    assert f.limits(100 * distance, distance).max_distance == 3.0
+    assert f.adapted(np.full(9, 0.51), np.full(9, 7.2))[:3:2] == pytest.approx((8.0, 0.55))
+    assert f.adapted(100 * distance, distance).max_distance == 3.0
 
 
 @pytest.mark.parametrize("deviations", [2.0, 5.0])

@@ -12,6 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import jaxfilter as jf  # noqa: E402
 from experiments import report, report_page  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
@@ -20,6 +21,7 @@ from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import li2021, paper  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
+from jaxfilter.sweeps.ranges import RANGES, SEARCHED, Range, search_ranges  # noqa: E402
 
 
 def test_means_of_the_published_tables_are_those_that_their_papers_print():
@@ -70,7 +72,6 @@ def test_published_errors_agree_with_the_numbers_of_ground_and_object_points(nam
 
 
 def test_every_sample_and_site_has_a_terrain_class_with_the_thresholds_of_its_preset():
-    import jaxfilter as jf
 
     rows = samples.published("li2021_table1")
     assert {row["cloud"] for row in rows} == {f"samp{number}" for number in samples.SAMPLES} | set(samples.SITES)
@@ -124,7 +125,7 @@ def test_time_fit_recovers_a_line():
 
 @pytest.mark.parametrize("method", spaces.method_names())
 def test_every_method_is_tried_with_as_many_sets_all_of_which_it_takes(method):
-    ranges = spaces.swept(method)
+    ranges = search_ranges(jf.FILTERS[method])
     assert 1 <= len(ranges) <= 5
     sets = spaces.sets(method, 32)
     assert len(sets) == 32 and sets == spaces.sets(method, 32) and sets[0] == {}
@@ -132,29 +133,29 @@ def test_every_method_is_tried_with_as_many_sets_all_of_which_it_takes(method):
     assert len({tuple(s.values()) for s in sets}) == 32
     for thresholds in sets[1:]:
         assert thresholds.keys() == ranges.keys()
-        for name, (low, high, _) in ranges.items():
-            assert low * 0.999 <= thresholds[name] <= high * 1.001
+        for name, r in ranges.items():
+            assert r.low * 0.999 <= thresholds[name] <= r.high * 1.001
         for sample in ("samp11", "samp51"):
             spaces.fixed(method, sample).replace(**thresholds)
 
 
 def test_sets_cover_the_ranges_evenly():
     angles = np.array([s["max_angle"] for s in spaces.sets("ptd", 32)[1:]])
-    low, high, _ = spaces.RANGES["max_angle"]
-    assert np.histogram(angles, 4, (low, high))[0].tolist() == [7, 8, 8, 8]  # 31 of 32 points of the sequence
+    r = RANGES["max_angle"]
+    assert np.histogram(angles, 4, (r.low, r.high))[0].tolist() == [7, 8, 8, 8]  # 31 of 32 points of the sequence
     assert spaces.sets("ptd", 9)[5]["max_angle"] == spaces.sets("fptd", 9)[5]["max_angle"]
 
 
 def test_a_method_without_a_space_of_its_own_is_varied_in_all_its_thresholds(monkeypatch):
-    monkeypatch.delitem(spaces.SWEPT, "smrf")
-    monkeypatch.delitem(spaces.RANGES, "scaling")
-    assert spaces.swept("smrf") == {
-        "slope": spaces.RANGES["slope"],
-        "threshold": spaces.RANGES["threshold"],
-        "scaling": (0.625, 2.5, "log"),
+    monkeypatch.delitem(SEARCHED, "smrf")
+    monkeypatch.delitem(RANGES, "scaling")
+    assert search_ranges(jf.SMRF) == {
+        "slope": RANGES["slope"],
+        "threshold": RANGES["threshold"],
+        "scaling": Range(0.625, 2.5, "log"),
     }
-    monkeypatch.delitem(spaces.SWEPT, "fptd")
-    assert spaces.swept("fptd").keys() == {"max_angle", "max_elevation"}
+    monkeypatch.delitem(SEARCHED, "fptd")
+    assert search_ranges(jf.FPTD()).keys() == {"max_angle", "max_elevation"}
 
 
 def test_matched_sets_differ_from_the_fixed_ones_in_the_limits_of_ptd_only():
@@ -333,7 +334,7 @@ def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_p
 
 
 def test_points_that_an_ablation_leaves_out_are_objects():
-    import jaxfilter as jf
+
     from jaxfilter import scenes
 
     scene = scenes.make("town", size=(64, 60), density=0.8, seed=2)

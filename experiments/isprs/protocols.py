@@ -19,6 +19,7 @@ from scipy.stats import wilcoxon
 import jaxfilter as jf
 from experiments.isprs import search, spaces
 from experiments.report import Row
+from jaxfilter.sweeps.ranges import search_ranges
 
 PROTOCOLS = ("fixed", "class", "oracle")
 CLAIMED_UNDER = ("fixed", "matched", "class", "oracle")
@@ -74,7 +75,9 @@ def chosen_rows(rows: Sequence[Row], choice: Mapping[str, int], terrain: Mapping
                 "set": row["set"],
             }
             fixed, changed = spaces.fixed(row["method"], row["sample"]), spaces.sets(row["method"], budget)[row["set"]]
-            values = {name: changed.get(name, getattr(fixed, name)) for name in spaces.swept(row["method"])}
+            values = {
+                name: changed.get(name, getattr(fixed, name)) for name in search_ranges(jf.FILTERS[row["method"]])
+            }
             thresholds = " ".join(f"{name}={value:g}" for name, value in values.items())
             out.append(head | scores(row) | {key: row[key] for key in search.COUNTS} | {"thresholds": thresholds})
     return out

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, spaces
 from experiments.report import Column, Row, markdown, with_averages
+from jaxfilter.sweeps.ranges import search_ranges
 
 TITLES = {
     "type1": "Type I error",
@@ -228,14 +229,14 @@ def fixed_sets() -> str:
         cls = jf.FILTERS[name]
         urban, rural = (cls.from_spacing(s, spaces.LARGEST_BUILDING) for s in spaces.SPACINGS.values())
         fields = {f.name: f.default for f in dataclasses.fields(cls)}
-        ranges = spaces.swept(name)
+        ranges = search_ranges(cls)
         lines.append(
             {
                 "method": name.upper(),
                 "urban": _values(urban),
                 "rural": _values({k: v for k, v in rural.items() if v != urban[k]}) or "the same",
                 "thresholds": _values({k: urban.get(k, fields[k]) for k in ranges}),
-                "ranges": ", ".join(f"{k} {low:.3g} to {high:.3g}" for k, (low, high, _) in ranges.items()),
+                "ranges": ", ".join(f"{k} {r.low:.3g} to {r.high:.3g}" for k, r in ranges.items()),
             }
         )
     return markdown(

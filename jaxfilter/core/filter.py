@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,7 +13,7 @@ from .cloud import PointCloud, as_cloud
 from .errors import JaxfilterWarning, ParameterError
 from .params import check_fields
 from .points import Points, canonical_points, plain_points
-from .result import Decision, FilterResult, Progress, Status
+from .result import Decision, FilterResult, Progress, Status, silent
 
 
 @dataclasses.dataclass
@@ -37,10 +38,12 @@ class Filter:
 
     ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
+    ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
     """
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
     ORDER_FREE: ClassVar[bool] = False
+    NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         self.check()
@@ -90,6 +93,19 @@ class Filter:
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
+    def ground_each(
+        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
+
+        A method overrides this where sets can share work. Each set has the labels of ``classify``, to the last bit of the
+        arithmetic. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
+
+        Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
+        """
+        for number, one in enumerate(sets):
+            yield number, one.classify(points, key=key, workers=workers, progress=silent, trace=False).ground
+
     def __call__(
         self,
         cloud: Any,
@@ -118,9 +134,7 @@ class Filter:
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
-            labels = self.classify(
-                points, key=key, workers=workers, progress=progress or (lambda fraction, step: None), trace=trace
-            )
+            labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
         else:
             warnings.warn(f"{type(self).__name__}: {labels.status.message}", JaxfilterWarning, stacklevel=2)
         return expand(cloud, points, labels)

@@ -13,6 +13,10 @@ Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and the name of the step."""
 
 
+def silent(fraction: float, step: str) -> None:
+    """A :data:`Progress` that reports to no one."""
+
+
 class Status(enum.IntEnum):
     """How a run ended; ``message`` says it in words."""
 

@@ -11,13 +11,13 @@ import numpy as np
 from ..core.cloud import PointCloud, as_cloud
 from ..core.compilation import bucket
 from ..core.errors import ParameterError
-from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points, canonical_points
 from ..core.result import FilterResult, Progress
+from ..ops.facets import Rule
 from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
 from ..stages.densify import Mirror
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 _PAPER = {
     "max_angle": 34.0,
@@ -118,6 +118,7 @@ class AGPTD(TinFilter):
         4, symbol="num", ge=1, doc="a point with fewer neighbours within the radius is no seed"
     )
 
+    NOT_SWEPT: ClassVar[tuple[str, ...]] = ("oracle_removal",)
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
         "paper": _PAPER,
@@ -156,7 +157,7 @@ class AGPTD(TinFilter):
         """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
         return super().outliers(points, workers, neighbours=self.neighbours, deviations=self.deviations, **tests)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
@@ -172,22 +173,21 @@ class AGPTD(TinFilter):
         limit = self.max_terrain_angle
         if self.terrain_angle == "steepest_cell":
             limit = min(limit, seeds.steepest)
-        labels = self.grow(
-            points,
+        return Start(
             self.network(points, seeds.rows, self.seed_cell, late),
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            barred=barred,
-            late=late,
-            mirror=Mirror(limit, self.mirror, self.mirror_mode),
-            refresh_border=self.refresh_border,
-            workers=workers,
-            progress=progress,
-            trace=trace,
+            barred,
+            late,
+            Mirror(limit, self.mirror, self.mirror_mode),
+            self.refresh_border,
+            {
+                "seeds_by_level": [len(rows) for rows in seeds.levels],
+                "divided_cells": seeds.divided,
+                "terrain_angle": limit,
+            },
         )
-        labels.info["seeds_by_level"] = [len(rows) for rows in seeds.levels]
-        labels.info["divided_cells"] = seeds.divided
-        labels.info["terrain_angle"] = limit
-        return labels
+
+    def limits(self) -> Rule:
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
 
 
 def without_labelled_objects(cloud: PointCloud, share: float, key: jax.Array) -> PointCloud:

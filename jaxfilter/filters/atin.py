@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
@@ -15,7 +14,7 @@ from ..ops.facets import Rule
 from ..stages.densify import Adaptive, Mirror
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -96,7 +95,7 @@ class ATIN(TinFilter):
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
         return facet_reach(self.seed_cell)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
@@ -107,21 +106,15 @@ class ATIN(TinFilter):
         else:
             network = self.network(points, seeds, self.seed_cell, late)
         slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
-        return self.grow(
-            points,
-            network,
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            barred=barred,
-            late=late,
-            mirror=Mirror(slope, self.mirror, self.mirror_mode),
-            refresh_border=self.refresh_border,
-            adaptive=Adaptive(self.limits) if self.thresholds == "adaptive" else None,
-            workers=workers,
-            progress=progress,
-            trace=trace,
-        )
+        return Start(network, barred, late, Mirror(slope, self.mirror, self.mirror_mode), self.refresh_border)
 
-    def limits(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
+    def limits(self) -> Rule:
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
+
+    def adaptive(self) -> Adaptive | None:
+        return Adaptive(self.adapted) if self.thresholds == "adaptive" else None
+
+    def adapted(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
         """Thresholds from distances f32[s], metres, and angles f32[s], degrees, of vertices over the facets next to theirs.
 
         They are whole steps of 5 cm and of one degree, rounded up: what differs by a hair then gets the same labels.

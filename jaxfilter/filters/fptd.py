@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
+from ..ops.facets import Rule
 from ..stages.network import block_networks, border_positions
 from ..stages.seeds import lowest_per_window
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 
 @filter_params
@@ -79,7 +79,7 @@ class FPTD(TinFilter):
         """The neighbourhood radius d of Sec. II-A: the half diagonal of a block and its eight neighbours."""
         return facet_reach(self.window)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
@@ -92,17 +92,9 @@ class FPTD(TinFilter):
             )
         else:
             network = self.network(points, seeds, self.window, late)
-        rule = self.rule(
+        return Start(network, barred, late, refresh_border=True)
+
+    def limits(self) -> Rule:
+        return self.rule(
             max_angle=self.max_angle, max_elevation=self.max_elevation, max_below=self.max_below, signed=1.0
-        )
-        return self.grow(
-            points,
-            network,
-            rule,
-            barred=barred,
-            late=late,
-            refresh_border=True,
-            workers=workers,
-            progress=progress,
-            trace=trace,
         )

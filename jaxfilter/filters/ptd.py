@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
+from ..ops.facets import Rule
 from ..stages.densify import Mirror
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 
 @filter_params
@@ -61,20 +61,18 @@ class PTD(TinFilter):
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
         return facet_reach(self.seed_cell)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_cell(points, self.seed_cell, barred)
-        return self.grow(
-            points,
+        return Start(
             self.network(points, seeds, self.seed_cell, late),
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            barred=barred,
-            late=late,
-            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
-            refresh_border=self.refresh_border,
-            workers=workers,
-            progress=progress,
-            trace=trace,
+            barred,
+            late,
+            Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
+            self.refresh_border,
         )
+
+    def limits(self) -> Rule:
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)

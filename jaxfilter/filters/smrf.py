@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +17,12 @@ from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening
-from ..stages.surfaces import cell_for, check_width, hold_against, lowest_cells, steepness
+from ..stages.surfaces import LowestCells, cell_for, check_width, chunks, cropped, hold_against, lowest_cells, steepness
 
+_SLOPES, _LANES, _SETS = 256, 16, 32
+"""In a sweep: slopes that share the openings, terrains filled at a time, sets tested at a time."""
+_CELL_BYTES, _POINT_BYTES = 80, 16
+"""About so many of memory per cell, and per point, for each terrain of a sweep."""
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 
 
@@ -117,10 +122,8 @@ class SMRF(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
-        ox, oy = points.offset(self.cell)
-        node = (ox - self.cell / 2, oy - self.cell / 2)
         progress(0.0, "lowest point per cell")
-        cells = lowest_cells(points.xyz, self.cell, node, name="SMRF(cell)")
+        cells = self.cells(points)
         extent, frame, valid = cells.extent, cells.frame, cells.valid
 
         progress(0.1, "filling empty cells")
@@ -144,6 +147,56 @@ class SMRF(Filter):
         progress(1.0, "done")
         return Labels(ground, height=height, slope=slope, margin=margin, decision=decision.astype(np.uint8), info=info)
 
+    def cells(self, points: Points) -> LowestCells:
+        """The lowest point per cell; cells are centred on the nodes of the lattice."""
+        ox, oy = points.offset(self.cell)
+        return lowest_cells(points.xyz, self.cell, (ox - self.cell / 2, oy - self.cell / 2), name="SMRF(cell)")
+
+    def ground_each(
+        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """All sets share the grid and the openings; those with one slope share the terrain, and terrains are filled
+        several at a time."""
+        cells = cropped(self.cells(points))
+        surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
+        rise = np.asarray([one.slope * one.cell for one in sets], np.float32)
+        rises = np.unique(rise)
+        lanes = int(np.clip(memory // (_CELL_BYTES * surface.size + _POINT_BYTES * len(points)), 1, _LANES))
+        for first in range(0, len(rises), _SLOPES):
+            some = rises[first : first + _SLOPES]
+            padded = np.append(some, np.full(_SLOPES - len(some), np.inf, np.float32))
+            bare, rank = _bare_below(
+                surface, cells.seen, cells.valid, padded, np.float32(LOW_SLOPE * self.cell), self.reach, self.mesh
+            )
+            turns = -(-len(some) // lanes)
+            terrain = jnp.broadcast_to(surface[..., None], (*surface.shape, lanes))
+            for turn in range(turns):  # each lane goes through neighbouring slopes
+                which = np.minimum(turns * np.arange(lanes) + turn, len(some) - 1)
+                terrain, steep = _terrains(
+                    surface, bare, rank, which, cells.valid, cells.extent, cells.frame[2], terrain
+                )
+                parts = [
+                    (_heights(chunk, terrain, steep, cells.frame, cells.extent), rows.stop - rows.start)
+                    for rows, chunk, _ in chunks(points.xyz)
+                ]
+                lane = np.searchsorted(some[which], rise)
+                mine = np.flatnonzero(np.isin(rise, some[which]))
+                for k in range(0, len(mine), _SETS):
+                    yield from _labels(parts, mine[k : k + _SETS], lane, sets)
+
+
+def _labels(
+    parts: list[tuple[tuple[jax.Array, jax.Array], int]], numbers: np.ndarray, lane: np.ndarray, sets: Sequence[SMRF]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Number and ground, bool[n], of at most :data:`_SETS` sets; ``lane``: i64[sets], where the terrain of each set is."""
+    which, limits = np.zeros(_SETS, np.int32), np.zeros((_SETS, 2), np.float32)
+    which[: len(numbers)] = lane[numbers]
+    limits[: len(numbers)] = [(sets[i].threshold, sets[i].scaling) for i in numbers]
+    found = [np.asarray(_within(*heights, which, limits))[:, :n] for heights, n in parts]
+    ground = np.concatenate(found, axis=1)
+    for k, number in enumerate(numbers):
+        yield int(number), ground[k]
+
 
 @functools.partial(jax.jit, static_argnames=("reach", "mesh"))
 def _bare_cells(
@@ -160,15 +213,81 @@ def _bare_cells(
         opened = opening(last, k, reach, valid=valid)
         return opened, objects | (valid & (last - opened > rises[0] * k))
 
-    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > rises[1])
+    low, net, surface = _low_and_net(surface, valid, rises[1], mesh)
+    objects = jax.lax.fori_loop(1, reach + 1, open_once, (surface, net))[1]
+    counts = jnp.stack([m.sum(dtype=jnp.int32) for m in (valid, valid & ~seen, low, objects)])
+    return seen & ~low & ~objects, counts
+
+
+@functools.partial(jax.jit, static_argnames=("reach", "mesh"))
+def _bare_below(
+    surface: jax.Array, seen: jax.Array, valid: jax.Array, rises: jax.Array, low_rise: jax.Array, reach: int, mesh: int
+) -> tuple[jax.Array, jax.Array]:
+    """Bare cells for many slopes from one series of openings.
+
+    ``rises``: f32[slopes], metres per cell of radius, ascending. Returns bool[rows, columns], cells with points that are
+    neither low outliers nor net; and i16, the number of slopes for which a cell is an object, which are the least ones.
+    """
+
+    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        last, rank = state
+        opened = opening(last, k, reach, valid=valid)
+        exceeded = jnp.searchsorted(rises * k, last - opened, side="left").astype(jnp.int16)
+        return opened, jnp.maximum(rank, exceeded)
+
+    low, net, surface = _low_and_net(surface, valid, low_rise, mesh)
+    rank = jax.lax.fori_loop(1, reach + 1, open_once, (surface, jnp.zeros(valid.shape, jnp.int16)))[1]
+    return seen & ~low & ~net, rank
+
+
+def _low_and_net(
+    surface: jax.Array, valid: jax.Array, low_rise: jax.Array, mesh: int
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Low outliers, the cells of the net, bool[rows, columns] each, and the surface as the net leaves it."""
+    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > low_rise)
     net = jnp.zeros_like(valid)
     if mesh:
         row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
         net = valid & ((row % mesh == 0) | (column % mesh == 0))
         surface = jnp.where(net, opening(surface, 2 * mesh, 2 * mesh, valid=valid), surface)
-    objects = jax.lax.fori_loop(1, reach + 1, open_once, (surface, net))[1]
-    counts = jnp.stack([m.sum(dtype=jnp.int32) for m in (valid, valid & ~seen, low, objects)])
-    return seen & ~low & ~objects, counts
+    return low, net, surface
+
+
+@jax.jit
+def _terrains(
+    surface: jax.Array,
+    bare: jax.Array,
+    rank: jax.Array,
+    which: jax.Array,
+    valid: jax.Array,
+    extent: jax.Array,
+    cell: jax.Array,
+    guess: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Terrain and its slope, f32[rows, columns, lanes], for the slopes of these numbers, i64[lanes]; ``guess``: that for
+    other slopes."""
+    known = bare[..., None] & (rank[..., None] <= which)
+    terrain = fill_membrane(surface, known, valid, guess=guess).z
+    return terrain, jax.vmap(steepness, (2, None, None), 2)(terrain, extent, cell)
+
+
+@jax.jit
+def _heights(
+    xyz: jax.Array, terrain: jax.Array, slopes: jax.Array, frame: jax.Array, extent: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Height over each of several terrains f32[rows, columns, lanes], metres, and its slope, f32[lanes, n] each."""
+    sample = _sampler(xyz, frame, extent, terrain.shape[1])
+    return xyz[:, 2] - sample(terrain).T, sample(slopes).T
+
+
+@jax.jit
+def _within(height: jax.Array, slope: jax.Array, which: jax.Array, limits: jax.Array) -> jax.Array:
+    """bool[sets, n]: points within the tolerance of each set, f32[sets, 2], of the terrain in its lane, i32[sets]."""
+
+    def one(lane: jax.Array, tolerance: jax.Array) -> jax.Array:
+        return jnp.abs(height[lane]) - (tolerance[0] + tolerance[1] * slope[lane]) <= 0
+
+    return jax.vmap(one)(which, limits)
 
 
 @jax.jit
@@ -176,6 +295,13 @@ def _test(
     xyz: jax.Array, terrain: jax.Array, slopes: jax.Array, frame: jax.Array, extent: jax.Array, tolerance: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Height over the terrain (m), its slope (degrees), and |height| - tolerance (m), f32[n] each."""
+    sample = _sampler(xyz, frame, extent, terrain.shape[1])
+    height, slope = xyz[:, 2] - sample(terrain), sample(slopes)
+    return height, jnp.rad2deg(jnp.arctan(slope)), jnp.abs(height) - (tolerance[0] + tolerance[1] * slope)
+
+
+def _sampler(xyz: jax.Array, frame: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Array], jax.Array]:
+    """Bilinear interpolation of grids [rows, columns, ...] at points f32[n, 3]: [n, ...]."""
     last = (extent - 1)[::-1]
     at = jnp.clip((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, 0, last)
     low = jnp.minimum(jnp.floor(at).astype(jnp.int32), jnp.maximum(last - 1, 0))
@@ -183,10 +309,11 @@ def _test(
     right, above = jnp.minimum(column + 1, last[0]), jnp.minimum(row + 1, last[1])
 
     def sample(a: jax.Array) -> jax.Array:
-        flat, columns = a.reshape(-1), a.shape[1]
-        southern = (1 - u) * flat[row * columns + column] + u * flat[row * columns + right]
-        northern = (1 - u) * flat[above * columns + column] + u * flat[above * columns + right]
-        return (1 - v) * southern + v * northern
+        flat = a.reshape(-1, *a.shape[2:])
+        wide = (-1, *(1,) * (a.ndim - 2))
+        x, y = u.reshape(wide), v.reshape(wide)
+        southern = (1 - x) * flat[row * columns + column] + x * flat[row * columns + right]
+        northern = (1 - x) * flat[above * columns + column] + x * flat[above * columns + right]
+        return (1 - y) * southern + y * northern
 
-    height, slope = xyz[:, 2] - sample(terrain), sample(slopes)
-    return height, jnp.rad2deg(jnp.arctan(slope)), jnp.abs(height) - (tolerance[0] + tolerance[1] * slope)
+    return sample

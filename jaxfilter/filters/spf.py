@@ -9,17 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.filter import Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
+from ..ops.facets import Rule
 from ..ops.morphology import opening
 from ..ops.spread import fill_from_neighbours
 from ..stages.densify import Mirror
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
@@ -127,7 +127,7 @@ class SPF(TinFilter):
         raised = _raised_cells(surface, cells.valid, radii, heights, int(radii[-1]))
         return lowest_of_cells(points, cells, ~raised, barred)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "openings")
@@ -144,19 +144,16 @@ class SPF(TinFilter):
                 workers=workers,
             )
             seeds = potential[keep]
-        labels = self.grow(
-            points,
+        return Start(
             self.network(points, seeds, self.border_spacing, late),
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            barred=barred,
-            late=late,
-            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
-            workers=workers,
-            progress=progress,
-            trace=trace,
+            barred,
+            late,
+            Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
+            info={"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)},
         )
-        labels.info |= {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
-        return labels
+
+    def limits(self) -> Rule:
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
 
 
 @functools.partial(jax.jit, static_argnames="reach")

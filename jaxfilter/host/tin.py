@@ -22,6 +22,7 @@ history of the network.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -139,6 +140,44 @@ class Tin:
 
     def __len__(self) -> int:
         return len(self.triangles)
+
+    def copies(self, sheets: np.ndarray, of_nodes: np.ndarray) -> tuple[Tin, np.ndarray]:
+        """A network of its own whose i-th sheet is a copy of sheet ``sheets[i]`` of this one, i64[s].
+
+        Sheets may be left out or repeated. Their nodes follow each other in the order of ``sheets``. ``of_nodes``, i32[k],
+        holds a triangle for each node, or -1: the same for the copies comes back as well.
+        """
+        count = int(self.sheet[-1]) + 1
+        node_start = np.searchsorted(self.sheet, np.arange(count + 1))
+        tri_sheet = self.sheet[self.triangles[:, 0]]
+        order = np.argsort(tri_sheet, kind="stable")
+        tri_start = np.searchsorted(tri_sheet[order], np.arange(count + 1))
+        rank = np.empty(len(order) + 1, np.int32)
+        rank[order], rank[-1] = np.arange(len(order), dtype=np.int32), -1
+
+        def taken(start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Rows to take, which copy each belongs to, and by how much its rows have moved."""
+            size = np.diff(start)[sheets]
+            rows = _ranges(start[sheets], start[sheets] + size)
+            return rows, np.repeat(np.arange(len(sheets)), size), np.cumsum(size) - size - start[sheets]
+
+        nodes, sheet, node_shift = taken(node_start)
+        tris, tri_copy, tri_shift = taken(tri_start)
+        out = copy.copy(self)
+        for name in ("xyz", "xy", "vertex", "_stamp"):
+            setattr(out, name, getattr(self, name)[nodes])
+        out.sheet = sheet.astype(np.int32)
+        out.triangles = (self.triangles[order[tris]] + node_shift[tri_copy][:, None]).astype(np.int32)
+        beside = rank[self.neighbours[order[tris]]]
+        out.neighbours = np.where(beside < 0, -1, beside + tri_shift[tri_copy][:, None]).astype(np.int32)
+
+        def pointed(table: np.ndarray, known: np.ndarray) -> np.ndarray:
+            at = rank[np.where(known[nodes], table[nodes], -1)]
+            return np.where(at < 0, -1, at + tri_shift[sheet]).astype(np.int32)
+
+        out.where = pointed(self.where, ~self.vertex)
+        out._at = pointed(self._at, self.vertex)
+        return out, pointed(of_nodes, of_nodes >= 0)
 
     def _build(self, vertices: np.ndarray, root: int = _ROOT) -> None:
         """Triangulate from scratch: sheets with many vertices from a sparse root, into which the others are inserted."""

@@ -120,6 +120,16 @@ def judge(rule: Rule, two_sided: jax.Array, points: jax.Array, corners: jax.Arra
 
 
 @jax.jit
+def judge_each(rules: Rule, which: jax.Array, two_sided: jax.Array, points: jax.Array, corners: jax.Array) -> Verdict:
+    """As :func:`judge`, with one of several rules (f32[R] in each field) for every point: ``which``, i32[N]."""
+
+    def one(i: jax.Array, *point: jax.Array) -> Verdict:
+        return judge_one(Rule(*(jnp.asarray(limits)[i] for limits in rules)), *point)
+
+    return jax.vmap(one)(which, two_sided, points, corners)
+
+
+@jax.jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3] in the plane; the elevation stays.
 

@@ -16,20 +16,20 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-_COARSEST = 96  # rows and columns at which coarsening stops
+_COARSEST = 96, 24  # rows and columns at which coarsening stops, for one grid and for many
 _FACTOR = 2  # cells of one level along the side of a cell of the next
 _DAMPING = 0.8  # of the Jacobi smoother
 _SWEEPS = 2  # of it before and after a correction
-_COARSE_SWEEPS = 150  # cheaper than to compile two more levels
+_COARSE_SWEEPS = 150, 40  # on the last level; for one grid cheaper than to compile two more levels
 _STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
 class Membrane(NamedTuple):
-    """A filled grid.
+    """A filled grid, or several.
 
     Attributes:
-        z: f32[rows, columns].
-        error: f32[], estimate of the largest remaining error in the holes, in the unit of z.
+        z: f32[rows, columns], or f32[rows, columns, grids].
+        error: f32[] or f32[grids], estimate of the largest remaining error in the holes, in the unit of z.
         rounds: i32[], steps of conjugate gradients taken.
     """
 
@@ -39,7 +39,7 @@ class Membrane(NamedTuple):
 
 
 class _Springs(NamedTuple):
-    """Stiffness of the springs of one level, f32[rows, columns] each; zero outside the holes."""
+    """Stiffness of the springs of one level, f32[rows, columns] or f32[rows, columns, grids] each; zero outside the holes."""
 
     right: jax.Array  # between a hole and the hole to its right
     up: jax.Array  # between a hole and the hole in the next row
@@ -48,7 +48,8 @@ class _Springs(NamedTuple):
 
 def _shifted(a: jax.Array, rows: int, columns: int) -> jax.Array:
     """a[i + rows, j + columns]; zero beyond the border."""
-    return lax.pad(a, jnp.zeros((), a.dtype), ((-rows, rows, 0), (-columns, columns, 0)))
+    others = ((0, 0, 0),) * (a.ndim - 2)
+    return lax.pad(a, jnp.zeros((), a.dtype), ((-rows, rows, 0), (-columns, columns, 0), *others))
 
 
 def _block_sums(a: jax.Array, axis: int) -> jax.Array:
@@ -100,7 +101,7 @@ def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], force: jax.Array
         return x + _DAMPING * inverse * (force - _forces(springs, x))
 
     if len(levels) == 1:
-        return lax.fori_loop(0, _COARSE_SWEEPS, smooth, jnp.zeros_like(force))
+        return lax.fori_loop(0, _COARSE_SWEEPS[force.ndim - 2], smooth, jnp.zeros_like(force))
     x = lax.fori_loop(1, _SWEEPS, smooth, _DAMPING * inverse * force)
     rest = lax.optimization_barrier(force - _forces(springs, x))
     correction = _spread(_v_cycle(levels[1:], inverses[1:], _pool(rest)))
@@ -113,7 +114,8 @@ def _first_guess(z: jax.Array, known: jax.Array, depth: int) -> jax.Array:
     for _ in range(depth):
         sums.append(_pool(sums[-1]))
         counts.append(_pool(counts[-1]))
-    guess = jnp.full_like(sums[-1], sums[-1].sum() / jnp.maximum(counts[-1].sum(), 1))
+    mean = sums[-1].sum(axis=(0, 1)) / jnp.maximum(counts[-1].sum(axis=(0, 1)), 1)
+    guess = jnp.broadcast_to(mean, sums[-1].shape)
     for level in range(depth, -1, -1):
         if level < depth:
             guess = _spread(guess)
@@ -122,34 +124,50 @@ def _first_guess(z: jax.Array, known: jax.Array, depth: int) -> jax.Array:
 
 
 def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
-    return jnp.vdot(*lax.optimization_barrier((a, b)))  # a reduction fused with stencils would run on one core
+    a, b = lax.optimization_barrier((a, b))  # a reduction fused with stencils would run on one core
+    return jnp.vdot(a, b) if a.ndim == 2 else (a * b).sum(axis=(0, 1))
 
 
 @functools.partial(jax.jit, static_argnames="max_rounds")
 def fill_membrane(
-    z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array | float = 1e-3, max_rounds: int = 100
+    z: jax.Array,
+    known: jax.Array,
+    inside: jax.Array,
+    tolerance: jax.Array | float = 1e-3,
+    max_rounds: int = 100,
+    guess: jax.Array | None = None,
 ) -> Membrane:
     """Fill holes with the membrane through the known cells.
 
+    Several grids that differ in the known cells only are filled at once if ``known`` has a third axis. Cells that are next
+    to each other in memory then belong to different grids, and are computed in one instruction.
+
     Args:
         z: f32[rows, columns]; values of unknown cells are ignored but must not be NaN.
-        known: bool[rows, columns], the cells that are kept.
+        known: bool[rows, columns] or bool[rows, columns, grids], the cells that are kept.
         inside: bool[rows, columns], the cells that exist; the membrane ends at their border, without force. Every
             connected part of them needs a known cell.
         tolerance: stop when the estimated error of every cell is below this, in the unit of z. The estimate is the last
             correction by the preconditioner; the true error can be several times as large.
         max_rounds: limit of steps.
+        guess: of the shape of ``known``, f32: where the holes start from, such as a solution for nearly the same cells.
 
     Returns: Membrane; outside cells are zero.
     """
-    depth = max(0, math.ceil(math.log(max(z.shape) / _COARSEST, _FACTOR)))
-    rows, columns = z.shape
-    margin = [(0, -n % _FACTOR**depth) for n in z.shape]
-    z, known, inside = (jnp.pad(a, margin) for a in (z, known, inside))
+    (rows, columns), many = z.shape, known.ndim - 2
+    depth = max(0, math.ceil(math.log(max(rows, columns) / _COARSEST[many], _FACTOR)))
+    margin = [(0, -n % _FACTOR**depth) for n in (rows, columns)]
+
+    def prepared(a: jax.Array) -> jax.Array:
+        a = jnp.pad(a, [*margin, *[(0, 0)] * (a.ndim - 2)])
+        return a.reshape(*a.shape, *(1,) * (known.ndim - a.ndim))
+
+    z, inside, known = prepared(z), prepared(inside), prepared(known)
     known = known & inside
     hole = inside & ~known
 
-    start = jnp.where(hole, _first_guess(z, known, depth), jnp.where(known, z, 0))
+    first = _first_guess(z, known, depth) if guess is None else prepared(guess)
+    start = jnp.where(hole, first, jnp.where(known, z, 0))
     levels = [_springs(hole, inside)]
     for _ in range(depth):
         levels.append(_coarser(levels[-1]))
@@ -157,26 +175,28 @@ def fill_membrane(
     levels, inverses = lax.optimization_barrier((levels, inverses))
 
     # The unknown is the correction to the first guess; differences of neighbours keep the forces exact in float32.
-    force = jnp.zeros_like(z)
+    force = jnp.zeros_like(start)
     for s in _STEPS:
         force += jnp.where(hole & _shifted(inside, *s), _shifted(start, *s) - start, 0)
 
     def unfinished(state: tuple[jax.Array, ...]) -> jax.Array:
         *_, error, rounds = state
-        return (error > tolerance) & (rounds < max_rounds)
+        return jnp.any(error > tolerance) & (rounds < max_rounds)
 
     def advance(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        x, force, direction, product, _, rounds = state
+        x, force, direction, product, before, rounds = state
+        open_ = before > tolerance  # a grid that is done stays as it is until the others are
         step = lax.optimization_barrier(_v_cycle(levels, inverses, force))
         new_product = _dot(force, step)
-        direction = lax.optimization_barrier(step + new_product / product * direction)
+        direction = lax.optimization_barrier(step + jnp.where(open_, new_product / product, 0) * direction)
         pull = lax.optimization_barrier(_forces(levels[0], direction))
         length = new_product / jnp.maximum(_dot(direction, pull), jnp.finfo(z.dtype).tiny)
-        error = jnp.abs(step).max()
+        length = jnp.where(open_, length, 0)
+        error = jnp.where(open_, jnp.abs(step).max(axis=(0, 1)), before)
         return x + length * direction, force - length * pull, direction, new_product, error, rounds + 1
 
-    zero = jnp.zeros_like(z)
-    state: tuple[jax.Array, ...] = (zero, force, zero, jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.int32(0))
+    zero, infinite = jnp.zeros_like(start), jnp.full(start.shape[2:], jnp.inf, start.dtype)
+    state: tuple[jax.Array, ...] = (zero, force, zero, infinite, infinite, jnp.int32(0))
     x, *_, error, rounds = lax.while_loop(unfinished, advance, state)
     return Membrane((start + x)[:rows, :columns], error, rounds)
 

@@ -150,7 +150,7 @@ def densify(
     """
     threads = workers or os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        run = _Run(
+        run = Growth(
             network,
             rule,
             mirror,
@@ -166,8 +166,10 @@ def densify(
         return run.run(max_rounds, progress, review)
 
 
-class _Run:
+class Growth:
     """One densification under way."""
+
+    batches: tuple[int, ...] = _BATCHES
 
     def __init__(
         self,
@@ -418,10 +420,10 @@ class _Run:
             return
         facet = self.tin.where[nodes[steep]]
         image = np.empty((len(steep), 3), np.float32)
-        for start in range(0, len(steep), _BATCHES[-1]):
-            part = slice(start, start + _BATCHES[-1])
+        for start in range(0, len(steep), self.batches[-1]):
+            part = slice(start, start + self.batches[-1])
             pair = self.net.xyz[nodes[steep[part]]], self.tin.corners(facet[part])
-            found = mirrored(*(_padded(v) for v in pair), self.mirror.about == "highest")
+            found = mirrored(*(self._padded(v) for v in pair), self.mirror.about == "highest")
             image[part] = np.asarray(found)[: len(pair[0])]
         there = self.tin.walk(image[:, :2].astype(np.float64), facet, self.net.sheet[nodes[steep]])
         steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
@@ -438,7 +440,7 @@ class _Run:
             xyz = self.net.xyz[nodes[part]] if image is None else image[part]
             return self.net.late[nodes[part]], xyz, self.tin.corners(facet[part])
 
-        return self._kernel(len(nodes), one)
+        return self._kernel(nodes, one)
 
     def _score(self, nodes: np.ndarray, corner: np.ndarray) -> dict[str, np.ndarray]:
         """Quantities of nodes over the planes through nodes i32[n, 3]."""
@@ -446,22 +448,35 @@ class _Run:
         def one(part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             return self.net.late[nodes[part]], self.tin.xyz[nodes[part]], self.tin.xyz[corner[part]]
 
-        return self._kernel(len(nodes), one)
+        return self._kernel(nodes, one)
 
-    def _kernel(self, n: int, arguments: Callable[[slice], tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
-        """The tests of ``n`` points; ``arguments`` gives those of a part of them.
+    def _kernel(self, nodes: np.ndarray, arguments: Callable[[slice], tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
+        """The tests of nodes; ``arguments`` gives what is tested of a part of them.
 
         Calls are cut and padded to a few sizes, so that nothing is compiled twice, and prepared in the thread pool.
         """
+        n, most = len(nodes), self.batches[-1]
 
         def one(start: int) -> dict[str, np.ndarray]:
-            stop = min(n, start + _BATCHES[-1])
-            verdict: Verdict = judge(self.rule, *(_padded(v) for v in arguments(slice(start, stop))))
+            stop = min(n, start + most)
+            part = slice(start, stop)
+            verdict = self._verdict(nodes[part], *(self._padded(v) for v in arguments(part)))
             values = {**verdict._asdict(), **verdict.score._asdict()}
             return {name: np.asarray(values[name])[: stop - start] for name in _KEPT}
 
-        parts = list(self.pool.map(one, range(0, max(n, 1), _BATCHES[-1])))
+        parts = list(self.pool.map(one, range(0, max(n, 1), most)))
         return {name: np.concatenate([part[name] for part in parts]) for name in _KEPT}
+
+    def _verdict(self, nodes: np.ndarray, *arguments: np.ndarray) -> Verdict:
+        """What the thresholds of the nodes say of the padded arguments of the kernel."""
+        return judge(self.rule, *arguments)
+
+    def _padded(self, values: np.ndarray) -> np.ndarray:
+        """The values with zeros behind them, up to the next of the batch sizes."""
+        size = next(b for b in self.batches if b >= len(values))
+        out = np.zeros((size, *values.shape[1:]), values.dtype)
+        out[: len(values)] = values
+        return out
 
     def _to_insert(self, nodes: np.ndarray) -> np.ndarray:
         """Those of the nodes that become vertices: one per position, and one per square if vertices keep a spacing."""
@@ -542,14 +557,6 @@ def _either(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     both = min(len(before), len(after))
     after[:both] |= before[:both]
     return after
-
-
-def _padded(values: np.ndarray) -> np.ndarray:
-    """The values with zeros behind them, up to the next of the batch sizes."""
-    size = next(b for b in _BATCHES if b >= len(values))
-    out = np.zeros((size, *values.shape[1:]), values.dtype)
-    out[: len(values)] = values
-    return out
 
 
 def _same_position(xyz: np.ndarray, sheet: np.ndarray) -> np.ndarray:

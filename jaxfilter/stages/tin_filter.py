@@ -4,18 +4,38 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, Self
 
 import numpy as np
 
 from ..core.filter import Filter, Labels
 from ..core.params import param, static
 from ..core.points import Points
-from ..core.result import Progress
+from ..core.result import Progress, silent
 from ..ops.facets import Rule
 from .densify import INSERTIONS, Adaptive, Mirror, Vertices, densify
+from .lanes import densify_each
 from .network import Network, border_positions, labels_of, one_network
 from .outliers import bar_outliers
+
+
+@dataclasses.dataclass(eq=False)
+class Start:
+    """What growth starts from, whatever its thresholds.
+
+    Attributes:
+        barred: bool[m], points that are no seeds; late: bool[m], those among them that are tested when the others are done.
+        mirror, refresh_border: see :func:`jaxfilter.stages.densify.densify`.
+        info: counts for the result.
+    """
+
+    network: Network
+    barred: np.ndarray
+    late: np.ndarray
+    mirror: Mirror | None = None
+    refresh_border: bool = False
+    info: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def facet_reach(cell: float) -> float:
@@ -25,7 +45,11 @@ def facet_reach(cell: float) -> float:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TinFilter(Filter):
-    """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres."""
+    """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.
+
+    A method gives ``start``, its seeds and network, and ``limits``, its thresholds; or it has a ``classify`` of its own. Only
+    fields that are named as those of :class:`jaxfilter.ops.facets.Rule` may decide the limits, and they nothing else.
+    """
 
     radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
@@ -44,6 +68,67 @@ class TinFilter(Filter):
         """Above four points per square metre, ranging noise makes steep angles at short range."""
         dense = spacing < 0.5
         return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0}
+
+    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+        """Outliers, seeds and network."""
+        raise TypeError(f"{type(self).__name__} does not define start()")
+
+    def limits(self) -> Rule:
+        """The thresholds of growth."""
+        raise TypeError(f"{type(self).__name__} does not define limits()")
+
+    def adaptive(self) -> Adaptive | None:
+        """How the thresholds follow the ground; None = they are constant."""
+        return None
+
+    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+        start = self.start(points, workers, progress)
+        labels = self.grow(
+            points,
+            start.network,
+            self.limits(),
+            barred=start.barred,
+            late=start.late,
+            mirror=start.mirror,
+            refresh_border=start.refresh_border,
+            adaptive=self.adaptive(),
+            workers=workers,
+            progress=progress,
+            trace=trace,
+        )
+        labels.info |= start.info
+        return labels
+
+    def ground_each(
+        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """Sets that differ in their limits only share the start, and grow together."""
+        own_way = type(self).classify is not TinFilter.classify
+        if own_way or self.insertion != "batch" or self.adaptive() is not None:
+            yield from super().ground_each(points, sets, key=key, workers=workers, memory=memory)
+            return
+        deciding = [f.name for f in dataclasses.fields(self) if f.name not in Rule._fields]
+        alike: dict[tuple[Any, ...], list[int]] = {}
+        for number, one in enumerate(sets):
+            alike.setdefault(tuple(getattr(one, name) for name in deciding), []).append(number)
+        for numbers in alike.values():
+            start = sets[numbers[0]].start(points, workers, silent)
+            network = start.network
+            counts = (network.row >= 0) & (network.open | network.seed)
+            grown = densify_each(
+                network,
+                [sets[number].limits() for number in numbers],
+                mirror=start.mirror,
+                refresh_border=start.refresh_border,
+                vertex_spacing=self.vertex_spacing,
+                max_rounds=self.max_rounds,
+                workers=workers,
+                memory=memory,
+            )
+            for lane, nodes in grown:
+                ground = np.zeros(len(points), bool)
+                ground[network.row[counts & nodes]] = True
+                yield numbers[lane], ground
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points.

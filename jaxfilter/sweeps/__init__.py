@@ -1,0 +1,1 @@
+"""Many sets of parameters on one or several clouds, and the best of them from a few labels."""

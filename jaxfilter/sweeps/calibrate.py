@@ -1,0 +1,343 @@
+"""The parameters that suit a cloud, from a few labelled points."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from ..core.cloud import PointCloud, as_cloud
+from ..core.errors import InputError, ParameterError
+from ..core.filter import Filter, degenerate
+from ..core.params import declared
+from ..core.points import canonical_points, plain_points
+from ..core.result import Progress, silent
+from ..scoring import Scores, reference_labels
+from .design import Design, make_design
+from .ranges import Range, around, search_ranges
+
+if TYPE_CHECKING:
+    import xarray
+
+SCORES = ("total", "kappa")
+"""What is minimised, or maximised: the total error, or kappa, in percent."""
+_NEIGHBOURS = 8
+"""Sets near a set whose scores count with its own when the best is chosen."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Calibration:
+    """The outcome of :func:`calibrate`.
+
+    Attributes:
+        filter: the filter with the best parameters; call it on the cloud.
+        score: cross-validated total error or kappa, percent: every block scored with what the others would have chosen.
+        spread: standard deviation of that score over the folds, percent.
+        before: the score of the filter as it was given, on the same labelled points.
+        trials: the sets that were tried, in order, over the dimension ``set``: coordinates are the fields, variables
+            ``total`` and ``kappa`` on all labelled points and ``smoothed``, which decided, and ``confusion`` per fold.
+    """
+
+    filter: Filter
+    score: float
+    spread: float
+    before: float
+    trials: xarray.Dataset
+
+    def __str__(self) -> str:
+        name = "total error" if self.trials.attrs["score"] == "total" else "kappa"
+        changed = ", ".join(f"{field}={getattr(self.filter, field):g}" for field in self.trials.attrs["searched"])
+        return (
+            f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
+            f"{self.before:.2f} % before; {self.trials.sizes['set']} sets tried"
+        )
+
+
+class Study:
+    """Labelled points of a cloud, which sets of parameters are scored against, many at a time.
+
+    It is what :func:`calibrate` searches with. Another optimiser drives it in batches: ask it for some sets, ``evaluate``
+    them together, tell it the scores. ``result`` chooses among all sets that were evaluated.
+
+    Args:
+        filter_: fields that are not searched stay as they are.
+        cloud: the cloud that the filter sees, all of it.
+        labels: bool[n] with ``labelled``; or integers, 1 = ground, 0 = object, -1 = unlabelled.
+        labelled: bool[n], where boolean labels are known; by default everywhere.
+        axes: field name to (low, high), or to a :class:`Range`; by default those of
+            :func:`jaxfilter.sweeps.ranges.search_ranges`.
+        score: one of :data:`SCORES`.
+        folds: the labelled points are cut into so many parts, each of whole blocks.
+        block: side of the square blocks, metres; by default as large as leaves two blocks for each fold.
+
+    Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
+    """
+
+    def __init__(
+        self,
+        filter_: Filter,
+        cloud: Any,
+        labels: Any,
+        *,
+        labelled: np.ndarray | None = None,
+        axes: Mapping[str, Any] | None = None,
+        score: str = "total",
+        folds: int = 5,
+        block: float | None = None,
+        key: Any = None,
+        workers: int | None = None,
+        memory: float = 2e9,
+    ) -> None:
+        if score not in SCORES:
+            raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
+        if folds < 2:
+            raise ParameterError(f"folds={folds!r}: must be at least 2")
+        if block is not None and not block > 0:
+            raise ParameterError(f"block={block!r}: must be > 0 metres")
+        self.filter, self.score = filter_, score
+        self.options: dict[str, Any] = {"key": key, "workers": workers, "memory": memory}
+        cloud = as_cloud(cloud)
+        self.ranges = _ranges(filter_, axes)
+        truth, known = _labels(cloud, labels, labelled)
+        for name, kind in (("ground", truth), ("object", ~truth)):
+            if not (known & kind).any():
+                raise InputError(f"labels: no point is labelled {name}; both classes are needed")
+        self.points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
+        self.same = degenerate(cloud, self.points)
+        fold = _folds(cloud.xyz[known], folds, block)
+        self.folds = int(fold.max()) + 1
+        self.truth, self.fold = truth[known], fold
+        row = np.full(len(cloud), len(self.points))  # one more row: points that are set aside, never ground
+        row[self.points.index] = self.points.member
+        self.row = row[known]
+        self.sets: list[dict[str, Any]] = []
+        self.confusion = np.zeros((0, self.folds, 2, 2), np.int64)
+
+    def evaluate(self, sets: Sequence[Mapping[str, Any]], progress: Progress | None = None) -> np.ndarray:
+        """f64[s], percent: the score of every set on all labelled points. Sets are kept for :meth:`result`.
+
+        Raises: ParameterError naming a field that does not exist or a value out of range.
+        """
+        report = progress or silent
+        if len(sets) == 0:
+            return np.zeros(0)
+        names = list(sets[0])
+        for one in sets:
+            if set(one) != set(names):
+                raise ParameterError(f"sets: all need the same fields; one has {sorted(one)}, another {sorted(names)}")
+        plan = make_design(self.filter, {name: [one[name] for one in sets] for name in names}, "list")
+        found = np.zeros((len(sets), self.folds, 2, 2), np.int64)
+        for done, (number, ground) in enumerate(self._ground_each(plan), 1):
+            called = np.append(ground, False)[self.row]
+            cell = (self.fold * 2 + ~self.truth) * 2 + ~called
+            found[number] = np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
+            report(done / len(sets), f"{len(sets)} sets")
+        self.sets += plan.sets
+        self.confusion = np.concatenate([self.confusion, found])
+        return self._of(found.sum(axis=1))
+
+    def _ground_each(self, plan: Design) -> Any:
+        for group in plan.groups:
+            if self.same is not None:
+                yield from ((number, self.same.ground) for number in group)
+                continue
+            some = [self.filter.replace(**plan.sets[i]) for i in group]
+            for number, ground in some[0].ground_each(self.points, some, **self.options):
+                yield group[number], ground
+
+    def _of(self, confusion: np.ndarray) -> np.ndarray:
+        """f64[s]: the score of counts i64[s, 2, 2]."""
+        return np.array([getattr(Scores.from_confusion(counts), self.score) for counts in confusion])
+
+    def _smoothed(self, confusion: np.ndarray) -> np.ndarray:
+        """f64[s], lower is better: scores averaged over sets with similar parameters, so that luck counts less."""
+        cost = self._of(confusion) * (1.0 if self.score == "total" else -1.0)
+        cost = np.where(np.isnan(cost), np.inf, cost)
+        names = [name for name in self.ranges if all(name in one for one in self.sets)]
+        if not names or len(self.sets) <= 2 * _NEIGHBOURS:
+            return cost
+        place = np.array([[self.ranges[name].position(one[name]) for name in names] for one in self.sets])
+        _, near = cKDTree(place).query(place, _NEIGHBOURS)
+        return cost[near].mean(axis=1)
+
+    def result(self) -> Calibration:
+        """The best of the sets evaluated so far. Raises: ParameterError if there are none."""
+        import xarray as xr
+
+        if not self.sets:
+            raise ParameterError("Study.result: no set has been evaluated")
+        whole = self.confusion.sum(axis=1)
+        smoothed = self._smoothed(whole)
+        held_out = []
+        for fold in range(self.folds):
+            others = whole - self.confusion[:, fold]
+            held_out.append(self.confusion[int(np.argmin(self._smoothed(others))), fold])
+        of_folds = self._of(np.array(held_out))
+        names = list(dict.fromkeys(name for one in self.sets for name in one))
+        columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
+        scores = [Scores.from_confusion(counts) for counts in whole]
+        trials = xr.Dataset(
+            {
+                "total": ("set", [s.total for s in scores]),
+                "kappa": ("set", [s.kappa for s in scores]),
+                "smoothed": ("set", smoothed),
+                "confusion": (("set", "fold", "reference", "labelled"), self.confusion),
+            },
+            {"set": np.arange(len(self.sets)), **{name: ("set", values) for name, values in columns.items()}},
+            {"method": type(self.filter).__name__, "score": self.score, "searched": names},
+        )
+        return Calibration(
+            filter=self.filter.replace(**self.sets[int(np.argmin(smoothed))]),
+            score=float(self._of(np.array(held_out).sum(axis=0)[None])[0]),
+            spread=float(np.nanstd(of_folds)),
+            before=self._before(),
+            trials=trials,
+        )
+
+    def _before(self) -> float:
+        """The score of the filter as it was given."""
+        ground = self.same.ground if self.same is not None else self._alone()
+        called = np.append(ground, False)[self.row]
+        cell = 2 * ~self.truth + ~called
+        return float(self._of(np.bincount(cell, minlength=4).reshape(1, 2, 2))[0])
+
+    def _alone(self) -> np.ndarray:
+        ((_, ground),) = self.filter.ground_each(self.points, [self.filter], **self.options)
+        return ground
+
+
+def calibrate(
+    filter_: Filter,
+    cloud: Any,
+    labels: Any,
+    *,
+    labelled: np.ndarray | None = None,
+    axes: Mapping[str, Any] | None = None,
+    size: int = 256,
+    rounds: int = 2,
+    score: str = "total",
+    folds: int = 5,
+    block: float | None = None,
+    seed: int = 0,
+    key: Any = None,
+    workers: int | None = None,
+    memory: float = 2e9,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Find the parameters that suit a cloud from a few labelled points or patches of it.
+
+    ``size`` sets are spread over the ranges by a Sobol sequence; then, ``rounds`` - 1 times, as many over a quarter of each
+    range around the best. A set is judged by its own score on the labelled points and by those of sets like it. The score
+    that is returned is cross-validated: labelled points are cut into folds of whole blocks, and each fold is scored with
+    the set that the other folds would have chosen, since points next to each other share their fate.
+
+    Args: as for :class:`Study`; ``progress`` is called with the fraction done and what is being done.
+
+    Returns: Calibration; ``.filter`` is the filter with the best parameters.
+    Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
+    """
+    for name, value in (("size", size), ("rounds", rounds)):
+        if value < 1:
+            raise ParameterError(f"{name}={value!r}: must be at least 1")
+    study = Study(
+        filter_,
+        cloud,
+        labels,
+        labelled=labelled,
+        axes=axes,
+        score=score,
+        folds=folds,
+        block=block,
+        key=key,
+        workers=workers,
+        memory=memory,
+    )
+    report = progress or silent
+    ranges, low, width = study.ranges, np.zeros(len(study.ranges)), np.ones(len(study.ranges))
+    for turn in range(rounds):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # no power of two many: their balance is not needed
+            unit = qmc.Sobol(len(ranges), rng=np.random.default_rng([seed, turn])).random(size)
+        place = low + width * unit
+        sets = [{name: r.at(u) for u, (name, r) in zip(row, ranges.items(), strict=True)} for row in place]
+        study.evaluate(sets, lambda done, step, turn=turn: report((turn + done) / rounds, step))  # type: ignore[misc]
+        best = study.sets[int(np.argmin(study._smoothed(study.confusion.sum(axis=1))))]
+        centre = np.array([r.position(best[name]) for name, r in ranges.items()])
+        width = width / 4
+        low = np.clip(centre - width / 2, 0, 1 - width)
+    return study.result()
+
+
+def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
+    """Checked search ranges."""
+    ranges = search_ranges(filter_)
+    if axes is not None:
+        fields = {f.name: f for f in declared(filter_)}
+        known, ranges = ranges, {}
+        for name, given in axes.items():
+            if name not in fields:
+                raise ParameterError(
+                    f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}"
+                )
+            if isinstance(given, Range):
+                ranges[name] = given
+                continue
+            try:
+                low, high = (float(v) for v in given)
+            except (TypeError, ValueError):
+                raise ParameterError(f"axes: {name}={given!r}: give a pair (low, high)") from None
+            if not (math.isfinite(low) and math.isfinite(high) and low < high):
+                raise ParameterError(f"axes: {name}={given!r}: the range must go from low to high")
+            usual = known.get(name) or around(fields[name])
+            scale = usual.scale if usual is not None else "linear"
+            if isinstance(fields[name].default, int):
+                scale = "whole"
+            ranges[name] = Range(low, high, "linear" if scale == "log" and low <= 0 else scale)
+    if not ranges:
+        raise ParameterError(f"axes: name at least one field of {type(filter_).__name__} and its range")
+    for name, r in ranges.items():
+        for value in (r.at(0.0), r.at(1.0)):
+            filter_.replace(**{name: value})  # raises ParameterError, naming field and value
+    return ranges
+
+
+def _labels(cloud: PointCloud, labels: Any, labelled: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """bool[n] ground, bool[n] whether that is known."""
+    array = cloud if labels is None else np.asarray(labels)
+    if isinstance(array, np.ndarray) and array.shape != (len(cloud),):
+        raise InputError(f"labels: {len(cloud)} are needed, one per point of the cloud, not an array {array.shape}")
+    truth, known = reference_labels(array)
+    if labelled is not None:
+        mask = np.asarray(labelled)
+        if mask.shape != (len(cloud),) or mask.dtype != bool:
+            raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
+        known = known & mask
+    return truth, known
+
+
+def _folds(xyz: np.ndarray, folds: int, block: float | None) -> np.ndarray:
+    """i64[n]: the fold of every labelled point; a fold is made of whole square blocks, and all are about as large."""
+
+    def blocks(side: float) -> np.ndarray:
+        cell = np.floor(xyz[:, :2].astype(np.float64) / side).astype(np.int64)
+        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+
+    if block is None:
+        block = max(float(np.ptp(xyz[:, :2], axis=0).max()), 1.0)
+        while blocks(block).max() + 1 < 2 * folds and block > 1.0:
+            block /= 2
+    owner = blocks(block)
+    count = np.bincount(owner)
+    if len(count) < 2:
+        raise InputError("labels: all labelled points lie in one block; label points in several places, or pass block=")
+    fold_of, size = np.zeros(len(count), np.int64), np.zeros(min(folds, len(count)))
+    for number in np.argsort(-count, kind="stable"):  # the largest first, each to the fold that has least
+        fold_of[number] = int(np.argmin(size))
+        size[fold_of[number]] += count[number]
+    return fold_of[owner]

@@ -1,0 +1,152 @@
+"""Which sets of parameters a sweep runs: a full grid, a random or Sobol design, or a list."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import numbers
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import ParameterError
+from ..core.filter import Filter
+from ..core.params import declared
+
+DESIGNS = ("grid", "random", "sobol", "list")
+"""All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """The sets of a sweep.
+
+    Attributes:
+        kind: one of :data:`DESIGNS`.
+        axes: values by field. For a grid those along each dimension, else one per set.
+        sets: field values of every set; for a grid the last axis varies fastest.
+        groups: numbers of the sets that differ in traced fields only, in the order in which the groups first occur.
+    """
+
+    kind: str
+    axes: dict[str, list[Any]]
+    sets: list[dict[str, Any]]
+    groups: list[list[int]]
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Names of the dimensions of the scores."""
+        return tuple(self.axes) if self.kind == "grid" else ("set",)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Their lengths."""
+        return tuple(map(len, self.axes.values())) if self.kind == "grid" else (len(self.sets),)
+
+
+def make_design(
+    filter_: Filter, axes: Mapping[str, Any], kind: str = "grid", size: int | None = None, seed: int = 0
+) -> Design:
+    """Check the axes and lay out the sets; arguments as for :func:`jaxfilter.sweep`.
+
+    Raises: ParameterError naming the axis and what is wrong, before anything is computed.
+    """
+    if kind not in DESIGNS:
+        raise ParameterError(f"design={kind!r}: choose one of {', '.join(map(repr, DESIGNS))}")
+    if not isinstance(axes, Mapping) or not axes:
+        raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
+    drawn = kind in ("random", "sobol")
+    if drawn and (not isinstance(size, numbers.Integral) or size < 1):
+        raise ParameterError(f"size={size!r}: a {kind} design needs the number of its sets, at least 1")
+    if not drawn and size is not None:
+        raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {kind} follows from its axes")
+    fields = {f.name: f for f in declared(filter_)}
+    for name in axes:
+        if name not in fields:
+            raise ParameterError(f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}")
+        if name in filter_.NOT_SWEPT:
+            raise ParameterError(f"axes: {type(filter_).__name__}.{name} cannot be swept")
+    for name in filter_.NOT_SWEPT:
+        if getattr(filter_, name) != fields[name].default:
+            raise ParameterError(
+                f"{type(filter_).__name__}({name}={getattr(filter_, name)!r}): must be left at its default in a sweep"
+            )
+    if drawn:
+        assert size is not None
+        columns = _drawn(filter_, fields, axes, kind, int(size), seed)
+    else:
+        columns = {name: _values(name, values) for name, values in axes.items()}
+    if kind == "grid":
+        for name, values in columns.items():
+            if len(set(map(repr, values))) < len(values):
+                raise ParameterError(f"axes: {name}={values!r} repeats a value")
+        sets = [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
+    else:
+        lengths = {name: len(values) for name, values in columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise ParameterError(f"axes: all axes of a list need as many values, not {lengths}")
+        sets = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    for one in sets:
+        filter_.replace(**one)  # raises ParameterError, naming field and value
+    statics = [name for name in columns if fields[name].metadata["static"]]
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for number, one in enumerate(sets):
+        groups.setdefault(tuple(one[name] for name in statics), []).append(number)
+    return Design(kind, columns, sets, list(groups.values()))
+
+
+def _values(name: str, values: Any) -> list[Any]:
+    """Plain Python values of an axis."""
+    if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, (Sequence, np.ndarray)):
+        raise ParameterError(f"axes: {name}={values!r}: give a list of values")
+    array = list(values)
+    if not array:
+        raise ParameterError(f"axes: {name} is empty")
+    out = [value.item() if isinstance(value, np.generic) else value for value in array]
+    for value in out:
+        if isinstance(value, float) and math.isnan(value):
+            raise ParameterError(f"axes: {name}={out!r} holds NaN")
+        if isinstance(value, (list, tuple, dict, np.ndarray)):
+            raise ParameterError(f"axes: {name}={out!r}: values must be plain numbers or words, in one dimension")
+    return out
+
+
+def _drawn(
+    filter_: Filter, fields: Mapping[str, Any], axes: Mapping[str, Any], kind: str, size: int, seed: int
+) -> dict[str, list[Any]]:
+    """Values of every set: a tuple of two numbers is a range, a list the values to choose from."""
+    if kind == "sobol":
+        from scipy.stats import qmc
+
+        unit = qmc.Sobol(len(axes), rng=np.random.default_rng(seed)).random_base2(max(0, math.ceil(math.log2(size))))
+        unit = unit[:size]
+    else:
+        unit = np.random.default_rng(seed).random((size, len(axes)))
+    columns: dict[str, list[Any]] = {}
+    for (name, given), u in zip(axes.items(), unit.T, strict=True):
+        values = _values(name, given)
+        meta = fields[name].metadata
+        is_range = (
+            isinstance(given, tuple) and len(values) == 2 and all(map(_is_number, values)) and not meta.get("choices")
+        )
+        if not is_range:
+            columns[name] = [values[i] for i in np.minimum((u * len(values)).astype(int), len(values) - 1)]
+            continue
+        low, high = values
+        for bound in values:
+            filter_.replace(**{name: bound})
+        if not low < high:
+            raise ParameterError(f"axes: {name}={values!r}: the range must go from low to high")
+        whole = isinstance(low, int) and isinstance(high, int) and isinstance(fields[name].default, int)
+        columns[name] = (
+            [int(v) for v in np.minimum(low + np.floor(u * (high - low + 1)), high)]
+            if whole
+            else [float(v) for v in low + u * (high - low)]
+        )
+    return columns
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)

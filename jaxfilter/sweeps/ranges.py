@@ -1,0 +1,99 @@
+"""Where the thresholds of a method are searched for when nobody says where."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from ..core.filter import Filter
+from ..core.params import declared
+
+SCALES = ("linear", "log", "whole")
+"""Drawn evenly, evenly in the logarithm, or from the whole numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Where a quantity is searched for: from ``low`` to ``high``, on one of :data:`SCALES`."""
+
+    low: float
+    high: float
+    scale: str = "linear"
+
+    def at(self, u: float) -> float:
+        """The value at a position of the unit interval, to four digits."""
+        if self.scale == "whole":
+            return min(int(self.low + u * (self.high - self.low + 1)), int(self.high))
+        value = self.low * (self.high / self.low) ** u if self.scale == "log" else self.low + (self.high - self.low) * u
+        return float(f"{value:.4g}")
+
+    def position(self, value: float) -> float:
+        """Where a value lies on the unit interval; outside the range beyond it."""
+        if self.scale == "log":
+            return math.log(max(value, 1e-12) / self.low) / math.log(self.high / self.low)
+        return (value - self.low + 0.5 * (self.scale == "whole")) / (self.high - self.low + (self.scale == "whole"))
+
+
+RANGES: dict[str, Range] = {
+    "max_angle": Range(4.0, 45.0),
+    "max_distance": Range(0.3, 3.0, "log"),
+    "max_elevation": Range(0.3, 3.0, "log"),
+    "slope": Range(0.03, 1.0, "log"),
+    "threshold": Range(0.1, 1.5, "log"),
+    "initial_distance": Range(0.1, 1.5, "log"),
+    "scaling": Range(0.0, 3.0),
+    "relative_slope": Range(0.02, 1.0, "log"),
+    "buffer": Range(0.15, 1.5, "log"),
+    "division_distance": Range(0.3, 3.0, "log"),
+    "plane_error": Range(0.2, 2.0, "log"),
+    "deviations": Range(1.0, 4.0),
+    "rigidness": Range(1, 3, "whole"),
+}
+"""One range per quantity, whatever the method."""
+
+SEARCHED: dict[str, tuple[str, ...]] = {
+    "ptd": ("max_angle", "max_distance"),
+    "ptdf": ("max_angle", "max_distance"),
+    "atin": ("max_angle", "max_distance"),
+    "iptd": ("max_angle", "max_distance", "plane_error"),
+    "stin": ("max_angle", "max_distance"),
+    "fptd": ("max_angle", "max_elevation"),
+    "spf": ("max_angle", "max_distance", "slope", "initial_distance"),
+    "agptd": ("max_angle", "max_distance", "relative_slope"),
+    "ppdf": ("slope", "buffer", "division_distance", "max_distance"),
+    "msf": ("slope", "initial_distance"),
+    "pmf": ("slope", "initial_distance"),
+    "smrf": ("slope", "threshold", "scaling"),
+    "csf": ("threshold", "rigidness"),
+}
+"""The thresholds that decide the accuracy of each method. Of other methods all traced fields with a range are searched."""
+
+
+def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:
+    """The fields of a method to search, with their ranges.
+
+    A field without an entry in :data:`RANGES` is searched from half to twice its default, if that is positive and finite.
+    """
+    method = filter_ if isinstance(filter_, type) else type(filter_)
+    listed = SEARCHED.get(method.__name__.lower())
+    out: dict[str, Range] = {}
+    for field in declared(method):
+        if listed is not None and field.name in listed:
+            out[field.name] = RANGES[field.name]
+        elif listed is None and not field.metadata["static"]:
+            found = RANGES.get(field.name) or around(field)
+            if found is not None:
+                out[field.name] = found
+    return out
+
+
+def around(field: dataclasses.Field[Any]) -> Range | None:
+    """Half to twice the default of a field, within its limits; None if that is not a range."""
+    default = field.default
+    if not isinstance(default, (int, float)) or isinstance(default, bool) or not 0 < default < math.inf:
+        return None
+    bounds = [field.metadata.get(key) for key in ("lt", "le")]
+    top = min((bound for bound in bounds if bound is not None), default=math.inf)
+    high = min(2.0 * default, 0.99 * top)
+    return Range(0.5 * default, high, "log") if high > 0.5 * default else None

@@ -1,0 +1,282 @@
+"""Sweeps: hundreds of sets of parameters in one call, scored and voted."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.cloud import PointCloud, as_cloud
+from ..core.errors import InputError, ParameterError
+from ..core.filter import Filter, degenerate
+from ..core.params import declared
+from ..core.points import Points, canonical_points, plain_points
+from ..core.result import Progress, silent
+from ..scoring import Scores, reference_labels
+from .design import Design, make_design
+
+if TYPE_CHECKING:
+    import xarray
+
+SCORES = ("type1", "type2", "total", "kappa")
+_SAVE_EVERY = 10.0
+"""Seconds between writes of a checkpoint."""
+
+
+def sweep(
+    filter_: Filter,
+    clouds: Any,
+    axes: Mapping[str, Any],
+    *,
+    design: str = "grid",
+    size: int | None = None,
+    seed: int = 0,
+    votes: bool = False,
+    key: Any = None,
+    workers: int | None = None,
+    memory: float = 2e9,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> xarray.Dataset:
+    """Classify clouds with many sets of parameters, and score each.
+
+    Every set gives the labels that the filter gives with it alone. What sets have in common is computed once: grids and
+    openings of SMRF, seeds and first triangulation of methods that densify a triangulation, whose sets then advance
+    together. Fields that fix array shapes or code paths (``cell``, ``window``, ...) may be swept too: the sets are grouped
+    by them, and each group compiles at most once; ``attrs["groups"]`` says how many there are.
+
+    Args:
+        filter_: its other fields are kept.
+        clouds: one cloud (PointCloud, or coordinates f64[n, 3]); a list; or a mapping from names to clouds.
+        axes: field name to values. In random and sobol designs a tuple (low, high) is a range to draw from, and a list
+            the values to choose from.
+        design: "grid" = all combinations; "random" or "sobol" = ``size`` sets drawn with ``seed``; "list" = the i-th
+            values of all axes make set i.
+        votes: count for every point how many sets call it ground.
+        key: JAX random key of methods that draw samples, the same for every set.
+        workers: threads for triangulation; by default one per core.
+        memory: bytes that may be held for sets computed at the same time.
+        checkpoint: file to save finished sets in, and to resume from if it exists.
+        progress: called with the fraction done and what is being done.
+
+    Returns: xarray.Dataset. A grid has one dimension per axis, in the order given, a design the dimension ``set`` with the
+        axes as coordinates; several clouds add the dimension ``cloud``. Variables: ``type1``, ``type2``, ``total``, ``kappa``
+        in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
+        With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
+        over ``point_NAME``.
+    Raises: ParameterError naming the axis, before anything runs; InputError for a checkpoint of another sweep.
+    """
+    import xarray as xr
+
+    plan = make_design(filter_, axes, design, size, seed)
+    several, named = _named(clouds)
+    report = progress or silent
+    state = _State(filter_, plan, named, votes, None if checkpoint is None else Path(checkpoint))
+    jobs = len(named) * len(plan.sets)
+    try:
+        for c, (name, cloud) in enumerate(named.items()):
+            scene: _Scene | None = None
+            for g, group in enumerate(plan.groups):
+                pending = [number for number in group if not state.done[c, number]]
+                if not pending:
+                    continue
+                scene = scene or _Scene(filter_, cloud)
+                text = f"{name}: " * several + f"{len(plan.sets)} sets"
+                text += f", group {g + 1} of {len(plan.groups)}" if len(plan.groups) > 1 else ""
+                report(state.done.sum() / jobs, text)
+                for number, ground in scene.ground_each(
+                    [filter_.replace(**plan.sets[i]) for i in pending], key=key, workers=workers, memory=memory
+                ):
+                    state.add(c, pending[number], scene, ground)
+                    report(state.done.sum() / jobs, text)
+    finally:
+        state.save()
+    return _dataset(xr, filter_, plan, several, named, state)
+
+
+def _named(clouds: Any) -> tuple[bool, dict[str, PointCloud]]:
+    """Whether there are several clouds, and the clouds by name."""
+    if isinstance(clouds, Mapping):
+        several, pairs = True, [(str(name), cloud) for name, cloud in clouds.items()]
+    elif isinstance(clouds, PointCloud) or hasattr(clouds, "shape") or not isinstance(clouds, Iterable):
+        several, pairs = False, [("cloud", clouds)]
+    else:
+        several, pairs = True, [(str(i), cloud) for i, cloud in enumerate(clouds)]
+    if not pairs:
+        raise InputError("sweep: there is no cloud")
+    return several, {name: as_cloud(cloud) for name, cloud in pairs}
+
+
+class _Scene:
+    """A cloud in the shape that sets are computed and scored in."""
+
+    def __init__(self, filter_: Filter, cloud: PointCloud) -> None:
+        self.points: Points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
+        self.same = degenerate(cloud, self.points)
+        self.weights: np.ndarray | None = None
+        if cloud.reference is not None:
+            truth, counted = reference_labels(cloud)
+            index, member, m = self.points.index, self.points.member, len(self.points)
+            aside = counted.copy()
+            aside[index] = False
+            of_kind = [counted & truth, counted & ~truth]
+            self.weights = np.stack([np.bincount(member, weights=kind[index], minlength=m) for kind in of_kind])
+            self.totals = np.array([kind.sum() for kind in of_kind])
+
+    def ground_each(self, sets: list[Filter], *, key: Any, workers: int | None, memory: float) -> Any:
+        """Number of the set and bool[m], ground, for every set."""
+        if self.same is not None:
+            return ((number, self.same.ground) for number in range(len(sets)))
+        return sets[0].ground_each(self.points, sets, key=key, workers=workers, memory=memory)
+
+    def confusion(self, ground: np.ndarray) -> np.ndarray:
+        """i64[2, 2], as in Scores; zeros without a reference."""
+        if self.weights is None:
+            return np.zeros((2, 2), np.int64)
+        as_ground = np.rint(self.weights @ ground).astype(np.int64)
+        return np.stack([as_ground, self.totals - as_ground], axis=1)
+
+
+class _State:
+    """What is finished: counts per cloud and set, and votes per cloud; kept in a checkpoint."""
+
+    def __init__(
+        self, filter_: Filter, plan: Design, named: dict[str, PointCloud], votes: bool, path: Path | None
+    ) -> None:
+        shape = len(named), len(plan.sets)
+        self.done = np.zeros(shape, bool)
+        self.confusion = np.zeros((*shape, 2, 2), np.int64)
+        self.ground = np.zeros(shape, np.int64)
+        self.clouds = list(named.values())
+        self.votes = [np.zeros(len(cloud), np.uint32) for cloud in self.clouds] if votes else None
+        self.rows: dict[int, tuple[Points, np.ndarray]] = {}  # votes per row of points, not yet spread over the cloud
+        self.path, self.saved, self.dirty = path, time.monotonic(), False
+        if path is None:
+            return
+        if not path.absolute().parent.is_dir():
+            raise ParameterError(f"checkpoint={str(path)!r}: {path.absolute().parent} is not a folder: make it first")
+        self.facts = {
+            "filter": repr(filter_),
+            "sets": json.dumps(plan.sets, default=str),
+            "clouds": json.dumps([f"{name} {_digest(cloud)}" for name, cloud in named.items()]),
+            "votes": str(votes),
+        }
+        if path.exists():
+            self._load()
+
+    def _load(self) -> None:
+        assert self.path is not None
+        try:
+            with np.load(self.path) as file:
+                data = {name: file[name] for name in file.files}
+            facts = json.loads(str(data["facts"]))
+        except (ValueError, OSError, KeyError, EOFError) as error:
+            raise InputError(f"checkpoint {self.path} is not one of a sweep ({error}): name another file") from error
+        for name, value in self.facts.items():
+            if facts.get(name) != value:
+                raise InputError(
+                    f"checkpoint {self.path} belongs to a sweep with other {name}: delete it or name another file"
+                )
+        self.done, self.confusion, self.ground = data["done"], data["confusion"], data["ground"]
+        if self.votes is not None:
+            self.votes = [data[f"votes_{i}"] for i in range(len(self.votes))]
+
+    def add(self, cloud: int, number: int, scene: _Scene, ground: np.ndarray) -> None:
+        """Note the labels bool[m] of a set."""
+        self.confusion[cloud, number] = scene.confusion(ground)
+        self.ground[cloud, number] = int(scene.points.weight @ ground)
+        if self.votes is not None:
+            if cloud not in self.rows:
+                self._spread()
+                self.rows = {cloud: (scene.points, np.zeros(len(ground), np.uint32))}
+            self.rows[cloud][1][...] += ground
+        self.done[cloud, number] = self.dirty = True
+        if self.path is not None and time.monotonic() - self.saved > _SAVE_EVERY:
+            self.save()
+
+    def _spread(self) -> None:
+        """Bring the votes that were counted per row to the points of their clouds."""
+        assert self.votes is not None
+        for cloud, (points, counts) in self.rows.items():
+            self.votes[cloud][points.index] += counts[points.member]
+            counts[...] = 0
+
+    def save(self) -> None:
+        """Write the checkpoint, under a temporary name first."""
+        if self.votes is not None:
+            self._spread()
+        if self.path is None or not self.dirty:
+            return
+        data: dict[str, Any] = {"done": self.done, "confusion": self.confusion, "ground": self.ground}
+        data |= {f"votes_{i}": votes for i, votes in enumerate(self.votes or [])}
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.npz")
+        try:
+            with open(temporary, "wb") as file:
+                np.savez(file, facts=np.array(json.dumps(self.facts)), **data)
+            os.replace(temporary, self.path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        self.saved, self.dirty = time.monotonic(), False
+
+
+def _digest(cloud: PointCloud) -> str:
+    """Of what decides labels and scores."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in (cloud.origin, cloud.xyz, cloud.candidate, cloud.reference):
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _dataset(
+    xr: Any, filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
+) -> xarray.Dataset:
+    dims = (*plan.dims, "cloud") if several else plan.dims
+    shape = (*plan.shape, len(named)) if several else plan.shape
+
+    def laid_out(values: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        return dims, np.moveaxis(values, 0, -1).reshape(shape)
+
+    scores = np.full((len(SCORES), *state.done.shape), np.nan)
+    for c, cloud in enumerate(named.values()):
+        if cloud.reference is not None:
+            for s in range(len(plan.sets)):
+                of_set = Scores.from_confusion(state.confusion[c, s])
+                scores[:, c, s] = [getattr(of_set, name) for name in SCORES]
+    variables: dict[str, Any] = {
+        name: (*laid_out(scores[i]), {"long_name": _LONG[name], "units": "%"}) for i, name in enumerate(SCORES)
+    }
+    variables["ground"] = (*laid_out(state.ground), {"long_name": "ground points"})
+    if state.votes is not None:
+        for (name, _), counts in zip(named.items(), state.votes, strict=True):
+            end = f"_{name}" if several else ""
+            share = (counts / len(plan.sets)).astype(np.float32)
+            variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
+    fields = {f.name: f for f in declared(filter_)}
+    coords: dict[str, Any] = {}
+    for name, values in plan.axes.items():
+        meta = fields[name].metadata
+        about = {"long_name": meta["doc"]} | ({"units": meta["unit"]} if meta["unit"] else {})
+        coords[name] = ((name if plan.kind == "grid" else "set",), values, about)
+    if plan.kind != "grid":
+        coords["set"] = np.arange(len(plan.sets))
+    if several:
+        coords["cloud"] = list(named)
+    attrs = {
+        "method": type(filter_).__name__,
+        "parameters": json.dumps(dataclasses.asdict(filter_), default=str),  # type: ignore[call-overload]
+        "design": plan.kind,
+        "sets": len(plan.sets),
+        "groups": len(plan.groups),
+    }
+    return xr.Dataset(variables, coords, attrs)
+
+
+_LONG = {"type1": "Type I error", "type2": "Type II error", "total": "total error", "kappa": "kappa"}

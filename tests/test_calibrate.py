@@ -1,0 +1,119 @@
+"""Calibration finds parameters from few labels, judges them on blocks it did not use, and refuses labels it cannot use."""
+
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter import scenes
+from jaxfilter.sweeps.calibrate import _folds
+from jaxfilter.sweeps.ranges import RANGES, Range, search_ranges
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return scenes.make("mixed", size=120.0, density=1.5, seed=8)
+
+
+@pytest.fixture(scope="module")
+def patches(scene):
+    """bool[n]: what lies in four squares."""
+    xy = scene.cloud.xyz[:, :2]
+    near = [np.abs(xy - centre).max(axis=1) < 12 for centre in ((25, 25), (90, 30), (30, 95), (85, 85))]
+    return np.any(near, axis=0) & scene.cloud.candidate
+
+
+def test_calibrated_parameters_are_better_than_bad_ones_on_the_points_without_labels(scene, patches):
+    bad = jf.SMRF(slope=0.9, threshold=1.4, scaling=0.0)
+    found = jf.calibrate(bad, scene.cloud, scene.truth, labelled=patches, size=48, rounds=2)
+    rest = ~patches
+
+    def error(filter_):
+        return jf.evaluate(filter_(scene.cloud).ground, scene.truth, ignore=~rest).total
+
+    assert error(found.filter) < 0.7 * error(bad) and found.score < found.before
+    assert found.filter.window == bad.window and len(found.trials["set"]) == 96
+    assert "cross-validated" in str(found) and 0 <= found.spread < 30
+    assert float(found.trials.total.min()) <= found.score + 1e-9  # what was not seen is not judged better than what was
+
+
+def test_trials_are_scored_as_evaluate_does(scene, patches):
+    study = jf.Study(jf.SMRF(), scene.cloud, np.where(patches, scene.truth, -1).astype(int))
+    sets = [{"slope": 0.1, "threshold": 0.4}, {"slope": 0.3, "threshold": 0.9}]
+    scores = study.evaluate(sets)
+    for one, score in zip(sets, scores, strict=True):
+        labels = jf.SMRF(**one)(scene.cloud).ground
+        assert score == pytest.approx(jf.evaluate(labels, scene.truth, ignore=~patches).total)
+    trials = study.result().trials
+    assert trials.confusion.sum() == 2 * patches.sum() and trials.total.values.tolist() == scores.tolist()
+
+
+def test_kappa_is_maximised(scene, patches):
+    study = jf.Study(jf.SMRF(), scene.cloud, scene.truth, labelled=patches, score="kappa")
+    scores = study.evaluate([{"slope": s} for s in (0.02, 0.15, 0.9)])
+    assert study.result().filter.slope == (0.02, 0.15, 0.9)[int(np.argmax(scores))]
+
+
+def test_an_optimiser_drives_a_study_in_batches(scene, patches):
+    optuna = pytest.importorskip("optuna")
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = jf.Study(jf.SMRF(), scene.cloud, scene.truth, labelled=patches)
+    optimiser = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=1))
+    for _ in range(3):
+        trials = [optimiser.ask() for _ in range(12)]
+        sets = [{name: t.suggest_float(name, r.low, r.high) for name, r in study.ranges.items()} for t in trials]
+        for trial, score in zip(trials, study.evaluate(sets), strict=True):
+            optimiser.tell(trial, score)
+    assert len(study.sets) == 36 and optimiser.best_value == pytest.approx(float(study.result().trials.total.min()))
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_folds_are_whole_blocks_of_about_the_same_size(count, rng):
+    xyz = (rng.random((900, 3)) * [200, 80, 9]).astype(np.float32)
+    fold = _folds(xyz, count, 20.0)
+    block = np.floor(xyz[:, :2] / 20).astype(int) @ [1000, 1]
+    assert all(len(set(fold[block == b])) == 1 for b in set(block.tolist()))
+    sizes = np.bincount(fold)
+    assert len(sizes) == count and sizes.max() < 1.5 * sizes.min()
+    assert int(_folds(xyz, count, None).max()) + 1 == count
+
+
+def test_bad_labels_and_arguments_are_named(scene, patches):
+    cloud, truth = scene.cloud, scene.truth
+    for labels, message in (
+        (truth[:-1], "one per point"),
+        (np.ones(len(cloud), bool), "labelled object"),
+        (np.full(len(cloud), -1), "labelled ground"),
+    ):
+        with pytest.raises(jf.InputError, match=message):
+            jf.calibrate(jf.SMRF(), cloud, labels)
+    with pytest.raises(jf.InputError, match="labelled must be bool"):
+        jf.calibrate(jf.SMRF(), cloud, truth, labelled=patches[:-1])
+    for options, message in (
+        ({"axes": {"slop": (0.1, 0.2)}}, "no field 'slop'"),
+        ({"axes": {"slope": (0.2, 0.1)}}, "from low to high"),
+        ({"axes": {"slope": (-0.2, 0.1)}}, r"SMRF\(slope=-0.2\)"),
+        ({"axes": {"slope": 0.1}}, "pair"),
+        ({"size": 0}, "size=0"),
+        ({"rounds": 0}, "rounds=0"),
+        ({"folds": 1}, "folds=1"),
+        ({"block": 0.0}, "block=0.0"),
+        ({"score": "f1"}, "score='f1'"),
+    ):
+        with pytest.raises(jf.ParameterError, match=message):
+            jf.calibrate(jf.SMRF(), cloud, truth, labelled=patches, **options)
+
+
+@pytest.mark.parametrize("method", list(jf.FILTERS))
+def test_search_ranges_hold_values_that_the_method_takes(method):
+    ranges = search_ranges(jf.FILTERS[method])
+    assert ranges
+    for name, r in ranges.items():
+        for u in (0.0, 0.3, 1.0):
+            jf.FILTERS[method](**{name: r.at(u)})
+            assert r.position(r.at(u)) == pytest.approx(u, abs=0.35 if r.scale == "whole" else 0.01)
+
+
+def test_ranges_map_the_unit_interval():
+    assert Range(0.1, 10.0, "log").at(0.5) == 1.0 and Range(2.0, 4.0).at(0.25) == 2.5
+    assert [Range(1, 3, "whole").at(u) for u in (0.0, 0.34, 0.99, 1.0)] == [1, 2, 3, 3]
+    assert RANGES["max_angle"].position(4.0) == 0.0

@@ -1,0 +1,294 @@
+"""Sweeps give the labels of single runs, whatever they share, and their scores; bad axes are named before anything runs."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter import scenes
+from jaxfilter.core import compilation
+from jaxfilter.core.points import canonical_points, plain_points
+from jaxfilter.host.tin import Tin
+from jaxfilter.ops.inpaint import fill_membrane
+from jaxfilter.stages import lanes
+
+
+@pytest.fixture(scope="module")
+def cloud():
+    return labelled(scenes.make("mixed", size=90.0, density=1.5, seed=3))
+
+
+@pytest.fixture(scope="module")
+def hills():
+    return labelled(scenes.make("mountain", size=80.0, density=1.5, seed=5))
+
+
+def labelled(scene):
+    cloud = scene.cloud
+    return jf.PointCloud.from_arrays(
+        cloud.coordinates(),
+        return_number=cloud.return_number,
+        number_of_returns=cloud.number_of_returns,
+        reference=scene.truth,
+    )
+
+
+def labels_of(filter_, sets, cloud):
+    """bool[sets, n] from one call for all sets."""
+    points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
+    out = np.zeros((len(sets), len(cloud)), bool)
+    for number, ground in filter_.ground_each(points, sets, key=None, workers=None, memory=2e9):
+        out[number, points.index] = ground[points.member]
+    return out
+
+
+def check_equal(sets, cloud):
+    """Every set has the labels of running it alone; if not, the point is within 1 mm or 0.01 degrees of a threshold."""
+    found = labels_of(sets[0], sets, cloud)
+    differing = 0
+    for one, ground in zip(sets, found, strict=True):
+        alone = one(cloud)
+        differs = alone.ground != ground
+        differing += int(differs.sum())
+        assert (np.abs(alone.margin[differs]) < 0.001).all()
+    assert differing <= 1e-5 * found.size
+
+
+def product(filter_, **axes):
+    return [filter_.replace(**dict(zip(axes, values, strict=True))) for values in itertools.product(*axes.values())]
+
+
+def test_smrf_grid_equals_single_runs(cloud, hills):
+    for scene in (cloud, hills):
+        check_equal(product(jf.SMRF(), slope=(0.05, 0.15, 0.4), threshold=(0.2, 0.7), scaling=(0.0, 1.25)), scene)
+
+
+def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
+    slopes = np.random.default_rng(2).uniform(0.04, 0.5, 21)
+    check_equal([jf.SMRF(cut=20.0, window=12.0).replace(slope=float(s)) for s in slopes], cloud)
+
+
+@pytest.mark.parametrize(
+    "filter_",
+    [
+        jf.FPTD(window=30.0),
+        jf.FPTD(window=30.0, blocks="independent"),
+        jf.FPTD(window=30.0, vertex_spacing=1.5, noise_floor=0.1),
+        jf.PTD(seed_cell=30.0),
+        jf.ATIN(seed_cell=30.0, mirror="nearest", border="corners"),
+        jf.AGPTD(seed_cell=30.0),
+        jf.SPF(window=30.0),
+        jf.PTDF(seed_cell=30.0),
+    ],
+    ids=lambda f: f"{type(f).__name__}-{hash(f) % 1000}",
+)
+def test_methods_on_triangulations_equal_single_runs(filter_, hills):
+    height = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
+    sets = product(filter_, max_angle=(4.0, 15.0, 30.0), **{height: (0.4, 1.4)})
+    found = labels_of(filter_, sets, hills)
+    for one, ground in zip(sets, found, strict=True):
+        assert np.array_equal(one(hills).ground, ground)
+    assert len({ground.tobytes() for ground in found}) > 3
+
+
+@pytest.mark.parametrize("limit", [1, 2, 3])
+def test_lanes_stop_at_the_limit_of_rounds(limit, hills):
+    sets = product(jf.FPTD(window=30.0, max_rounds=limit), max_angle=(4.0, 30.0), max_elevation=(0.4, 1.4))
+    for one, ground in zip(sets, labels_of(sets[0], sets, hills), strict=True):
+        assert np.array_equal(one(hills).ground, ground)
+
+
+def test_lanes_do_not_depend_on_how_many_fit_into_memory(hills, monkeypatch):
+    sets = product(jf.FPTD(window=30.0), max_angle=(4.0, 15.0, 30.0), max_elevation=(0.4, 1.4))
+    whole = labels_of(sets[0], sets, hills)
+    monkeypatch.setattr(lanes, "MOST", 2)
+    assert np.array_equal(labels_of(sets[0], sets, hills), whole)
+
+
+@pytest.mark.parametrize(
+    "filter_", [jf.SPF(window=30.0), jf.STIN(seed_cell=30.0), jf.CSF(), jf.PMF(), jf.PPDF()], ids=str
+)
+def test_any_method_sweeps_any_traced_field(filter_, hills):
+    field = {"SPF": "slope", "STIN": "max_angle", "CSF": "threshold", "PMF": "slope", "PPDF": "buffer"}
+    name = field[type(filter_).__name__]
+    value = getattr(filter_, name)
+    sets = [filter_, filter_.replace(**{name: 0.6 * value})]
+    for one, ground in zip(sets, labels_of(filter_, sets, hills), strict=True):
+        assert np.array_equal(one(hills).ground, ground)
+
+
+def test_copies_of_a_triangulation_are_the_same_and_apart(rng):
+    from concurrent.futures import ThreadPoolExecutor
+
+    xyz = (rng.random((600, 3)) * 50).astype(np.float32)
+    sheet = np.repeat([0, 1], 300).astype(np.int32)
+    with ThreadPoolExecutor(1) as pool:
+        tin = Tin(xyz.copy(), sheet, np.r_[0:60, 300:360], pool)
+        of_nodes = np.where(tin.vertex, -1, tin.where)
+        other, moved = tin.copies(np.array([1, 0, 1]), of_nodes)
+        other.insert(np.arange(400, 450))
+        again, _ = tin.copies(np.array([1, 0]), of_nodes)
+        again.insert(np.arange(400, 450))
+    assert len(other.xyz) == 900 and other.sheet.tolist() == np.repeat([0, 1, 2], 300).tolist()
+
+    def corners(t, number, shift):
+        mine = t.sheet[t.triangles[:, 0]] == number
+        return {tuple(sorted(row)) for row in (t.triangles[mine] - shift).tolist()}
+
+    for number, (source, shift) in enumerate([(1, 300), (0, 0), (1, 300)]):
+        if number != 1:  # the second copy got new vertices
+            assert corners(other, number, 300 * number) == corners(tin, source, shift)
+    assert corners(other, 1, 300) == corners(again, 1, 300) != corners(tin, 0, 0)
+    inside = moved[:300] >= 0
+    a = tin.xyz[tin.triangles[of_nodes[300:][inside]]]
+    b = tin.copies(np.array([1]), of_nodes)[0]
+    assert np.array_equal(b.xyz[b.triangles[b.where[:300][inside]]], a)
+
+
+def test_many_membranes_at_once_equal_single_ones(rng):
+    z = rng.random((40, 50), np.float32) * 5
+    inside = np.ones((40, 50), bool)
+    known = rng.random((40, 50, 4)) < np.array([0.1, 0.3, 0.6, 1.0])
+    whole = fill_membrane(z, known, inside, 1e-6)
+    for i in range(4):
+        np.testing.assert_allclose(whole.z[..., i], fill_membrane(z, known[..., i], inside, 1e-6).z, atol=1e-4)
+    again = fill_membrane(z, known, inside, 1e-6, guess=whole.z)
+    np.testing.assert_allclose(again.z, whole.z, atol=1e-4)
+    assert int(again.rounds) < int(whole.rounds)
+
+
+def test_scores_are_those_of_evaluate_and_dimensions_those_of_the_axes(cloud):
+    slopes, thresholds = [0.05, 0.15, 0.3], [0.3, 0.8]
+    data = jf.sweep(jf.SMRF(), cloud, {"slope": slopes, "threshold": thresholds}, votes=True)
+    assert data.total.dims == ("slope", "threshold") and data.slope.values.tolist() == slopes
+    votes = np.zeros(len(cloud))
+    for s, t in itertools.product(slopes, thresholds):
+        result = jf.SMRF(slope=s, threshold=t)(cloud)
+        scores, here = jf.evaluate(result, cloud), data.sel(slope=s, threshold=t)
+        votes += result.ground
+        for name in ("type1", "type2", "total", "kappa"):
+            assert float(here[name]) == pytest.approx(getattr(scores, name))
+        assert int(here.ground) == result.ground.sum()
+    np.testing.assert_allclose(data.votes, votes / 6, atol=1e-6)
+    assert data.slope.attrs["units"] == "rise/run" and data.attrs["groups"] == 1
+
+
+def test_several_clouds_and_clouds_without_reference(cloud, hills):
+    bare = jf.PointCloud.from_arrays(hills.coordinates())
+    data = jf.sweep(jf.SMRF(), {"town": cloud, "hills": hills, "bare": bare}, {"slope": [0.1, 0.3]}, votes=True)
+    assert data.total.dims == ("slope", "cloud") and data.cloud.values.tolist() == ["town", "hills", "bare"]
+    alone = jf.sweep(jf.SMRF(), hills, {"slope": [0.1, 0.3]})
+    np.testing.assert_array_equal(data.total.sel(cloud="hills"), alone.total)
+    assert np.isnan(data.total.sel(cloud="bare")).all() and (data.ground.sel(cloud="bare") > 0).all()
+    assert data.votes_bare.dims == ("point_bare",) and len(data.votes_town) == len(cloud)
+
+
+def test_static_axes_are_grouped(cloud):
+    data = jf.sweep(jf.SMRF(), cloud, {"cell": [1.0, 2.0], "threshold": [0.3, 0.5, 0.9]})
+    assert data.attrs["groups"] == 2 and data.total.shape == (2, 3)
+    for c, t in itertools.product([1.0, 2.0], [0.3, 0.9]):
+        expected = jf.evaluate(jf.SMRF(cell=c, threshold=t)(cloud), cloud).total
+        assert float(data.total.sel(cell=c, threshold=t)) == pytest.approx(expected)
+
+
+def test_designs(cloud):
+    ranges = {"slope": (0.05, 0.4), "threshold": (0.2, 1.0), "window": [10.0, 18.0]}
+    for design in ("random", "sobol"):
+        data = jf.sweep(jf.SMRF(), cloud, ranges, design=design, size=12, seed=4)
+        again = jf.sweep(jf.SMRF(), cloud, ranges, design=design, size=12, seed=4)
+        assert data.identical(again) and data.total.dims == ("set",) and len(data["set"]) == 12
+        assert ((data.slope >= 0.05) & (data.slope <= 0.4)).all() and len(np.unique(data.slope)) == 12
+        assert set(data.window.values) == {10.0, 18.0}
+        one = data.isel(set=7)
+        filter_ = jf.SMRF(slope=float(one.slope), threshold=float(one.threshold), window=float(one.window))
+        assert float(one.total) == pytest.approx(jf.evaluate(filter_(cloud), cloud).total)
+    listed = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.3], "threshold": [0.5, 0.2]}, design="list")
+    assert float(listed.total[1]) == pytest.approx(jf.evaluate(jf.SMRF(slope=0.3, threshold=0.2)(cloud), cloud).total)
+
+
+@pytest.mark.parametrize(
+    ("axes", "options", "named"),
+    [
+        ({"slop": [0.1]}, {}, "no field 'slop'"),
+        ({}, {}, "at least one field"),
+        ({"slope": []}, {}, "slope is empty"),
+        ({"slope": [0.1, np.nan]}, {}, "slope=.*NaN"),
+        ({"slope": [0.1, -0.2]}, {}, r"SMRF\(slope=-0.2\): must be > 0"),
+        ({"slope": [0.1, 0.1]}, {}, "repeats"),
+        ({"slope": 0.1}, {}, "list of values"),
+        ({"slope": "0.1"}, {}, "list of values"),
+        ({"slope": [[0.1]]}, {}, "one dimension"),
+        ({"slope": [0.1], "window": [5000.0]}, {}, r"SMRF\(window=5000.0\)"),
+        ({"slope": [0.1, 0.2]}, {"design": "latin"}, "design='latin'"),
+        ({"slope": [0.1, 0.2]}, {"design": "sobol"}, "size=None"),
+        ({"slope": [0.1, 0.2]}, {"size": 8}, "size=8"),
+        ({"slope": (0.2, 0.1)}, {"design": "random", "size": 8}, "from low to high"),
+        ({"slope": [0.1, 0.2], "threshold": [0.5]}, {"design": "list"}, "as many values"),
+    ],
+)
+def test_bad_axes_are_named_before_anything_runs(axes, options, named, cloud, monkeypatch):
+    monkeypatch.setattr(jf.SMRF, "ground_each", None)
+    with pytest.raises(jf.ParameterError, match=named):
+        jf.sweep(jf.SMRF(), cloud, axes, **options)
+
+
+def test_a_field_that_does_not_act_through_the_labels_cannot_be_swept(cloud):
+    for filter_, axes in (
+        (jf.AGPTD(), {"oracle_removal": [0.0, 0.5]}),
+        (jf.AGPTD(oracle_removal=0.5), {"max_angle": [9.0]}),
+    ):
+        with pytest.raises(jf.ParameterError, match="oracle_removal"):
+            jf.sweep(filter_, cloud, axes)
+
+
+def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):
+    path, axes = tmp_path / "sweep.npz", {"cell": [1.0, 2.0], "threshold": [0.3, 0.5, 0.9]}
+    whole = jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True)
+    computed, original = [], jf.SMRF.ground_each
+
+    def counting(self, points, sets, **options):
+        for number, ground in original(self, points, sets, **options):
+            computed.append(number)
+            yield number, ground
+
+    monkeypatch.setattr(jf.SMRF, "ground_each", counting)
+
+    def interrupt(fraction, step):
+        if fraction > 0.6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True, checkpoint=path, progress=interrupt)
+    before = len(computed)
+    assert 6 < before < 12 and [p.name for p in tmp_path.iterdir()] == ["sweep.npz"]
+    resumed = jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True, checkpoint=path)
+    assert len(computed) == 12 and resumed.identical(whole)
+    with pytest.raises(jf.InputError, match="other filter"):
+        jf.sweep(jf.SMRF(window=9.0), [cloud, hills], axes, votes=True, checkpoint=path)
+    with pytest.raises(jf.InputError, match="other clouds"):
+        jf.sweep(jf.SMRF(), [hills, cloud], axes, votes=True, checkpoint=path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(jf.InputError, match="not one of a sweep"):
+        jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True, checkpoint=path)
+
+
+def test_a_sweep_compiles_nothing_more_than_a_shorter_one(cloud):
+    def run(count):
+        rng = np.random.default_rng(count)
+        axes = {"slope": rng.uniform(0.05, 0.4, count).tolist(), "threshold": rng.uniform(0.2, 1.0, count).tolist()}
+        jf.sweep(jf.SMRF(), cloud, axes, design="list")
+        angles = {"max_angle": rng.uniform(4.0, 40.0, count).tolist(), "max_elevation": [1.0] * count}
+        jf.sweep(jf.FPTD(window=30.0), cloud, angles, design="list")
+
+    run(3)
+    compilation.watch_compilations()
+    before = compilation.compilations()[0]
+    run(40)
+    assert compilation.compilations()[0] == before
+
+
+def test_degenerate_clouds_have_the_labels_of_their_status():
+    flat = jf.PointCloud.from_arrays(np.column_stack([np.random.default_rng(0).random((50, 2)) * 9, np.full(50, 3.0)]))
+    data = jf.sweep(jf.SMRF(), flat, {"slope": [0.1, 0.2]}, votes=True)
+    assert data.ground.values.tolist() == [50, 50] and (data.votes == 1).all()
