@@ -21,6 +21,8 @@ from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import li2021, paper  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
+from experiments.sensitivity import calibration  # noqa: E402
+from experiments.sensitivity import speed as sweep_speed  # noqa: E402
 from jaxfilter.sweeps.ranges import RANGES, SEARCHED, Range, search_ranges  # noqa: E402
 
 
@@ -418,3 +420,37 @@ def test_the_bench_reports_growth_and_the_gain_of_vertex_spacing():
     text = bench.report(rows, "python run.py", 3)
     assert "5.00 times the points (100 to 500) take 4.50 times as long" in text
     assert "1.00 s instead of 2.00 s; total error 3.25 % instead of 3.00 % (+0.25 points)" in text
+
+
+def test_calibration_patches_hold_both_classes_and_keep_apart():
+    scene = jf.scenes.make("mixed", size=120.0, density=1.5, seed=2)
+    cloud = jf.PointCloud.from_arrays(scene.cloud.coordinates(), reference=scene.truth)
+    labelled = calibration.patches(cloud, 3)
+    each = round(calibration.SHARE * len(cloud) / calibration.PATCHES)
+    assert labelled.sum() == calibration.PATCHES * each
+    xy, left, places = cloud.xyz[:, :2].astype(float), labelled.copy(), 0
+    while left.any():  # what hangs together within a few spacings is one patch
+        patch = np.zeros(len(cloud), bool)
+        patch[np.flatnonzero(left)[0]] = True
+        for _ in range(60):
+            near = ((xy[left][:, None] - xy[patch][None]) ** 2).sum(axis=2).min(axis=1) < 4.0
+            patch[np.flatnonzero(left)[near]] = True
+        assert scene.truth[patch].any() and not scene.truth[patch].all()
+        left &= ~patch
+        places += 1
+    assert 1 <= places <= calibration.PATCHES
+    assert np.array_equal(labelled, calibration.patches(cloud, 3)) and not np.array_equal(
+        labelled, calibration.patches(cloud, 4)
+    )
+
+
+def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
+    scene = jf.scenes.make("mixed", size=60.0, density=1.0, seed=2)
+    path = tmp_path / "scene.txt"
+    np.savetxt(path, np.column_stack([scene.cloud.coordinates(), ~scene.truth]), fmt="%.3f")
+    row = sweep_speed.measured(
+        path, "scene", ("SMRF", jf.SMRF(), {"slope": [0.1, 0.2], "threshold": [0.3, 0.6]}, {}), 1
+    )
+    assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
+    assert min(row["seconds"], row["singly"], row["pool"]) > 0
+    assert "SMRF" in sweep_speed.report([row], [], "command", 1)

@@ -268,9 +268,10 @@ def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):
         jf.sweep(jf.SMRF(window=9.0), [cloud, hills], axes, votes=True, checkpoint=path)
     with pytest.raises(jf.InputError, match="other clouds"):
         jf.sweep(jf.SMRF(), [hills, cloud], axes, votes=True, checkpoint=path)
-    path.write_bytes(b"nothing")
-    with pytest.raises(jf.InputError, match="not one of a sweep"):
-        jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True, checkpoint=path)
+    for damaged in (b"nothing", path.read_bytes()[:-400], b""):
+        path.write_bytes(damaged)
+        with pytest.raises(jf.InputError, match="not one of a sweep"):
+            jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True, checkpoint=path)
 
 
 def test_a_sweep_compiles_nothing_more_than_a_shorter_one(cloud):
@@ -286,6 +287,13 @@ def test_a_sweep_compiles_nothing_more_than_a_shorter_one(cloud):
     before = compilation.compilations()[0]
     run(40)
     assert compilation.compilations()[0] == before
+
+
+def test_labels_of_one_class_are_named_before_anything_runs(cloud, monkeypatch):
+    monkeypatch.setattr(jf.SMRF, "ground_each", None)
+    bad = jf.PointCloud.from_arrays(cloud.coordinates(), reference=np.ones(len(cloud), bool))
+    with pytest.raises(jf.InputError, match="bad has the reference label object"):
+        jf.sweep(jf.SMRF(), {"good": cloud, "bad": bad}, {"slope": [0.1]})
 
 
 def test_degenerate_clouds_have_the_labels_of_their_status():

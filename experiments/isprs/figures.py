@@ -136,11 +136,25 @@ def accuracy_against_time(summaries: Sequence[Row], path: Path, dpi: int) -> Non
     """Mean kappa against seconds per million points, fixed protocol, one mark per method."""
     figure = Figure(figsize=(4.6, 3.4), layout="constrained")
     ax = figure.subplots()
-    for row in summaries:
-        if "seconds_per_million" in row:
-            ax.scatter(row["seconds_per_million"], row["kappa"], s=22, color="#1b4965")
-            place: dict[str, Any] = {"textcoords": "offset points", "xytext": (4, 3), "fontsize": 7}
-            ax.annotate(row["method"].upper(), (row["seconds_per_million"], row["kappa"]), **place)
     ax.set(xscale="log", xlabel="seconds per million points", ylabel="mean kappa, %")
     ax.spines[["top", "right"]].set_visible(False)
+    ax.margins(0.12)
+    marks = [
+        (row["seconds_per_million"], row["kappa"], row["method"]) for row in summaries if "seconds_per_million" in row
+    ]
+    for seconds, kappa, _ in marks:
+        ax.scatter(seconds, kappa, s=22, color="#1b4965")
+    figure.draw_without_rendering()
+    taken: list[Any] = []
+    for seconds, kappa, method in sorted(marks, key=lambda mark: -mark[1]):
+        for x, y, side in ((5, 3, "left"), (5, -8, "left"), (-5, 3, "right"), (-5, -8, "right")):
+            place: dict[str, Any] = {"textcoords": "offset points", "xytext": (x, y), "ha": side, "fontsize": 7}
+            text = ax.annotate(method.upper(), (seconds, kappa), **place)
+            box = text.get_window_extent()
+            if not any(box.overlaps(other) for other in taken):
+                break
+            text.remove()
+        else:
+            text = ax.annotate(method.upper(), (seconds, kappa), **place)
+        taken.append(text.get_window_extent())
     save_png(figure, path, dpi)

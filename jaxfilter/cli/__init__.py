@@ -1,4 +1,5 @@
 """The ``jaxfilter`` command."""
 
+from . import sweeps as sweeps
 from . import terrain as terrain
 from .commands import main as main

@@ -1,4 +1,6 @@
-"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info. Terrain models are in ``terrain.py``.
+"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info.
+
+Terrain models are in ``terrain.py``, sweeps in ``sweeps.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read). What needs JAX is imported where it is used, so that help stays quick.
@@ -479,7 +481,12 @@ info.params += session_options()
 
 def print_json(value: Any) -> None:
     """Print a value on standard output."""
-    click.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
+    click.echo(json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """A value as JSON; see ``_plain`` for what JSON does not know."""
+    return json.dumps(_plain(value), indent=2, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 
@@ -76,3 +77,25 @@ def _base(annotation: Any) -> type:
     if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
         annotation = next(a for a in typing.get_args(annotation) if a is not type(None))
     return annotation
+
+
+def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
+    """A value of a field from its text, not yet held against its limits. Raises ParameterError naming the ``option``."""
+    known = fields(method)
+    if name not in known:
+        raise ParameterError(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
+    base = _base(typing.get_type_hints(method)[name])
+    optional = bool(known[name].metadata.get("optional"))
+    kind = click.BOOL if base is bool else Value(base, optional)
+    try:
+        return kind.convert(text, None, None)
+    except click.UsageError as error:
+        raise ParameterError(f"{option} {name}={text}: {error.message}") from error
+
+
+def words_for(name: str, value: Any) -> list[str]:
+    """The words that set a field on the command line."""
+    flag = "--" + name.replace("_", "-")
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag[2:]}"]
+    return [flag, "none" if value is None else str(value)]

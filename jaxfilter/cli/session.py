@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 import warnings
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from typing import Any, Self
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
 
@@ -38,7 +39,8 @@ class Session:
     code: 2 for parameters, 1 for the rest. Compilations are counted and kept for the next process.
     """
 
-    def __init__(self, *, quiet: bool, debug: bool) -> None:
+    def __init__(self, *, quiet: bool, debug: bool, remaining: bool = False) -> None:
+        """``remaining`` shows the time left in a step as well, by its mean rate so far."""
         self.debug = debug
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}
@@ -48,13 +50,16 @@ class Session:
             TextColumn("{task.description:24}"),
             BarColumn(),
             TimeElapsedColumn(),
+            *([TextColumn("left"), TimeRemainingColumn()] if remaining else []),
             transient=True,
+            speed_estimate_period=math.inf,
             console=self._console,
             disable=quiet or not self._console.is_terminal,
         )
         self._task = self._bar.add_task("", total=1.0)
         self._stack = contextlib.ExitStack()
         self._mark = ("", 0.0)
+        self._begun = False
 
     def __enter__(self) -> Self:
         from ..core import compilation
@@ -80,7 +85,8 @@ class Session:
     def step(self, name: str) -> Iterator[None]:
         """Show and time a step of the command."""
         start = time.perf_counter()
-        self._bar.update(self._task, description=name, completed=0.0)
+        self._bar.reset(self._task, description=name)
+        self._begun = False
         yield
         self._next("")
         self.seconds[name] = time.perf_counter() - start
@@ -88,6 +94,9 @@ class Session:
     def progress(self, fraction: float, step: str) -> None:
         """The callback for a filter: shows the fraction done and adds up seconds by step."""
         self._next(step)
+        if not self._begun:  # what a resumed sweep had done before does not count as speed
+            self._bar.reset(self._task)
+            fraction, self._begun = max(fraction, 1e-9), True
         self._bar.update(self._task, description=step, completed=fraction)
 
     def _next(self, step: str) -> None:

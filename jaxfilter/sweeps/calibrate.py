@@ -21,6 +21,7 @@ from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .design import Design, make_design
 from .ranges import Range, around, search_ranges
+from .sweep import about
 
 if TYPE_CHECKING:
     import xarray
@@ -181,6 +182,7 @@ class Study:
         of_folds = self._of(np.array(held_out))
         names = list(dict.fromkeys(name for one in self.sets for name in one))
         columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
+        fields = {f.name: f for f in declared(self.filter)}
         scores = [Scores.from_confusion(counts) for counts in whole]
         trials = xr.Dataset(
             {
@@ -189,7 +191,8 @@ class Study:
                 "smoothed": ("set", smoothed),
                 "confusion": (("set", "fold", "reference", "labelled"), self.confusion),
             },
-            {"set": np.arange(len(self.sets)), **{name: ("set", values) for name, values in columns.items()}},
+            {"set": np.arange(len(self.sets))}
+            | {name: ("set", values, about(fields[name])) for name, values in columns.items()},
             {"method": type(self.filter).__name__, "score": self.score, "searched": names},
         )
         return Calibration(

@@ -8,8 +8,10 @@ import json
 import os
 import time
 from collections.abc import Iterable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -71,14 +73,17 @@ def sweep(
         in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
         With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
         over ``point_NAME``.
-    Raises: ParameterError naming the axis, before anything runs; InputError for a checkpoint of another sweep.
+    Raises: ParameterError naming the axis, and InputError for reference labels of one class only, before anything runs;
+        InputError for a checkpoint of another sweep.
     """
     import xarray as xr
 
     plan = make_design(filter_, axes, design, size, seed)
     several, named = _named(clouds)
+    for name, cloud in named.items():
+        _check_reference(name, cloud)
     report = progress or silent
-    state = _State(filter_, plan, named, votes, None if checkpoint is None else Path(checkpoint))
+    state = _State(filter_, plan, named, votes, key, None if checkpoint is None else Path(checkpoint))
     jobs = len(named) * len(plan.sets)
     try:
         for c, (name, cloud) in enumerate(named.items()):
@@ -114,6 +119,19 @@ def _named(clouds: Any) -> tuple[bool, dict[str, PointCloud]]:
     return several, {name: as_cloud(cloud) for name, cloud in pairs}
 
 
+def _check_reference(name: str, cloud: PointCloud) -> None:
+    """Raises: InputError if the reference labels of a cloud are all of one class."""
+    if cloud.reference is None:
+        return
+    truth, counted = reference_labels(cloud)
+    for kind, other in ((truth, "ground"), (~truth, "object")):
+        if not (counted & kind).any():
+            raise InputError(
+                f"sweep: no point of {name} has the reference label {other}: scores need both classes. Without scores, "
+                "pass the cloud with reference=None"
+            )
+
+
 class _Scene:
     """A cloud in the shape that sets are computed and scored in."""
 
@@ -124,8 +142,6 @@ class _Scene:
         if cloud.reference is not None:
             truth, counted = reference_labels(cloud)
             index, member, m = self.points.index, self.points.member, len(self.points)
-            aside = counted.copy()
-            aside[index] = False
             of_kind = [counted & truth, counted & ~truth]
             self.weights = np.stack([np.bincount(member, weights=kind[index], minlength=m) for kind in of_kind])
             self.totals = np.array([kind.sum() for kind in of_kind])
@@ -148,7 +164,13 @@ class _State:
     """What is finished: counts per cloud and set, and votes per cloud; kept in a checkpoint."""
 
     def __init__(
-        self, filter_: Filter, plan: Design, named: dict[str, PointCloud], votes: bool, path: Path | None
+        self,
+        filter_: Filter,
+        plan: Design,
+        named: dict[str, PointCloud],
+        votes: bool,
+        key: Any,
+        path: Path | None,
     ) -> None:
         shape = len(named), len(plan.sets)
         self.done = np.zeros(shape, bool)
@@ -167,6 +189,8 @@ class _State:
             "sets": json.dumps(plan.sets, default=str),
             "clouds": json.dumps([f"{name} {_digest(cloud)}" for name, cloud in named.items()]),
             "votes": str(votes),
+            "random key": str(key),
+            "version of jaxfilter": version("jaxfilter"),
         }
         if path.exists():
             self._load()
@@ -177,7 +201,7 @@ class _State:
             with np.load(self.path) as file:
                 data = {name: file[name] for name in file.files}
             facts = json.loads(str(data["facts"]))
-        except (ValueError, OSError, KeyError, EOFError) as error:
+        except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
             raise InputError(f"checkpoint {self.path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:
@@ -260,11 +284,10 @@ def _dataset(
             share = (counts / len(plan.sets)).astype(np.float32)
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
     fields = {f.name: f for f in declared(filter_)}
-    coords: dict[str, Any] = {}
-    for name, values in plan.axes.items():
-        meta = fields[name].metadata
-        about = {"long_name": meta["doc"]} | ({"units": meta["unit"]} if meta["unit"] else {})
-        coords[name] = ((name if plan.kind == "grid" else "set",), values, about)
+    coords: dict[str, Any] = {
+        name: ((name if plan.kind == "grid" else "set",), values, about(fields[name]))
+        for name, values in plan.axes.items()
+    }
     if plan.kind != "grid":
         coords["set"] = np.arange(len(plan.sets))
     if several:
@@ -277,6 +300,12 @@ def _dataset(
         "groups": len(plan.groups),
     }
     return xr.Dataset(variables, coords, attrs)
+
+
+def about(field: dataclasses.Field[Any]) -> dict[str, str]:
+    """Attributes of a coordinate: what the field is, and its unit."""
+    unit = field.metadata["unit"]
+    return {"long_name": field.metadata["doc"]} | ({"units": unit} if unit else {})
 
 
 _LONG = {"type1": "Type I error", "type2": "Type II error", "total": "total error", "kappa": "kappa"}

@@ -1,9 +1,4 @@
-"""Pictures for papers: hillshades, error maps and profiles. Needs matplotlib, the extra ``jaxfilter[plots]``.
-
-Every function draws into the given Axes, or into a figure of its own, and returns the Axes; ``ax.figure.savefig`` saves
-it. No global matplotlib state is touched. Coordinates are local metres, as in ``PointCloud.xyz``. The colours of
-errors are from Okabe and Ito's palette, which stay apart for colour-blind readers.
-"""
+"""Hillshades, error maps and profiles."""
 
 from __future__ import annotations
 
@@ -13,10 +8,10 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from .core.cloud import QUANTUM, PointCloud
-from .core.errors import InputError
-from .core.grid import Grid, grid_over
-from .core.result import FilterResult
+from ..core.cloud import QUANTUM, PointCloud
+from ..core.errors import InputError
+from ..core.grid import Grid, grid_over
+from ..core.result import FilterResult
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"
@@ -69,9 +64,8 @@ def _fill(z: np.ndarray) -> np.ndarray:
     return out
 
 
-def _axes(ax: Any, size: tuple[float, float]) -> Any:
-    if ax is not None:
-        return ax
+def new_figure(size: tuple[float, float]) -> Any:
+    """An empty figure of this size in inches, without pyplot. Raises: ImportError naming the extra."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -79,10 +73,15 @@ def _axes(ax: Any, size: tuple[float, float]) -> Any:
         raise ImportError("jaxfilter.plots needs matplotlib: pip install 'jaxfilter[plots]'") from error
     figure = Figure(figsize=size, dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure.add_subplot()
+    return figure
 
 
-def _map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
+def axes_or_new(ax: Any, size: tuple[float, float]) -> Any:
+    """The given Axes, or those of a new figure."""
+    return new_figure(size).add_subplot() if ax is None else ax
+
+
+def map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
     """Inches of a figure for a map, with room for labels."""
     return 5.0, float(np.clip(4.3 * grid.ny / grid.nx, 1.5, 9.0)) + 0.8 + legend
 
@@ -125,6 +124,24 @@ def _frame(ax: Any, title: str) -> None:
     )
 
 
+def legend_below(ax: Any, handles: list[Any]) -> None:
+    """A legend in two columns below the label of the x axis."""
+    from matplotlib.transforms import ScaledTranslation
+
+    below_label = ax.transAxes + ScaledTranslation(0.0, -0.42, ax.figure.dpi_scale_trans)
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=below_label,
+        ncols=2,
+        frameon=False,
+        fontsize=7,
+        handlelength=1.2,
+        columnspacing=1.0,
+    )
+
+
 def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, title: str = "") -> Any:
     """Shaded relief of a surface, lit from the north-west at 45 degrees.
 
@@ -135,7 +152,7 @@ def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, 
     Returns: the Axes.
     """
     z, grid = surface if isinstance(surface, tuple) else rasterise(surface)
-    ax = _axes(ax, _map_size(grid))
+    ax = axes_or_new(ax, map_size(grid))
     ax.imshow(
         _shade(z, grid.cell), cmap="gray", vmin=0, vmax=1, extent=_extent(grid), origin="lower", interpolation="nearest"
     )
@@ -167,10 +184,9 @@ def error_map(
     """
     ground = _labels(result)
     z, grid = surface or rasterise(cloud.xyz[reference], over=cloud.xyz)
-    ax = _axes(ax, _map_size(grid, legend=0.4))
+    ax = axes_or_new(ax, map_size(grid, legend=0.4))
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
-    from matplotlib.transforms import ScaledTranslation
 
     picture = np.repeat(np.nan_to_num(_shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
@@ -186,18 +202,7 @@ def error_map(
         ax.scatter(*cloud.xyz[where, :2].T, s=1.6, c=colour, linewidths=0, rasterized=True)
         handles.append(Patch(color=colour, label=f"{label} ({int(where.sum()):,})"))
     _frame(ax, title)
-    below_label = ax.transAxes + ScaledTranslation(0.0, -0.42, ax.figure.dpi_scale_trans)
-    ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        bbox_transform=below_label,
-        ncols=2,
-        frameon=False,
-        fontsize=7,
-        handlelength=1.2,
-        columnspacing=1.0,
-    )
+    legend_below(ax, handles)
     return ax
 
 
@@ -234,7 +239,7 @@ def profile(
     if cloud.valid is not None:
         near &= cloud.valid
     ground = _labels(result)
-    ax = _axes(ax, (7.0, 2.6))
+    ax = axes_or_new(ax, (7.0, 2.6))
     groups: list[tuple[str, np.ndarray, str, float]]
     groups = [("non-ground", ~ground, "0.7", 2.0), ("ground", ground, GROUND, 2.0)]
     if reference is not None:
@@ -273,8 +278,7 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
     """
     truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
     map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))
-    figure = _axes(None, (11.0, map_height + 3.1)).figure
-    figure.clear()
+    figure = new_figure((11.0, map_height + 3.1))
     places = figure.add_gridspec(2, 3, height_ratios=(map_height + 1.0, 1.7))
     middle = float(np.median(cloud.xyz[reference, 1]))
     ends = (0.0, middle), (float(cloud.xyz[:, 0].max()), middle)

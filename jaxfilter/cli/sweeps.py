@@ -1,0 +1,589 @@
+"""The ``sweep`` and ``calibrate`` commands: many sets of parameters, and those that suit a cloud."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.util
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .commands import check_reading, json_text, main, print_json
+from .session import BadUsage, Session, session_options
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+    from ..core.cloud import PointCloud
+    from ..core.filter import Filter
+    from ..host.files import Bounds
+    from ..sweeps.calibrate import Calibration
+
+DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
+CURVES, MAPS, VOTES = "curves.png", "maps.png", "votes{}.png"
+
+_method = click.argument("method", metavar="METHOD")
+_set = click.option(
+    "--set",
+    "fixed",
+    metavar="FIELD=VALUE",
+    multiple=True,
+    help="A field that has the same value in all sets; may be repeated.",
+)
+_preset = click.option("--preset", metavar="NAME", help="A named set of parameters to start from.")
+_largest = click.option(
+    "--largest-building",
+    type=click.FloatRange(0, min_open=True),
+    metavar="METRES",
+    help="Set what depends on point spacing and on this width from the (first) cloud.",
+)
+_units = click.option(
+    "--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]"
+)
+_workers = click.option("--workers", type=click.IntRange(1), help="Threads for triangulation.  [default: one per core]")
+_memory = click.option(
+    "--memory",
+    type=click.FloatRange(0, min_open=True),
+    default=2.0,
+    show_default=True,
+    metavar="GB",
+    help="That may be held for sets computed at the same time.",
+)
+
+
+@main.command()
+@_method
+@click.argument(
+    "sources",
+    metavar="IN [IN ...]",
+    nargs=-1,
+    required=True,
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+)
+@click.argument("directory", metavar="OUT_DIR", type=click.Path(file_okay=False, path_type=Path))
+@click.option(
+    "--axis",
+    "axes",
+    metavar="FIELD=VALUES",
+    multiple=True,
+    required=True,
+    help="V,V,... or START:STOP:STEP (with STOP), or LOW..HIGH to draw from; may be repeated.",
+)
+@click.option(
+    "--design",
+    type=click.Choice(["grid", "random", "sobol", "list"]),
+    default="grid",
+    show_default=True,
+    help="All combinations; --size sets that are drawn; or the first values of all axes, the second, ...",
+)
+@click.option("--size", type=int, help="Number of sets of a random or sobol design.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of a random or sobol design.")
+@_set
+@_preset
+@_largest
+@click.option("--votes", is_flag=True, help="Count for every point the sets that call it ground.")
+@click.option(
+    "--score",
+    type=click.Choice(["total", "kappa", "type1", "type2"]),
+    default="total",
+    show_default=True,
+    help="What makes a set good.",
+)
+@_units
+@_memory
+@_workers
+@click.option(
+    "--resume/--fresh", default=True, show_default=True, help="Go on with the sweep in OUT_DIR, or replace it."
+)
+def sweep(
+    method: str,
+    sources: tuple[Path, ...],
+    directory: Path,
+    axes: tuple[str, ...],
+    design: str,
+    size: int | None,
+    seed: int,
+    fixed: tuple[str, ...],
+    preset: str | None,
+    largest_building: float | None,
+    votes: bool,
+    score: str,
+    units: str | None,
+    memory: float,
+    workers: int | None,
+    resume: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Classify with many sets of parameters, and score each against the labels of IN.
+
+    Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
+    scores (NetCDF, for xarray); sets.csv, a line per set, best first; and pictures, where matplotlib is installed. An
+    interrupted sweep goes on where it was when the command is given again.
+    """
+    from ..core.errors import InputError
+    from ..sweeps import sweep as sweeps
+    from ..sweeps.best import best_sets
+    from ..sweeps.design import make_design
+
+    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+        build = _builder(method, fixed, preset, largest_building)
+        ranges = {name: _axis(build.method, name, text, design) for name, text in _pairs("--axis", axes)}
+        make_design(build.alone(), ranges, design, size, seed)
+        check_reading(units, "last,only")
+        _check_directory(directory, resume)
+        with session.step("read"):
+            clouds = _read_all(sources, units)
+            for source, cloud in zip(sources, clouds.values(), strict=True):
+                if cloud.reference is None and not votes:
+                    raise InputError(
+                        f"{source} has no labels (class 2, or a label column) to score against: pass --votes"
+                    )
+        filter_ = build.on(next(iter(clouds.values())))
+        directory.mkdir(parents=True, exist_ok=True)
+        checkpoint = directory / CHECKPOINT
+        if not resume:
+            checkpoint.unlink(missing_ok=True)
+        with session.step("sweep"), _explained(checkpoint):
+            dataset = sweeps.sweep(
+                filter_,
+                clouds if len(clouds) > 1 else next(iter(clouds.values())),
+                ranges,
+                design=design,
+                size=size,
+                seed=seed,
+                votes=votes,
+                workers=workers,
+                memory=memory * 1e9,
+                checkpoint=checkpoint,
+                progress=session.progress,
+            )
+        with session.step("write"):
+            table = best_sets(dataset, score, None)
+            files = _write(directory, dataset, table, clouds, score)
+    scored = bool(dataset[score].notnull().any())
+    if as_json:
+        first = table.reset_index().head(10).to_dict("records") if scored else []
+        facts: dict[str, Any] = {
+            "method": type(filter_).__name__,
+            "input": [str(source) for source in sources],
+            "output": str(directory),
+        }
+        facts |= {"sets": dataset.attrs["sets"], "groups": dataset.attrs["groups"], "score": score if scored else None}
+        parameters = dataclasses.asdict(filter_)  # type: ignore[call-overload]
+        print_json(facts | {"best": first, "parameters": parameters, "files": files} | session.as_dict())
+    elif not quiet:
+        if scored:
+            _print_table(dataset, table.head(10), score)
+        seconds = ", ".join(f"{name} {value:.2f} s" for name, value in session.seconds.items())
+        click.echo(
+            f"{type(filter_).__name__}: {dataset.attrs['sets']:,} sets, {_counted(len(clouds), 'cloud')}, "
+            f"{_counted(dataset.attrs['groups'], 'group')}; {seconds}\nin {directory}: {', '.join(files)}"
+        )
+
+
+sweep.params += session_options()
+
+
+@main.command()
+@_method
+@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--labels",
+    "labels_file",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="LAS or text with some of the points of IN and their classes or labels.  [default: those of IN]",
+)
+@click.option(
+    "--unlabelled",
+    type=click.IntRange(0, 255),
+    multiple=True,
+    default=(0,),
+    show_default=True,
+    metavar="CLASS",
+    help="Points of this class have no label; may be repeated.",
+)
+@click.option(
+    "--bounds",
+    "patches",
+    nargs=4,
+    type=float,
+    multiple=True,
+    metavar="XMIN YMIN XMAX YMAX",
+    help="Only labels within count, file units; may be repeated.",
+)
+@click.option(
+    "--axis",
+    "axes",
+    metavar="FIELD=LOW..HIGH",
+    multiple=True,
+    help="A field to search, and where; may be repeated.  [default: the thresholds of the method]",
+)
+@click.option(
+    "--size", type=click.IntRange(1), default=256, show_default=True, help="Sets that are tried in each round."
+)
+@click.option(
+    "--rounds",
+    type=click.IntRange(1),
+    default=2,
+    show_default=True,
+    help="Each after the first is around the best so far.",
+)
+@click.option("--score", type=click.Choice(["total", "kappa"]), default="total", show_default=True)
+@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Of the cross-validation.")
+@click.option(
+    "--block",
+    type=click.FloatRange(0, min_open=True),
+    metavar="METRES",
+    help="Side of the blocks that folds are made of.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@_set
+@_preset
+@_largest
+@_units
+@_memory
+@_workers
+@click.option(
+    "--out", metavar="FILE.json", type=click.Path(dir_okay=False, path_type=Path), help="Write what was found."
+)
+@click.option("--overwrite", is_flag=True, help="Replace the file of --out if it exists.")
+def calibrate(
+    method: str,
+    source: Path,
+    labels_file: Path | None,
+    unlabelled: tuple[int, ...],
+    patches: tuple[tuple[float, float, float, float], ...],
+    axes: tuple[str, ...],
+    fixed: tuple[str, ...],
+    preset: str | None,
+    largest_building: float | None,
+    units: str | None,
+    memory: float,
+    out: Path | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+    **search: Any,
+) -> None:
+    """Find the parameters that suit IN from the labels of some of its points.
+
+    Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
+    the rest at class 0. If the rest is class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name
+    the patches with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the others chose.
+    """
+    from ..core.errors import InputError
+    from ..host.files import check_bounds, new_file
+    from ..host.las import read
+    from ..sweeps import calibrate as sweeps
+    from ..sweeps import labels as labelling
+    from ..sweeps.design import make_design
+
+    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+        build = _builder(method, fixed, preset, largest_building)
+        ranges = {name: _range(build.method, name, text) for name, text in _pairs("--axis", axes)} or None
+        if ranges is not None:
+            make_design(build.alone(), ranges, "random", 1)  # checks fields and limits
+        check_reading(units, "last,only")
+        try:
+            bounds: list[Bounds] = [check_bounds(patch) for patch in patches]
+        except InputError as error:
+            raise BadUsage(str(error)) from error
+        if out is not None and out.exists() and not overwrite:
+            raise BadUsage(f"{out} exists: name another file, or pass --overwrite")
+        if out is not None and not out.absolute().parent.is_dir():
+            raise BadUsage(f"{out.absolute().parent} is not a folder: make it first")
+        with session.step("read"):
+            cloud = read(source, units=units)
+            if labels_file is None:
+                labels = labelling.point_labels(cloud, unlabelled, str(source))
+            else:
+                some = read(labels_file, units=units or cloud.units)
+                own = labelling.point_labels(some, unlabelled, str(labels_file))
+                labels = labelling.labels_from(cloud, some, own, str(labels_file), search["workers"])
+            if bounds:
+                labels = labelling.within(cloud, bounds, labels)
+        filter_ = build.on(cloud)
+        with session.step("calibrate"):
+            session.progress(0.0, "labels")
+            found = sweeps.calibrate(
+                filter_, cloud, labels, axes=ranges, memory=memory * 1e9, progress=session.progress, **search
+            )
+        report = _calibration(found, source, labels_file, labels, units) | session.as_dict()
+        if out is not None:
+            with new_file(out, overwrite=overwrite) as temporary:
+                temporary.write_text(json_text(report) + "\n")
+    if as_json:
+        print_json(report)
+    elif not quiet:
+        _print_calibration(found, report, out)
+
+
+calibrate.params += session_options()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Builder:
+    """A filter as the command line describes it; part of it may depend on the cloud."""
+
+    method: type[Filter]
+    preset: str | None
+    fixed: dict[str, Any]
+    largest_building: float | None
+
+    def alone(self) -> Filter:
+        """Before any cloud is read, to find wrong values early."""
+        return self.method.preset(self.preset, **self.fixed) if self.preset else self.method(**self.fixed)
+
+    def on(self, cloud: PointCloud) -> Filter:
+        """For this cloud."""
+        if self.largest_building is None:
+            return self.alone()
+        return self.method.for_cloud(cloud, self.largest_building, preset=self.preset, **self.fixed)
+
+
+def _builder(method: str, fixed: tuple[str, ...], preset: str | None, largest_building: float | None) -> _Builder:
+    from ..filters import FILTERS
+    from . import flags
+
+    if method not in FILTERS:
+        raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
+    cls = FILTERS[method]
+    if preset is not None and preset not in cls.PRESETS:
+        raise BadUsage(f"--preset {preset!r}: {cls.__name__} has {', '.join(cls.PRESETS)}")
+    values = {name: flags.value_of(cls, name, text, "--set") for name, text in _pairs("--set", fixed)}
+    return _Builder(cls, preset, values, largest_building)
+
+
+def _pairs(option: str, texts: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Field and value of FIELD=VALUE; a field with dashes is the one with underscores."""
+    pairs: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not name:
+            raise BadUsage(f"{option} {text!r}: write it as FIELD=...")
+        if name in pairs:
+            raise BadUsage(f"{option} {name}: given twice")
+        pairs[name] = value.strip()
+    return list(pairs.items())
+
+
+def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:
+    """The values of an axis of a sweep, or the range to draw them from."""
+    from . import flags
+
+    def value(piece: str) -> Any:
+        return flags.value_of(method, name, piece, "--axis")
+
+    if not text:
+        raise BadUsage(f"--axis {name} is empty: give values")
+    if ".." in text:
+        if design not in ("random", "sobol"):
+            raise BadUsage(f"--axis {name}={text}: a range needs --design random or sobol, and --size")
+        return _range(method, name, text)
+    if ":" in text:
+        return [value(piece) for piece in _steps(name, text)]
+    return [value(piece.strip()) for piece in text.split(",")]
+
+
+def _steps(name: str, text: str) -> list[str]:
+    """START:STOP:STEP as numbers, STOP included."""
+    try:
+        start, stop, step = (float(piece) for piece in text.split(":"))
+        count = int((stop - start) / step + 1e-9) + 1
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise BadUsage(f"--axis {name}={text}: write a series as START:STOP:STEP, three finite numbers") from None
+    if not (step > 0 and stop >= start and count <= 10_000):
+        raise BadUsage(f"--axis {name}={text}: a series goes up from START to STOP, in at most 10,000 steps")
+    return [f"{start + i * step:.10g}" for i in range(count)]
+
+
+def _range(method: type[Filter], name: str, text: str) -> tuple[Any, Any]:
+    """The ends of LOW..HIGH."""
+    from . import flags
+
+    low, dots, high = text.partition("..")
+    if not (dots and low and high):
+        raise BadUsage(f"--axis {name}={text}: write a range as LOW..HIGH")
+    ends = flags.value_of(method, name, low, "--axis"), flags.value_of(method, name, high, "--axis")
+    if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
+        raise BadUsage(f"--axis {name}={text}: a range needs numbers; give words as a list")
+    return ends
+
+
+def _check_directory(directory: Path, resume: bool) -> None:
+    """Raises BadUsage if results that cannot be gone on with would be replaced."""
+    if resume and (directory / DATASET).exists() and not (directory / CHECKPOINT).exists():
+        raise BadUsage(f"{directory} holds {DATASET} of another sweep: name another folder, or pass --fresh")
+
+
+def _read_all(sources: tuple[Path, ...], units: str | None) -> dict[str, PointCloud]:
+    """Clouds by the names of their files, made fit for names in NetCDF and apart from each other."""
+    from ..host.las import read
+
+    names: list[str] = []
+    for source in sources:
+        stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in source.stem)
+        names.append(stem if stem not in names else f"{stem}_{len(names) + 1}")
+    return {name: read(source, units=units) for name, source in zip(names, sources, strict=True)}
+
+
+@contextlib.contextmanager
+def _explained(checkpoint: Path) -> Iterator[None]:
+    """Say what to do when a checkpoint does not fit, or the sweep is interrupted."""
+    from ..core.errors import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if str(checkpoint) in str(error):
+            raise BadUsage(f"{error}; --fresh replaces it") from error
+        raise
+    except KeyboardInterrupt:
+        click.echo(
+            f"interrupted; finished sets are kept in {checkpoint.parent}, the same command goes on from there", err=True
+        )
+        raise
+
+
+def _write(
+    directory: Path, dataset: xarray.Dataset, table: pandas.DataFrame, clouds: dict[str, PointCloud], score: str
+) -> list[str]:
+    """All files of a sweep; their names."""
+    from ..host.files import new_file
+
+    writers: dict[str, Callable[[Path], Any]] = {
+        DATASET: lambda path: _storable(dataset).to_netcdf(path, engine="scipy"),
+        TABLE: lambda path: table.to_csv(path),
+    }
+    if importlib.util.find_spec("matplotlib") is not None:
+        for name, figure in _draw(dataset, clouds, score).items():
+            writers[name] = lambda path, figure=figure: figure.savefig(path, format="png")  # type: ignore[misc]
+    for name, write in writers.items():
+        with new_file(directory / name, overwrite=True) as path:
+            write(path)
+    for name in _pictures_of(clouds).difference(writers):
+        (directory / name).unlink(missing_ok=True)  # of a sweep that was replaced
+    return list(writers)
+
+
+def _storable(dataset: xarray.Dataset) -> xarray.Dataset:
+    """With values that are not all of one type as words, which NetCDF can hold."""
+    words = {
+        name: (values.dims, [_word(value) for value in values.values], values.attrs)
+        for name, values in dataset.coords.items()
+        if values.dtype == object
+    }
+    return dataset.assign_coords(words)
+
+
+def _pictures_of(clouds: dict[str, PointCloud]) -> set[str]:
+    return {CURVES, MAPS, VOTES.format(""), *(VOTES.format(f"_{name}") for name in clouds)}
+
+
+def _draw(dataset: xarray.Dataset, clouds: dict[str, PointCloud], score: str) -> dict[str, Any]:
+    """Figures by the names of their files."""
+    from .. import plots
+    from ..sweeps.best import axes_of
+
+    figures: dict[str, Any] = {}
+    if dataset[score].notnull().any():
+        figures[CURVES] = plots.sweep_curves(dataset, score)
+        if len(axes_of(dataset)) > 1:
+            figures[MAPS] = plots.sweep_maps(dataset, score)
+    for name, cloud in clouds.items():
+        end = f"_{name}" if len(clouds) > 1 else ""
+        if f"votes{end}" in dataset and len(cloud):
+            votes = dataset[f"votes{end}"].values
+            figures[VOTES.format(end)] = plots.votes_map(cloud, votes, title=name if end else "").figure
+    return figures
+
+
+def _print_table(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    from ..sweeps.best import SCORES, axes_of
+
+    names = axes_of(dataset)
+    heads = {"type1": "Type I", "type2": "Type II"}
+    shown = Table(
+        "set",
+        *names,
+        *(heads.get(name, name) for name in SCORES),
+        title=f"best sets by {heads.get(score, score)}, percent"
+        + ", means over the clouds" * ("cloud" in dataset.dims),
+    )
+    for column in shown.columns:
+        column.justify = "right"
+    for number, row in table.iterrows():
+        shown.add_row(str(number), *(_word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
+    console = Console()
+    wanted = Measurement.get(console, console.options.update(max_width=10_000), shown).maximum
+    console.width = max(console.width, wanted)  # a value that is cut off is worse than a long line
+    console.print(shown)
+
+
+def _word(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _calibration(
+    found: Calibration, source: Path, labels_file: Path | None, labels: Any, units: str | None
+) -> dict[str, Any]:
+    """What was found, in plain Python values."""
+    from . import flags
+
+    method = type(found.filter)
+    defaults = {name: field.default for name, field in flags.fields(method).items()}
+    values = {name: getattr(found.filter, name) for name in defaults}
+    changed = {name: value for name, value in values.items() if value != defaults[name]}
+    words = ["jaxfilter", "ground", method.__name__.lower(), str(source), "OUT"]
+    for name, value in changed.items():
+        words += flags.words_for(name, value)
+    words += ["--units", units] if units else []
+    return {
+        "method": method.__name__,
+        "input": str(source),
+        "labels": str(labels_file or source),
+        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
+        "score": found.trials.attrs["score"],
+        "cross_validated": found.score,
+        "spread": found.spread,
+        "before": found.before,
+        "sets": found.trials.sizes["set"],
+        "folds": found.trials.sizes["fold"],
+        "found": {name: values[name] for name in found.trials.attrs["searched"]},
+        "changed": changed,
+        "parameters": values,
+        "command": shlex.join(words),
+    }
+
+
+def _print_calibration(found: Calibration, report: dict[str, Any], out: Path | None) -> None:
+    what = "total error" if report["score"] == "total" else "kappa"
+    parameters = ", ".join(f"{name} {_word(value)}" for name, value in report["found"].items())
+    labelled = report["labelled"]
+    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
+    click.echo(
+        f"{report['method']}: {parameters}\n"
+        f"{what} {report['cross_validated']:.2f} +- {report['spread']:.2f} %, cross-validated over {report['folds']} folds of "
+        f"{labelled['ground']:,} ground and {labelled['object']:,} object points; {report['before']:.2f} % before\n"
+        f"{report['sets']:,} sets; {seconds}\n{report['command']}"
+    )
+    if out is not None:
+        click.echo(f"in {out}")
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" + "s" * (number != 1)

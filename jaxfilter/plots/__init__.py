@@ -1,0 +1,23 @@
+"""Pictures for papers: of clouds, labels and sweeps. Needs matplotlib, the extra ``jaxfilter[plots]``.
+
+Every function draws into the given Axes, or into a figure of its own, and returns the Axes; ``ax.figure.savefig`` saves
+it. Those that draw several panels return the Figure. No global matplotlib state is touched. Coordinates are local metres,
+as in ``PointCloud.xyz``. The colours of errors are from Okabe and Ito's palette, which stay apart for colour-blind readers.
+"""
+
+from .maps import GROUND as GROUND
+from .maps import MAX_PIXELS as MAX_PIXELS
+from .maps import OBJECT as OBJECT
+from .maps import REACH as REACH
+from .maps import TYPE_1 as TYPE_1
+from .maps import TYPE_2 as TYPE_2
+from .maps import error_map as error_map
+from .maps import hillshade as hillshade
+from .maps import panel as panel
+from .maps import profile as profile
+from .maps import rasterise as rasterise
+from .sweeps import sweep_curve as sweep_curve
+from .sweeps import sweep_curves as sweep_curves
+from .sweeps import sweep_map as sweep_map
+from .sweeps import sweep_maps as sweep_maps
+from .sweeps import votes_map as votes_map

@@ -1,0 +1,94 @@
+"""What the labelled result of a sweep says: its axes, its scores over all clouds, and its best sets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.errors import InputError, ParameterError
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+SCORES = ("type1", "type2", "total", "kappa")
+LARGER_IS_BETTER = ("kappa",)
+
+
+def is_grid(dataset: xarray.Dataset) -> bool:
+    """Whether each axis is a dimension; else all lie along the dimension ``set``."""
+    return "set" not in dataset.sizes
+
+
+def axes_of(dataset: xarray.Dataset) -> tuple[str, ...]:
+    """The fields that were swept, in order."""
+    if is_grid(dataset):
+        return tuple(str(name) for name in dataset[_a_score(dataset)].dims if name != "cloud")
+    return tuple(str(name) for name, values in dataset.coords.items() if values.dims == ("set",) and name != "set")
+
+
+def _a_score(dataset: xarray.Dataset) -> str:
+    for name in SCORES:
+        if name in dataset:
+            return name
+    raise InputError(f"dataset: none of {', '.join(SCORES)} is in it; give what jaxfilter.sweep returned")
+
+
+def check_score(dataset: xarray.Dataset, score: str) -> None:
+    """Raises ParameterError for a score that does not exist."""
+    known = [name for name in SCORES if name in dataset]
+    if score not in known:
+        raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, known))}")
+
+
+def mean_score(dataset: xarray.Dataset, score: str) -> xarray.DataArray:
+    """The score over the axes of a grid, or over ``set``: percent, the mean over those clouds that have labels.
+
+    Raises: ParameterError for a score that does not exist, InputError for one that no cloud had labels for.
+    """
+    check_score(dataset, score)
+    values = dataset[score]
+    if not values.notnull().any():
+        raise InputError(
+            f"score={score!r} is undefined for every set: the clouds had no reference labels of both classes"
+        )
+    return values.mean("cloud", keep_attrs=True) if "cloud" in values.dims else values
+
+
+def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None = 10) -> pandas.DataFrame:
+    """A table of the sets with the best scores, the best first; equal ones stay in the order of the sweep.
+
+    Args:
+        dataset: from :func:`jaxfilter.sweep`, or the ``trials`` of a :class:`jaxfilter.Calibration`.
+        score: what decides: the lowest "type1", "type2" or "total", or the highest "kappa".
+        count: rows; None for all.
+
+    Returns: pandas.DataFrame with the number of the set as index. Columns: the fields; type1, type2, total, kappa
+        (percent) and ground (points), means over the clouds; for several clouds the score of each, as total_NAME.
+        Without any score the sets are in the order of the sweep.
+    Raises: ParameterError for a score that does not exist.
+    """
+    import pandas as pd
+
+    check_score(dataset, score)
+    names, shape = axes_of(dataset), dataset[score].isel({"cloud": 0}, missing_dims="ignore").shape
+    columns: dict[str, Any] = {}
+    for name, place in zip(names, _places(dataset, names, shape), strict=True):
+        columns[name] = dataset[name].values[place]
+    for name in (*SCORES, "ground"):
+        if name in dataset:
+            values = dataset[name]
+            columns[name] = (values.mean("cloud") if "cloud" in values.dims else values).values.ravel()
+    if "cloud" in dataset[score].dims:
+        for number, cloud in enumerate(dataset["cloud"].values):
+            columns[f"{score}_{cloud}"] = dataset[score].isel(cloud=number).values.ravel()
+    frame = pd.DataFrame(columns, index=pd.RangeIndex(int(np.prod(shape)), name="set"))
+    sorted_ = frame.sort_values(score, ascending=score not in LARGER_IS_BETTER, kind="stable", na_position="last")
+    return sorted_ if count is None else sorted_.head(count)
+
+
+def _places(dataset: xarray.Dataset, names: tuple[str, ...], shape: tuple[int, ...]) -> list[np.ndarray]:
+    """For each axis, where each set has its value."""
+    number = np.arange(int(np.prod(shape)))
+    return list(np.unravel_index(number, shape)) if is_grid(dataset) else [number] * len(names)

@@ -1,0 +1,400 @@
+"""The commands ``sweep`` and ``calibrate``: files that hold what the library finds, and errors before anything runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.cli.session import Session
+from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.errors import InputError
+from jaxfilter.host.las import read, write
+from jaxfilter.sweeps.best import best_sets
+from jaxfilter.sweeps.labels import labels_from, point_labels, within
+
+SETS = {"slope": [0.1, 0.2], "threshold": [0.3, 0.5, 0.7]}
+AXES = ("--axis", "slope=0.1,0.2", "--axis", "threshold=0.3:0.7:0.2")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    """Compilations of these tests go to a folder of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JAXFILTER_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jf.scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
+
+
+@pytest.fixture
+def folder(tmp_path, scene):
+    """scene.laz without classes; truth.laz with all of them; patches.laz with those of two patches, class 0 elsewhere."""
+    nothing = np.zeros(len(scene), bool)
+    x, y = (scene.xyz[:, :2] - scene.xyz[:, :2].min(axis=0)).T
+    inside = (np.maximum(x, y) < 25) | (np.minimum(x, y) >= 30)
+    for name, classes in (
+        ("scene.laz", np.zeros_like(scene.classes)),
+        ("truth.laz", scene.classes),
+        ("patches.laz", np.where(inside, scene.classes, 0)),
+    ):
+        write(tmp_path / name, dataclasses.replace(scene.cloud, classification=classes), nothing, reset="none")
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def sweep(folder, *arguments, sources=("truth.laz",), axes=AXES):
+    return run("sweep", "smrf", *(folder / name for name in sources), folder / "out", *axes, *arguments)
+
+
+def calibrate(folder, *arguments, source="patches.laz"):
+    return run("calibrate", "smrf", folder / source, "--size", 24, "--rounds", 1, "--folds", 2, *arguments)
+
+
+def stored(folder):
+    with xr.open_dataset(folder / "out" / "sweep.nc", engine="scipy") as dataset:
+        return dataset.load()
+
+
+def assert_one_line(result, exit_code, *words):
+    assert result.exit_code == exit_code, result.output
+    lines = [each for each in result.stderr.splitlines() if not each.startswith("warning: ")]
+    assert len(lines) == 1 and lines[0].startswith("Error: "), result.stderr
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+def test_sweep_stores_what_the_library_finds(folder, scene):
+    result = sweep(folder, "--votes", "--json")
+    assert result.exit_code == 0, result.output
+    cloud = read(folder / "truth.laz", units="m")
+    expected = jf.sweep(jf.SMRF(), cloud, SETS, votes=True)
+    found = stored(folder)
+    assert dict(found.sizes) == {"slope": 2, "threshold": 3, "point": len(scene)}
+    for name in ("slope", "threshold", "type1", "type2", "total", "kappa", "ground", "votes"):
+        np.testing.assert_allclose(found[name].values, expected[name].values, rtol=1e-6, err_msg=name)
+    assert found["slope"].attrs["units"] == "rise/run" and found.attrs["method"] == "SMRF"
+    scores = jf.evaluate(jf.SMRF(slope=0.2, threshold=0.5)(cloud), cloud)
+    assert found["total"].sel(slope=0.2, threshold=0.5) == pytest.approx(scores.total)
+
+    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
+    pd.testing.assert_frame_equal(table, best_sets(expected, count=None), check_dtype=False)
+    report = json.loads(result.stdout)
+    assert report["sets"] == 6 and report["groups"] == 1 and report["parameters"]["cell"] == 1.0
+    assert report["best"][0]["set"] == table.index[0] and report["best"][0]["total"] == pytest.approx(
+        table["total"].min()
+    )
+    assert {"sweep.nc", "sets.csv"} <= set(report["files"])
+    assert {p.name for p in (folder / "out").iterdir()} == {*report["files"], "checkpoint.npz"}
+
+
+def test_sweep_draws_and_prints(folder):
+    pytest.importorskip("matplotlib")
+    result = sweep(folder, "--votes", "--score", "kappa")
+    assert (
+        result.exit_code == 0 and "best sets by kappa" in result.stdout and "6 sets, 1 cloud, 1 group" in result.stdout
+    )
+    top = stored(folder)["kappa"].values.max()
+    row = next(line for line in result.stdout.splitlines() if line.startswith("│"))
+    assert f"{top:.2f}" in row
+    for name in ("curves.png", "maps.png", "votes.png"):
+        assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
+    again = sweep(folder, "--quiet", axes=AXES[:2])
+    assert_one_line(again, 2, "--fresh")
+    again = sweep(folder, "--quiet", "--fresh", axes=AXES[:2])
+    assert again.exit_code == 0 and again.stdout == ""
+    names = {p.name for p in (folder / "out").iterdir()}
+    assert names == {"checkpoint.npz", "curves.png", "sets.csv", "sweep.nc"}, "pictures of the sweep before are gone"
+
+
+def test_sweep_of_several_clouds_and_without_labels(folder):
+    result = sweep(folder, "--votes", "--json", sources=("truth.laz", "scene.laz"), axes=("--axis", "slope=0.1,0.2"))
+    assert result.exit_code == 0, result.output
+    found = stored(folder)
+    assert found["cloud"].values.tolist() == ["truth", "scene"]
+    np.testing.assert_array_equal(found["votes_truth"], found["votes_scene"])
+    assert found["total"].sel(cloud="truth").notnull().all() and found["total"].sel(cloud="scene").isnull().all()
+    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
+    np.testing.assert_allclose(table["total"], table["total_truth"])
+
+    assert_one_line(sweep(folder, "--fresh", sources=("scene.laz",)), 1, "scene.laz has no labels", "--votes")
+    alone = sweep(folder, "--fresh", "--votes", sources=("scene.laz",), axes=("--axis", "slope=0.1,0.2"))
+    assert alone.exit_code == 0 and "best" not in alone.stdout
+    assert {p.name for p in (folder / "out").iterdir()} >= {"sweep.nc", "sets.csv"}
+    np.testing.assert_array_equal(stored(folder)["votes"], found["votes_scene"])
+
+
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (("--axis", "slope=0.1:0.3:0.05"), {"slope": [0.1, 0.15, 0.2, 0.25, 0.3]}),
+        (("--axis", "slope=0.1:0.29:0.1"), {"slope": [0.1, 0.2]}),
+        (
+            ("--design", "list", "--axis", "slope=0.1,0.2", "--axis", "cell=1,1.05"),
+            {"slope": [0.1, 0.2], "cell": [1, 1.05]},
+        ),
+        (("--axis", "slope=0.1,0.2", "--set", "scaling=2"), {"slope": [0.1, 0.2]}),
+    ],
+)
+def test_axes_are_read_as_written(folder, arguments, expected):
+    result = sweep(folder, "--json", axes=arguments)
+    assert result.exit_code == 0, result.output
+    for name, values in expected.items():
+        np.testing.assert_allclose(stored(folder)[name].values, values, rtol=1e-12)
+    assert json.loads(result.stdout)["parameters"]["scaling"] == (2.0 if "scaling=2" in arguments else 1.25)
+
+
+def test_designs_draw_from_ranges_and_choose_from_values(folder):
+    axes = ("--axis", "slope=0.1..0.3", "--axis", "cell=1,1.05", "--design", "sobol", "--size", 8, "--seed", 5)
+    result = sweep(folder, "--json", axes=axes)
+    assert result.exit_code == 0, result.output
+    found = stored(folder)
+    assert dict(found.sizes) == {"set": 8}
+    slope = found["slope"].values
+    assert len(set(slope)) == 8 and slope.min() >= 0.1 and slope.max() <= 0.3
+    assert sorted(found["cell"].values.tolist()) == [1.0] * 4 + [1.05] * 4
+    assert json.loads(result.stdout)["groups"] == 2
+    table = pd.read_csv(folder / "out" / "sets.csv", index_col="set")
+    np.testing.assert_array_equal(table["slope"], slope[table.index])
+
+
+def test_values_that_are_none_or_words_are_stored_as_words(folder):
+    axes = (
+        "--axis",
+        "long_edge=none,40",
+        "--axis",
+        "insertion=batch,one_per_facet",
+        "--axis",
+        "low_clusters=yes,no",
+    )
+    axes = (*axes, "--design", "list")
+    result = run("sweep", "spf", folder / "truth.laz", folder / "out", *axes, "--json")
+    assert result.exit_code == 0, result.output
+    found = stored(folder)
+    assert found["long_edge"].values.tolist() == ["none", "40"]
+    assert found["insertion"].values.tolist() == ["batch", "one_per_facet"]
+    assert found["low_clusters"].values.tolist() == [True, False]
+    cloud = read(folder / "truth.laz", units="m")
+    last = jf.SPF(long_edge=40.0, insertion="one_per_facet", low_clusters=False)(cloud)
+    assert found["ground"].values[1] == last.ground.sum()
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
+        (("--axis", "slope="), ("slope", "empty")),
+        (("--axis", "slope=0.1,nan"), ("slope", "NaN")),
+        (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
+        (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
+        (("--axis", "slope=0.1,0.1"), ("slope", "repeats")),
+        (("--axis", "slope"), ("'slope'", "FIELD=...")),
+        (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
+        (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
+        (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
+        (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
+        (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
+        (("--axis", "slope=0.3..0.1", "--design", "random", "--size", 4), ("slope", "low to high")),
+        (("--axis", "slope=0.1..0.3", "--design", "random"), ("size",)),
+        (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
+        (("--axis", "slope=0.1,0.2", "--size", 4), ("size=4",)),
+        (("--axis", "slope=0.1,0.2", "--axis", "threshold=1", "--design", "list"), ("slope", "threshold", "as many")),
+        (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
+        (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
+        (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
+        (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
+        (("--axis", "slope=0.1", "--units", "parsec"), ("parsec",)),
+    ],
+)
+def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, words):
+    (folder / "truth.laz").write_bytes(b"not a point cloud")
+    assert_one_line(sweep(folder, axes=arguments), 2, *words)
+    assert not (folder / "out").exists()
+
+
+def test_oracles_cannot_be_swept_and_methods_are_named(folder):
+    result = run("sweep", "agptd", folder / "truth.laz", folder / "out", "--axis", "oracle_removal=0.1,0.2")
+    assert_one_line(result, 2, "oracle_removal", "cannot be swept")
+    assert_one_line(run("sweep", "nosuch", folder / "truth.laz", folder / "out", *AXES), 2, "nosuch", "smrf")
+    assert run("sweep", "smrf", folder / "truth.laz", folder / "scene.laz", *AXES).exit_code == 2  # OUT_DIR is a file
+
+
+class Counted:
+    """Counts the sets that SMRF labels; interrupts after some."""
+
+    def __init__(self, monkeypatch, stop=None):
+        self.sets = 0
+        original = jf.SMRF.ground_each
+
+        def ground_each(filter_, *arguments, **options):
+            for each in original(filter_, *arguments, **options):
+                if self.sets == stop:
+                    raise KeyboardInterrupt
+                self.sets += 1
+                yield each
+
+        monkeypatch.setattr(jf.SMRF, "ground_each", ground_each)
+
+
+def test_an_interrupted_sweep_resumes_without_computing_again(folder, monkeypatch):
+    axes = (*AXES, "--axis", "cell=1,1.05")
+    with monkeypatch.context() as patch:
+        counted = Counted(patch, stop=8)
+        stopped = sweep(folder, axes=axes)
+    assert stopped.exit_code == 1 and counted.sets == 8
+    assert "interrupted" in stopped.stderr and "Traceback" not in stopped.output
+    assert [p.name for p in (folder / "out").iterdir()] == ["checkpoint.npz"]
+    assert_one_line(sweep(folder, axes=AXES), 2, "checkpoint.npz", "other sets", "--fresh")
+    with monkeypatch.context() as patch:
+        counted = Counted(patch)
+        assert sweep(folder, axes=axes).exit_code == 0
+    assert counted.sets == 12 - 8
+    resumed = stored(folder)
+    with monkeypatch.context() as patch:
+        counted = Counted(patch)
+        assert sweep(folder, axes=axes).exit_code == 0
+        assert counted.sets == 0
+        assert sweep(folder, "--fresh", axes=axes).exit_code == 0
+        assert counted.sets == 12
+    xr.testing.assert_identical(resumed, stored(folder))
+
+
+def test_results_without_a_checkpoint_are_not_replaced(folder):
+    assert sweep(folder, axes=AXES[:2]).exit_code == 0
+    (folder / "out" / "checkpoint.npz").unlink()
+    before = (folder / "out" / "sweep.nc").read_bytes()
+    assert_one_line(sweep(folder, axes=AXES[2:]), 2, "sweep.nc", "--fresh")
+    assert (folder / "out" / "sweep.nc").read_bytes() == before
+
+
+def test_calibrate_finds_what_the_library_finds(folder, scene):
+    result = calibrate(folder, "--json", "--out", folder / "smrf.json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    cloud = read(folder / "patches.laz", units="m")
+    labels = np.where(cloud.classification == 0, -1, cloud.classification == 2)
+    expected = jf.calibrate(jf.SMRF(), cloud, labels, size=24, rounds=1, folds=2)
+    assert report["found"] == {name: getattr(expected.filter, name) for name in ("slope", "threshold", "scaling")}
+    for key, value in (("cross_validated", expected.score), ("spread", expected.spread), ("before", expected.before)):
+        assert report[key] == pytest.approx(value)
+    assert report["labelled"] == {"ground": (labels == 1).sum(), "object": (labels == 0).sum()}
+    assert json.loads((folder / "smrf.json").read_text())["parameters"] == report["parameters"]
+    assert jf.SMRF(**report["changed"]) == expected.filter
+
+    words = shlex.split(report["command"])
+    assert words[:3] == ["jaxfilter", "ground", "smrf"]
+    words[words.index("OUT")] = str(folder / "ground.laz")
+    assert json.loads(run(*words[1:], "--json").stdout)["parameters"] == report["parameters"]
+
+
+def test_labels_may_come_from_another_file_or_from_patches(folder, scene):
+    """The same labels by class, by a text file with a part of the points, and by bounds in a file with all classes."""
+    report = json.loads(calibrate(folder, "--json").stdout)
+    cloud = read(folder / "patches.laz", units="m")
+    known = np.flatnonzero(cloud.classification != 0)[::-1]
+    table = np.column_stack([scene.xyz, scene.classes != 2])[known]
+    np.savetxt(folder / "labels.txt", table, fmt=("%.2f", "%.2f", "%.2f", "%d"))
+    x, y = scene.xyz[:, :2].min(axis=0)
+    patches = ("--bounds", x - 1, y - 1, x + 25, y + 25, "--bounds", x + 30, y + 30, x + 99, y + 99)
+    for source, arguments in (
+        ("scene.laz", ("--labels", folder / "labels.txt")),
+        ("scene.laz", ("--labels", folder / "patches.laz")),
+        ("truth.laz", patches),
+    ):
+        other = json.loads(calibrate(folder, "--json", *arguments, source=source).stdout)
+        for key in ("found", "cross_validated", "spread", "before", "labelled"):
+            assert other[key] == report[key], (arguments, key)
+
+
+def test_calibrate_prints_the_command_and_keeps_files(folder):
+    options = ("--axis", "slope=0.1..0.4", "--score", "kappa", "--set", "window=10", "--out", folder / "a.json")
+    result = calibrate(folder, *options)
+    assert result.exit_code == 0, result.output
+    assert "SMRF: slope 0." in result.stdout and "kappa" in result.stdout and "24 sets" in result.stdout
+    command = next(line for line in result.stdout.splitlines() if line.startswith("jaxfilter ground smrf"))
+    assert "--slope 0." in command and "--window 10.0" in command and "--threshold" not in command
+    assert_one_line(calibrate(folder, *options), 2, "a.json exists", "--overwrite")
+    assert calibrate(folder, *options, "--overwrite", "--quiet").stdout == ""
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--axis", "steepness=0.1..1"), ("steepness", "slope, window")),
+        (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
+        (("--axis", "slope=0.2..0.1"), ("slope", "low to high")),
+        (("--axis", "slope=nan..1"), ("slope", "NaN")),
+        (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
+        (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
+        (("--out", "no/such/folder.json"), ("not a folder",)),
+    ],
+)
+def test_wrong_searches_are_usage_errors_found_before_reading(folder, arguments, words):
+    (folder / "patches.laz").write_bytes(b"not a point cloud")
+    assert_one_line(calibrate(folder, *arguments), 2, *words)
+
+
+def test_labels_that_cannot_be_used_are_named(folder, scene):
+    assert_one_line(calibrate(folder, source="scene.laz"), 1, "labels", "no point is labelled ground")
+    one_class = ("--unlabelled", *" --unlabelled ".join(map(str, (0, 1, 3, 5, 6, 7, 17, 18))).split())
+    assert_one_line(calibrate(folder, *one_class), 1, "labels", "no point is labelled object")
+    assert_one_line(calibrate(folder, "--bounds", 0, 0, 1, 1), 1, "bounds 0 0 1 1", "no labelled point")
+    moved = scene.xyz[:5] + [0.0, 0.0, 0.5]
+    np.savetxt(folder / "moved.txt", np.column_stack([moved, np.arange(5) % 2]), fmt=("%.2f", "%.2f", "%.2f", "%d"))
+    assert_one_line(
+        calibrate(folder, "--labels", folder / "moved.txt"), 1, "moved.txt", "5 of 5", f"{moved[:, 0].min():.2f}"[:-3]
+    )
+    np.savetxt(folder / "bare.txt", moved, fmt="%.2f")
+    assert_one_line(calibrate(folder, "--labels", folder / "bare.txt"), 1, "bare.txt", "neither classes nor labels")
+
+
+def test_labels_of_some_points_reach_all_that_coincide_with_them(rng):
+    xyz = np.round(rng.uniform(0, 30, (500, 3)), 2) + [500_000.0, 5_400_000.0, 300.0]
+    xyz[100:110] = xyz[:10]  # coincident
+    cloud = PointCloud.from_arrays(xyz)
+    chosen = rng.permutation(400)[:200] + 100
+    kind = rng.integers(0, 2, 200)
+    some = PointCloud.from_arrays(xyz[chosen], reference=kind == 1)
+    found = labels_from(cloud, some, point_labels(some))
+    expected = np.full(500, -1)
+    for at, label in zip(chosen, kind, strict=True):
+        expected[(xyz == xyz[at]).all(axis=1)] = label
+    np.testing.assert_array_equal(found, expected)
+    both = PointCloud.from_arrays(xyz[[5, 5, 6]], reference=np.array([True, False, True]))
+    found = labels_from(cloud, both, point_labels(both))
+    assert found[[5, 105, 6, 106]].tolist() == [-1, -1, 1, 1] and (found == -1).sum() == 498
+    in_patch = within(cloud, [(500_000.0, 5_400_000.0, 500_010.0, 5_400_030.0)], expected)
+    inside = (xyz[:, 0] >= 500_000) & (xyz[:, 0] < 500_010) & (xyz[:, 1] < 5_400_030)
+    np.testing.assert_array_equal(in_patch, np.where(inside, expected, -1))
+    with pytest.raises(InputError, match="1 of 1 labelled points are not in the cloud"):
+        labels_from(cloud, PointCloud.from_arrays(xyz[:1] + 0.1), np.array([1]))
+
+
+def test_the_time_left_follows_the_mean_rate_of_this_run():
+    now = [0.0]
+    session = Session(quiet=True, debug=False, remaining=True)
+    session._bar.get_time = lambda: now[0]
+    session._bar.tasks[0]._get_time = lambda: now[0]
+    with session.step("sweep"):
+        now[0] = 100.0
+        session.progress(0.5, "sets")  # half was done before, in another run
+        now[0] = 110.0
+        session.progress(0.7, "sets")
+        assert session._bar.tasks[0].time_remaining == pytest.approx(15.0, abs=1.0)
+        now[0] = 300.0
+        session.progress(0.9, "sets")
+        assert session._bar.tasks[0].time_remaining == pytest.approx(50.0, abs=1.0)
