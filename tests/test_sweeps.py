@@ -64,6 +64,14 @@ def test_smrf_grid_equals_single_runs(cloud, hills):
         check_equal(product(jf.SMRF(), slope=(0.05, 0.15, 0.4), threshold=(0.2, 0.7), scaling=(0.0, 1.25)), scene)
 
 
+@pytest.mark.parametrize("options", [{}, {"compare": "points"}, {"reading": "points", "compare": "points"}], ids=str)
+def test_pmf_equals_single_runs(options, hills):
+    axes = {"slope": (0.1, 0.3, 0.7), "initial_distance": (0.2, 0.6), "max_distance": (1.0, 3.0)}
+    sets = product(jf.PMF(max_window=30.0, **options), **axes)
+    for one, ground in zip(sets, labels_of(sets[0], sets, hills), strict=True):
+        assert np.array_equal(one(hills).ground, ground)
+
+
 def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
     slopes = np.random.default_rng(2).uniform(0.04, 0.5, 21)
     check_equal([jf.SMRF(cut=20.0, window=12.0).replace(slope=float(s)) for s in slopes], cloud)

@@ -44,7 +44,7 @@ TASKS: list[tuple[str, Task]] = [
     ("12", ("SMRF, grid of 8 x 8 x 4", jf.SMRF(), SMRF_GRID, {})),
     ("12", ("SMRF, 256 random sets", jf.SMRF(), SMRF_RANGES, {"design": "random", "size": 256})),
     *((n, ("FPTD, 11 angles x 8 elevations", jf.FPTD(), FPTD_GRID, {})) for n in ("54", "71", "24", "52")),
-    ("52", ("CSF, 32 sets", jf.CSF(), {"threshold": (0.2, 1.5)}, {"design": "sobol", "size": 32})),
+    ("21", ("CSF, 32 sets", jf.CSF(), {"threshold": (0.2, 1.5)}, {"design": "sobol", "size": 32})),
     ("52", ("PPDF, 32 sets", jf.PPDF(), {"buffer": (0.2, 1.5), "max_distance": (0.3, 2.0)}, {"design": "sobol", "size": 32})),
     ("52", ("STIN, 32 sets", jf.STIN(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),
     ("52", ("SPF, 32 sets", jf.SPF(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),

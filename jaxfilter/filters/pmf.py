@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, ClassVar
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -15,13 +16,25 @@ from ..core.filter import Filter, Labels
 from ..core.params import filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
+from ..ops.grid import cell_index
 from ..ops.inpaint import fill_nearest
 from ..ops.morphology import opening
 from ..stages.boxes import PointBoxes
 from ..stages.outliers import bar_outliers
-from ..stages.surfaces import cell_for, check_width, labels_between, look_up, lowest_cells, steepness
+from ..stages.surfaces import (
+    LowestCells,
+    cell_for,
+    check_width,
+    chunks,
+    labels_between,
+    look_up,
+    lowest_cells,
+    steepness,
+)
 
 MAX_REACH = 1000  # cells
+_SETS = 32
+"""In a sweep: sets computed at a time."""
 
 
 @filter_params
@@ -167,10 +180,37 @@ class PMF(Filter):
         progress(1.0, "done")
         return labels
 
+    def ground_each(
+        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """All sets share the grid and its openings; around points, what is opened depends on the thresholds."""
+        if self.reading != "grid":
+            yield from super().ground_each(points, sets, key=key, workers=workers, memory=memory)
+            return
+        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
+        cells, surface = self._surface(points, barred)
+        radii = self.radii()
+        at_once = int(np.clip(memory // (24 * surface.size + len(points)), 1, _SETS))
+        for start in range(0, len(sets), at_once):
+            some = np.minimum(np.arange(start, start + at_once), len(sets) - 1)
+            thresholds = np.stack([sets[i].thresholds() for i in some])
+            _, ceiling, floor = _limits_of_each(
+                surface, cells.valid, np.array(radii, np.int32), thresholds, max(radii), self.element, self.compare
+            )
+            parts = [
+                np.asarray(_between(chunk, ceiling, floor, cells.frame, cells.extent))[:, : rows.stop - rows.start]
+                for rows, chunk, _ in chunks(points.xyz)
+            ]
+            ground = np.concatenate(parts, axis=1)
+            yield from zip(range(start, min(start + at_once, len(sets))), ground, strict=False)
+
+    def _surface(self, points: Points, barred: np.ndarray) -> tuple[LowestCells, jax.Array]:
+        """The lowest point per cell, and the same with every empty cell filled."""
+        cells = lowest_cells(points.xyz, self.cell, points.offset(self.cell), name="PMF(cell)", barred=barred)
+        return cells, fill_nearest(cells.lowest, cells.seen, cells.valid)
+
     def _open_grid(self, points: Points, barred: np.ndarray, progress: Progress) -> Labels:
-        offset = points.offset(self.cell)
-        cells = lowest_cells(points.xyz, self.cell, offset, name="PMF(cell)", barred=barred)
-        surface = fill_nearest(cells.lowest, cells.seen, cells.valid)
+        cells, surface = self._surface(points, barred)
         progress(0.5, "openings")
         radii = self.radii()
         last, ceiling, floor = _limits(
@@ -229,3 +269,29 @@ def _limits(
 
     nothing = jnp.full_like(surface, jnp.inf)
     return jax.lax.fori_loop(0, len(radii), open_once, (surface, nothing, -nothing))
+
+
+@functools.partial(jax.jit, static_argnames=("reach", "element", "compare"))
+def _limits_of_each(
+    surface: jax.Array,
+    valid: jax.Array,
+    radii: jax.Array,
+    thresholds: jax.Array,
+    reach: int,
+    element: str,
+    compare: str,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """:func:`_limits` for thresholds f32[sets, windows]; the openings, in which they have no part, are made once."""
+
+    def one(limits: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        return _limits(surface, valid, radii, limits, reach, element, compare)
+
+    return jax.vmap(one, out_axes=(None, 0, 0))(thresholds)
+
+
+@jax.jit
+def _between(xyz: jax.Array, ceiling: jax.Array, floor: jax.Array, frame: jax.Array, extent: jax.Array) -> jax.Array:
+    """bool[sets, n]: points f32[n, 3] within the limits of their cell, f32[sets, rows, columns]."""
+    at = cell_index(xyz, frame[:2], frame[2], extent, ceiling.shape[2])
+    top, bottom = (limits.reshape(len(limits), -1)[:, at] for limits in (ceiling, floor))
+    return jnp.maximum(xyz[:, 2] - top, bottom - xyz[:, 2]) <= 0

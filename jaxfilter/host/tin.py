@@ -232,12 +232,20 @@ class Tin:
             return late
         cuts = np.flatnonzero(np.diff(self.sheet[nodes]) != 0) + 1
         size = min(CHUNK, max(_SMALLEST_CHUNK, -(-len(nodes) // self.workers)))
-        edges = np.unique(np.concatenate([[0, len(nodes)], cuts, np.arange(0, len(nodes), size)]))
+        starts = np.arange(0, len(nodes), size)
+        edges = np.unique(np.concatenate([[0, len(nodes)], cuts, starts]))
         chunks = list(itertools.pairwise(edges))
         self._stamp[nodes] = np.arange(len(nodes), dtype=np.int32)
 
-        cavities = list(self.pool.map(lambda c: self._cavities(nodes[c[0] : c[1]]), chunks))
-        removed = _distinct(*(tri for _, tri in cavities))
+        found = list(self.pool.map(lambda start: self._cavities(nodes[start : start + size]), starts))
+        owner, hit = (np.concatenate(part) for part in zip(*found, strict=True))
+        if len(chunks) == len(found):
+            cavities = [tri for _, tri in found]
+        else:  # cavities of many sheets are found together, but patched one by one
+            place = np.searchsorted(edges, self._stamp[owner], side="right")
+            order = np.argsort(place, kind="stable")
+            cavities = np.split(hit[order], np.searchsorted(place[order], np.arange(2, len(edges))))
+        removed = _distinct(hit)
         gone = np.zeros(len(self.triangles) + 1, bool)  # the last is for -1, "none"
         gone[removed] = True
         self.vertex[nodes] = True
@@ -247,11 +255,10 @@ class Tin:
         slot = np.empty(len(self.triangles), np.int32)  # only the places of removed triangles are ever read
         slot[removed] = np.arange(len(removed), dtype=np.int32)
         points_in = _by_cell(slot[self.where[moved]], moved, len(removed))
-        hit = np.concatenate([tri for _, tri in cavities])
-        new_at = _by_cell(slot[hit], np.concatenate([p for p, _ in cavities]), len(removed))
+        new_at = _by_cell(slot[hit], owner, len(removed))
 
-        def patch(job: tuple[tuple[int, int], tuple[np.ndarray, np.ndarray]]) -> _Patch:
-            (low, high), (_, tri) = job
+        def patch(job: tuple[tuple[int, int], np.ndarray]) -> _Patch:
+            (low, high), tri = job
             rows = _distinct(tri)
             ring = self.neighbours[rows].ravel()
             ring = slot[_distinct(rows, ring[(ring >= 0) & gone[ring]])]
