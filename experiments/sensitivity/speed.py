@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Row, machine, markdown, write_csv
+from experiments.report import Row, machine, markdown, read_csv, write_csv
 from jaxfilter.core import compilation
 from jaxfilter.sweeps.design import make_design
 
@@ -45,9 +45,9 @@ TASKS: list[tuple[str, Task]] = [
     ("12", ("SMRF, 256 random sets", jf.SMRF(), SMRF_RANGES, {"design": "random", "size": 256})),
     *((n, ("FPTD, 11 angles x 8 elevations", jf.FPTD(), FPTD_GRID, {})) for n in ("54", "71", "24", "52")),
     ("21", ("CSF, 32 sets", jf.CSF(), {"threshold": (0.2, 1.5)}, {"design": "sobol", "size": 32})),
-    ("52", ("PPDF, 32 sets", jf.PPDF(), {"buffer": (0.2, 1.5), "max_distance": (0.3, 2.0)}, {"design": "sobol", "size": 32})),
-    ("52", ("STIN, 32 sets", jf.STIN(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),
-    ("52", ("SPF, 32 sets", jf.SPF(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),
+    ("21", ("PPDF, 32 sets", jf.PPDF(), {"buffer": (0.2, 1.5), "max_distance": (0.3, 2.0)}, {"design": "sobol", "size": 32})),
+    ("21", ("STIN, 32 sets", jf.STIN(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),
+    ("21", ("SPF, 32 sets", jf.SPF(), {"max_angle": (5.0, 45.0), "max_distance": (0.3, 3.0)}, {"design": "sobol", "size": 32})),
 ]  # fmt: skip
 FPTD_RANGES = {"max_angle": (4.0, 42.0), "max_elevation": (0.6, 2.0)}
 LARGE: list[Task] = [
@@ -67,6 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--repeats", type=int, default=3, help="warm sweeps, of which the median counts [%(default)s]")
     parser.add_argument("--only", default="", help="tasks whose name holds this text [all]")
     parser.add_argument("--no-memory", dest="memory", action="store_false", help="leave the large clouds out")
+    parser.add_argument("--no-times", dest="times", action="store_false", help="the large clouds only")
     parser.add_argument("--large", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args(given)
     if options.large is not None:
@@ -77,7 +78,7 @@ def main(arguments: list[str] | None = None) -> None:
     compilation.watch_compilations()
     rows = []
     for number, task in TASKS:
-        if options.only.lower() in task[0].lower():
+        if options.times and options.only.lower() in task[0].lower():
             rows.append(measured(samples.sample_path(folder, number), f"samp{number}", task, options.repeats))
             print(f"{rows[-1]['sweep']:32} {rows[-1]['sample']}  {rows[-1]['seconds']:6.2f} s  "
                   f"single runs {rows[-1]['singly']:6.2f} s  pool {rows[-1]['pool']:6.2f} s", flush=True)  # fmt: skip
@@ -91,11 +92,20 @@ def main(arguments: list[str] | None = None) -> None:
             print(
                 f"{big[-1]['sweep']:32} {big[-1]['points']:,} points  {big[-1]['seconds']:.0f} s  {big[-1]['gigabytes']:.2f} GB"
             )
-    write_csv(options.out / "speed.csv", rows)
-    write_csv(options.out / "memory.csv", big)
+    rows = kept(options.out / "speed.csv", rows)
+    big = kept(options.out / "memory.csv", big)
     command = shlex.join(["python", "experiments/sensitivity/speed.py", *given])
     (options.out / "speed.md").write_text(report(rows, big, command, options.repeats))
     print(f"results are in {options.out}")
+
+
+def kept(path: Path, rows: list[Row]) -> list[Row]:
+    """The rows, and those of an earlier run that were not measured anew; written to the file."""
+    new = {(row["sweep"], row.get("sample")): row for row in rows}
+    old = {(row["sweep"], row.get("sample")): row for row in (read_csv(path) if path.exists() else [])}
+    out = list((old | new).values())
+    write_csv(path, out)
+    return out
 
 
 def measured(path: Path, sample: str, task: Task, repeats: int) -> Row:

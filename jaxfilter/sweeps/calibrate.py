@@ -167,6 +167,23 @@ class Study:
         _, near = cKDTree(place).query(place, _NEIGHBOURS)
         return cost[near].mean(axis=1)
 
+    def _choice(self, confusion: np.ndarray) -> int:
+        """Number of the best set by counts i64[s, folds, 2, 2]: of those that are not worse than the least smoothed cost by more
+        than a standard error of the difference over the folds, the one that is nearest to the filter as it was given."""
+        cost = self._smoothed(confusion.sum(axis=1))
+        least = int(np.argmin(cost))
+        wrong = confusion[..., 0, 1] + confusion[..., 1, 0]
+        apart = (wrong - wrong[least]) / np.maximum(confusion.sum(axis=(2, 3)), 1)  # per fold, share of its points
+        folds = confusion.shape[1]
+        error = 100.0 * apart.std(axis=1, ddof=1) / math.sqrt(folds) if folds > 1 else np.zeros(len(cost))
+        near = np.flatnonzero(cost - cost[least] <= error)
+        names = [name for name in self.ranges if all(name in one for one in self.sets)]
+        given = np.array([self.ranges[name].position(getattr(self.filter, name)) for name in names])
+        place = np.array([[self.ranges[name].position(self.sets[i][name]) for name in names] for i in near])
+        if not names:
+            return least
+        return int(near[np.argmin(((place - given) ** 2).sum(axis=1))])
+
     def result(self) -> Calibration:
         """The best of the sets evaluated so far. Raises: ParameterError if there are none."""
         import xarray as xr
@@ -177,8 +194,8 @@ class Study:
         smoothed = self._smoothed(whole)
         held_out = []
         for fold in range(self.folds):
-            others = whole - self.confusion[:, fold]
-            held_out.append(self.confusion[int(np.argmin(self._smoothed(others))), fold])
+            others = np.delete(self.confusion, fold, axis=1)
+            held_out.append(self.confusion[self._choice(others), fold])
         of_folds = self._of(np.array(held_out))
         names = list(dict.fromkeys(name for one in self.sets for name in one))
         columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
@@ -196,7 +213,7 @@ class Study:
             {"method": type(self.filter).__name__, "score": self.score, "searched": names},
         )
         return Calibration(
-            filter=self.filter.replace(**self.sets[int(np.argmin(smoothed))]),
+            filter=self.filter.replace(**self.sets[self._choice(self.confusion)]),
             score=float(self._of(np.array(held_out).sum(axis=0)[None])[0]),
             spread=float(np.nanstd(of_folds)),
             before=self._before(),
@@ -236,9 +253,11 @@ def calibrate(
     """Find the parameters that suit a cloud from a few labelled points or patches of it.
 
     ``size`` sets are spread over the ranges by a Sobol sequence; then, ``rounds`` - 1 times, as many over a quarter of each
-    range around the best. A set is judged by its own score on the labelled points and by those of sets like it. The score
-    that is returned is cross-validated: labelled points are cut into folds of whole blocks, and each fold is scored with
-    the set that the other folds would have chosen, since points next to each other share their fate.
+    range around the best. A set is judged by its own score on the labelled points and by those of sets like it. Of the sets
+    that are as good as the best to within a standard error over the folds, the one most like the given filter is taken: a few
+    labels do not outweigh it. The score that is returned is cross-validated: labelled points are cut into folds of whole
+    blocks, and each fold is scored with the set that the other folds would have chosen, since points next to each other
+    share their fate.
 
     Args: as for :class:`Study`; ``progress`` is called with the fraction done and what is being done.
 
@@ -269,8 +288,10 @@ def calibrate(
             unit = qmc.Sobol(len(ranges), rng=np.random.default_rng([seed, turn])).random(size)
         place = low + width * unit
         sets = [{name: r.at(u) for u, (name, r) in zip(row, ranges.items(), strict=True)} for row in place]
+        if turn == 0:
+            sets[0] = {name: getattr(filter_, name) for name in ranges}
         study.evaluate(sets, lambda done, step, turn=turn: report((turn + done) / rounds, step))  # type: ignore[misc]
-        best = study.sets[int(np.argmin(study._smoothed(study.confusion.sum(axis=1))))]
+        best = study.sets[study._choice(study.confusion)]
         centre = np.array([r.position(best[name]) for name, r in ranges.items()])
         width = width / 4
         low = np.clip(centre - width / 2, 0, 1 - width)
