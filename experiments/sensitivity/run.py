@@ -74,7 +74,7 @@ def fptd(folder: Path, out: Path) -> list[str]:
         by_elevation = grid.sel(max_angle=best_angle)
         best_elevation = float(by_elevation.total.idxmin("max_elevation"))
         whole = grid.total.stack(set=("max_angle", "max_elevation"))
-        best = whole.isel(set=int(whole.argmin("set")))
+        best = whole.isel(set=int(whole.values.argmin()))
         printed = jf.evaluate(jf.FPTD(max_angle=angle, max_elevation=elevation)(cloud), cloud.reference)
         rows.append(
             {
@@ -125,7 +125,7 @@ def fptd(folder: Path, out: Path) -> list[str]:
 def _curves(ax: Any, data: xarray.Dataset, axis: str, printed: float) -> None:
     for name, colour in COLOURS.items():
         ax.plot(data[axis], data[name], color=colour, marker="o", markersize=2.5, linewidth=1.1, label=NAMES[name])
-    low = data[axis][int(data.total.argmin())]
+    low = data[axis][int(data.total.values.argmin())]
     ax.plot(low, data.total.min(), marker="o", markersize=6, color="none", markeredgecolor="black")
     ax.axvline(printed, color="0.5", linestyle=":", linewidth=1)
     ax.tick_params(labelsize=7)
@@ -142,7 +142,7 @@ def smrf(folder: Path, numbers: list[str], out: Path) -> list[str]:
     mean = data.total.mean("cloud")
     given = {name: getattr(jf.SMRF(), name) for name in SMRF_AXES}
     best = mean.stack(set=list(SMRF_AXES))
-    best = best.isel(set=int(best.argmin("set")))
+    best = best.isel(set=int(best.values.argmin()))
     at_default = mean.sel(**given, method="nearest")
     own = data.total.min(list(SMRF_AXES))
     rows = []
