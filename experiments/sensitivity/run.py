@@ -64,7 +64,7 @@ def fptd(folder: Path, out: Path) -> list[str]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.2, 4.6), layout="constrained")
-    axes = figure.subplots(2, 4, sharey="col", sharex="row")
+    axes = figure.subplots(2, 4, sharex="row")
     rows: list[Row] = []
     for column, (number, (terrain, angle, elevation)) in enumerate(PRINTED.items()):
         cloud = jf.read(samples.sample_path(folder, number))
