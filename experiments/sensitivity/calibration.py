@@ -108,7 +108,7 @@ def report(rows: list[Row], command: str, draws: int, size: int) -> str:
             "cross-validated score that the calibration itself reports.",
             markdown(
                 [
-                    ("sample", "sample", ""), ("labelled", "labelled points", ",d"), ("given", "as given", ".2f"),
+                    ("sample", "sample", ""), ("labelled", "labelled points", ",.0f"), ("given", "as given", ".2f"),
                     ("calibrated", "calibrated", ".2f"), ("oracle", "oracle", ".2f"), ("loss", "loss, points", ".2f"),
                     ("worst", "worst draw", ".2f"), ("expected", "expected", ".2f"), ("better", "share better", ".1f"),
                 ],
