@@ -38,8 +38,11 @@ def labels_of(filter_, sets, cloud):
     """bool[sets, n] from one call for all sets."""
     points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
     out = np.zeros((len(sets), len(cloud)), bool)
+    numbers = []
     for number, ground in filter_.ground_each(points, sets, key=None, workers=None, memory=2e9):
         out[number, points.index] = ground[points.member]
+        numbers.append(number)
+    assert sorted(numbers) == list(range(len(sets))), "every set once: votes are counted"
     return out
 
 

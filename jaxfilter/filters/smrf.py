@@ -171,7 +171,9 @@ class SMRF(Filter):
             turns = -(-len(some) // lanes)
             terrain = jnp.broadcast_to(surface[..., None], (*surface.shape, lanes))
             for turn in range(turns):  # each lane goes through neighbouring slopes
-                which = np.minimum(turns * np.arange(lanes) + turn, len(some) - 1)
+                which = turns * np.arange(lanes) + turn
+                mine = np.flatnonzero(np.isin(rise, some[which[which < len(some)]]))
+                which = np.minimum(which, len(some) - 1)
                 terrain, steep = _terrains(
                     surface, bare, rank, which, cells.valid, cells.extent, cells.frame[2], terrain
                 )
@@ -180,7 +182,6 @@ class SMRF(Filter):
                     for rows, chunk, _ in chunks(points.xyz)
                 ]
                 lane = np.searchsorted(some[which], rise)
-                mine = np.flatnonzero(np.isin(rise, some[which]))
                 for k in range(0, len(mine), _SETS):
                     yield from _labels(parts, mine[k : k + _SETS], lane, sets)
 

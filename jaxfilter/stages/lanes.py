@@ -172,7 +172,7 @@ class _Lanes(Growth):
             yield from self._labels(idle & ~self.done)
             if idle.all():
                 return
-            self.done = idle
+            self.done |= idle
             if self.done.mean() >= _LEAVING:
                 todo = self._leave(np.flatnonzero(~self.done), todo)
         yield from self._labels(~self.done)
