@@ -170,18 +170,18 @@ class Study:
     def _choice(self, confusion: np.ndarray) -> int:
         """Number of the best set by counts i64[s, folds, 2, 2]: of those that are not worse than the least smoothed cost by more
         than a standard error of the difference over the folds, the one that is nearest to the filter as it was given."""
-        cost = self._smoothed(confusion.sum(axis=1))
+        whole, folds = confusion.sum(axis=1), confusion.shape[1]
+        cost = self._smoothed(whole)
         least = int(np.argmin(cost))
-        wrong = confusion[..., 0, 1] + confusion[..., 1, 0]
-        apart = (wrong - wrong[least]) / np.maximum(confusion.sum(axis=(2, 3)), 1)  # per fold, share of its points
-        folds = confusion.shape[1]
-        error = 100.0 * apart.std(axis=1, ddof=1) / math.sqrt(folds) if folds > 1 else np.zeros(len(cost))
-        near = np.flatnonzero(cost - cost[least] <= error)
         names = [name for name in self.ranges if all(name in one for one in self.sets)]
+        if not names or folds < 2:
+            return least
+        without = np.stack([self._of(whole - confusion[:, fold]) for fold in range(folds)], axis=1)
+        apart = np.nan_to_num(without - without[least])  # jackknife: differences with each fold left out
+        error = np.sqrt((folds - 1) * apart.var(axis=1))
+        near = np.flatnonzero(cost - cost[least] <= error)
         given = np.array([self.ranges[name].position(getattr(self.filter, name)) for name in names])
         place = np.array([[self.ranges[name].position(self.sets[i][name]) for name in names] for i in near])
-        if not names:
-            return least
         return int(near[np.argmin(((place - given) ** 2).sum(axis=1))])
 
     def result(self) -> Calibration:
