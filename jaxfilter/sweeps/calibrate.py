@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,7 @@ from ..core.points import canonical_points, plain_points
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .design import Design, make_design
+from .inference import Sample
 from .ranges import Range, around, search_ranges
 from .sweep import about
 
@@ -42,7 +44,8 @@ class Calibration:
         spread: standard deviation of that score over the folds, percent.
         before: the score of the filter as it was given, on the same labelled points.
         trials: the sets that were tried, in order, over the dimension ``set``: coordinates are the fields, variables
-            ``total`` and ``kappa`` on all labelled points and ``smoothed``, which decided, and ``confusion`` per fold.
+            ``total`` and ``kappa`` on all labelled points, ``confusion`` per fold, and ``expected``, which decided: the
+            score to expect on the whole cloud, a mean over similar sets.
     """
 
     filter: Filter
@@ -117,8 +120,11 @@ class Study:
         row = np.full(len(cloud), len(self.points))  # one more row: points that are set aside, never ground
         row[self.points.index] = self.points.member
         self.row = row[known]
+        self.sample = Sample.of(cloud.xyz, known, self.truth, fold, self.points.spacing())
         self.sets: list[dict[str, Any]] = []
         self.confusion = np.zeros((0, self.folds, 2, 2), np.int64)
+        self.row_of_sample = row[self.sample.index]
+        self.bits = np.zeros((0, (len(self.row_of_sample) + 7) // 8), np.uint8)
 
     def evaluate(self, sets: Sequence[Mapping[str, Any]], progress: Progress | None = None) -> np.ndarray:
         """f64[s], percent: the score of every set on all labelled points. Sets are kept for :meth:`result`.
@@ -134,13 +140,16 @@ class Study:
                 raise ParameterError(f"sets: all need the same fields; one has {sorted(one)}, another {sorted(names)}")
         plan = make_design(self.filter, {name: [one[name] for one in sets] for name in names}, "list")
         found = np.zeros((len(sets), self.folds, 2, 2), np.int64)
+        bits = np.zeros((len(sets), self.bits.shape[1]), np.uint8)
         for done, (number, ground) in enumerate(self._ground_each(plan), 1):
-            called = np.append(ground, False)[self.row]
-            cell = (self.fold * 2 + ~self.truth) * 2 + ~called
+            called = np.append(ground, False)
+            cell = (self.fold * 2 + ~self.truth) * 2 + ~called[self.row]
             found[number] = np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
+            bits[number] = np.packbits(called[self.row_of_sample])
             report(done / len(sets), f"{len(sets)} sets")
         self.sets += plan.sets
         self.confusion = np.concatenate([self.confusion, found])
+        self.bits = np.concatenate([self.bits, bits])
         return self._of(found.sum(axis=1))
 
     def _ground_each(self, plan: Design) -> Any:
@@ -153,36 +162,38 @@ class Study:
                 yield group[number], ground
 
     def _of(self, confusion: np.ndarray) -> np.ndarray:
-        """f64[s]: the score of counts i64[s, 2, 2]."""
-        return np.array([getattr(Scores.from_confusion(counts), self.score) for counts in confusion])
+        """f64[...]: the score of counts [..., 2, 2]; those to expect are no whole numbers."""
+        (a, b), (c, d) = np.moveaxis(confusion.astype(np.float64), (-2, -1), (0, 1))
+        n = a + b + c + d
+        with np.errstate(invalid="ignore"):
+            if self.score == "total":
+                return 100 * (b + c) / n
+            by_chance = (a + b) * (a + c) + (c + d) * (b + d)
+            return 100 * (n * (a + d) - by_chance) / (n * n - by_chance)
 
-    def _smoothed(self, confusion: np.ndarray) -> np.ndarray:
-        """f64[s], lower is better: scores averaged over sets with similar parameters, so that luck counts less."""
-        cost = self._of(confusion) * (1.0 if self.score == "total" else -1.0)
-        cost = np.where(np.isnan(cost), np.inf, cost)
+    def expected(self, without: Sequence[int] = (-1,)) -> np.ndarray:
+        """f64[v, s], percent: the score of each set to expect on the whole cloud, a mean over sets with similar parameters.
+
+        Labels count as they are; of the other points, see :mod:`jaxfilter.sweeps.inference`.
+
+        Args:
+            without: per view the fold whose labels are left out; -1 for none.
+        """
+        counts = self.sample.expected(self.bits, np.append(self._given, False)[self.row_of_sample], without)
+        whole = self.confusion.sum(axis=1)
+        for view, fold in enumerate(without):
+            counts[view] += whole if fold < 0 else whole - self.confusion[:, fold]
+        scores = self._of(counts)
         names = [name for name in self.ranges if all(name in one for one in self.sets)]
         if not names or len(self.sets) <= 2 * _NEIGHBOURS:
-            return cost
+            return scores
         place = np.array([[self.ranges[name].position(one[name]) for name in names] for one in self.sets])
-        _, near = cKDTree(place).query(place, _NEIGHBOURS)
-        return cost[near].mean(axis=1)
+        return scores[:, cKDTree(place).query(place, _NEIGHBOURS)[1]].mean(axis=2)
 
-    def _choice(self, confusion: np.ndarray) -> int:
-        """Number of the best set by counts i64[s, folds, 2, 2]: of those that are not worse than the least smoothed cost by more
-        than a standard error of the difference over the folds, the one that is nearest to the filter as it was given."""
-        whole, folds = confusion.sum(axis=1), confusion.shape[1]
-        cost = self._smoothed(whole)
-        least = int(np.argmin(cost))
-        names = [name for name in self.ranges if all(name in one for one in self.sets)]
-        if not names or folds < 2:
-            return least
-        without = np.stack([self._of(whole - confusion[:, fold]) for fold in range(folds)], axis=1)
-        apart = np.nan_to_num(without - without[least])  # jackknife: differences with each fold left out
-        error = np.sqrt((folds - 1) * apart.var(axis=1))
-        near = np.flatnonzero(cost - cost[least] <= error)
-        given = np.array([self.ranges[name].position(getattr(self.filter, name)) for name in names])
-        place = np.array([[self.ranges[name].position(self.sets[i][name]) for name in names] for i in near])
-        return int(near[np.argmin(((place - given) ** 2).sum(axis=1))])
+    def best(self, expected: np.ndarray) -> np.ndarray:
+        """i64[...]: numbers of the best sets by scores f64[..., s]; of equal ones the first."""
+        cost = expected if self.score == "total" else -expected
+        return np.argmin(np.where(np.isnan(cost), np.inf, cost), axis=-1)
 
     def result(self) -> Calibration:
         """The best of the sets evaluated so far. Raises: ParameterError if there are none."""
@@ -191,12 +202,9 @@ class Study:
         if not self.sets:
             raise ParameterError("Study.result: no set has been evaluated")
         whole = self.confusion.sum(axis=1)
-        smoothed = self._smoothed(whole)
-        held_out = []
-        for fold in range(self.folds):
-            others = np.delete(self.confusion, fold, axis=1)
-            held_out.append(self.confusion[self._choice(others), fold])
-        of_folds = self._of(np.array(held_out))
+        views = self.expected([-1, *range(self.folds)])
+        chosen = self.best(views)
+        held_out = self.confusion[chosen[1:], np.arange(self.folds)]
         names = list(dict.fromkeys(name for one in self.sets for name in one))
         columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
         fields = {f.name: f for f in declared(self.filter)}
@@ -205,7 +213,7 @@ class Study:
             {
                 "total": ("set", [s.total for s in scores]),
                 "kappa": ("set", [s.kappa for s in scores]),
-                "smoothed": ("set", smoothed),
+                "expected": ("set", views[0]),
                 "confusion": (("set", "fold", "reference", "labelled"), self.confusion),
             },
             {"set": np.arange(len(self.sets))}
@@ -213,21 +221,24 @@ class Study:
             {"method": type(self.filter).__name__, "score": self.score, "searched": names},
         )
         return Calibration(
-            filter=self.filter.replace(**self.sets[self._choice(self.confusion)]),
-            score=float(self._of(np.array(held_out).sum(axis=0)[None])[0]),
-            spread=float(np.nanstd(of_folds)),
+            filter=self.filter.replace(**self.sets[chosen[0]]),
+            score=float(self._of(held_out.sum(axis=0))),
+            spread=float(np.nanstd(self._of(held_out))),
             before=self._before(),
             trials=trials,
         )
 
     def _before(self) -> float:
         """The score of the filter as it was given."""
-        ground = self.same.ground if self.same is not None else self._alone()
-        called = np.append(ground, False)[self.row]
+        called = np.append(self._given, False)[self.row]
         cell = 2 * ~self.truth + ~called
-        return float(self._of(np.bincount(cell, minlength=4).reshape(1, 2, 2))[0])
+        return float(self._of(np.bincount(cell, minlength=4).reshape(2, 2)))
 
-    def _alone(self) -> np.ndarray:
+    @functools.cached_property
+    def _given(self) -> np.ndarray:
+        """bool[m]: ground among the candidates, by the filter as it was given."""
+        if self.same is not None:
+            return self.same.ground
         ((_, ground),) = self.filter.ground_each(self.points, [self.filter], **self.options)
         return ground
 
@@ -253,11 +264,11 @@ def calibrate(
     """Find the parameters that suit a cloud from a few labelled points or patches of it.
 
     ``size`` sets are spread over the ranges by a Sobol sequence; then, ``rounds`` - 1 times, as many over a quarter of each
-    range around the best. A set is judged by its own score on the labelled points and by those of sets like it. Of the sets
-    that are as good as the best to within a standard error over the folds, the one most like the given filter is taken: a few
-    labels do not outweigh it. The score that is returned is cross-validated: labelled points are cut into folds of whole
-    blocks, and each fold is scored with the set that the other folds would have chosen, since points next to each other
-    share their fate.
+    range around the best. A set is judged by the score to expect on the whole cloud, and by those of sets like it: labels
+    count as they are and say what points without a label are likely to be, and where they say little the given filter is
+    believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned is cross-validated: labelled points are cut
+    into folds of whole blocks, and each fold is scored with the set that the other folds would have chosen, since points
+    next to each other share their fate.
 
     Args: as for :class:`Study`; ``progress`` is called with the fraction done and what is being done.
 
@@ -291,7 +302,7 @@ def calibrate(
         if turn == 0:
             sets[0] = {name: getattr(filter_, name) for name in ranges}
         study.evaluate(sets, lambda done, step, turn=turn: report((turn + done) / rounds, step))  # type: ignore[misc]
-        best = study.sets[study._choice(study.confusion)]
+        best = study.sets[study.best(study.expected()[0])]
         centre = np.array([r.position(best[name]) for name, r in ranges.items()])
         width = width / 4
         low = np.clip(centre - width / 2, 0, 1 - width)
