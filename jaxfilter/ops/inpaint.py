@@ -39,10 +39,13 @@ class Membrane(NamedTuple):
 
 
 class _Springs(NamedTuple):
-    """Stiffness of the springs of one level, f32[rows, columns] or f32[rows, columns, grids] each; zero outside the holes."""
+    """Stiffness of the springs of one level, f32[rows, columns] or f32[rows, columns, grids] each; zero outside the holes.
 
-    right: jax.Array  # between a hole and the hole to its right
-    up: jax.Array  # between a hole and the hole in the next row
+    On the finest level all springs are alike, so that sums of neighbours do without ``right`` and ``up``.
+    """
+
+    right: jax.Array | None  # between a hole and the hole to its right
+    up: jax.Array | None  # between a hole and the hole in the next row
     total: jax.Array  # of all springs at a hole, those to known cells included
 
 
@@ -77,6 +80,7 @@ def _springs(hole: jax.Array, inside: jax.Array) -> _Springs:
 def _coarser(springs: _Springs) -> _Springs:
     """Springs of the next level: those that cross between its cells, weakened in proportion to their new length."""
     right, up, total = springs
+    assert right is not None and up is not None
     to_holes = right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0)
     anchors = _pool(total - to_holes)
     right = _block_sums(right[:, _FACTOR - 1 :: _FACTOR], 0) / _FACTOR
@@ -84,9 +88,17 @@ def _coarser(springs: _Springs) -> _Springs:
     return _Springs(right, up, anchors + right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0))
 
 
+def _neighbours(x: jax.Array) -> jax.Array:
+    """Sum of the four neighbours of each cell; zero beyond the border."""
+    wide = jnp.pad(x, [(1, 1), (1, 1), *[(0, 0)] * (x.ndim - 2)])
+    return wide[1:-1, 2:] + wide[1:-1, :-2] + wide[2:, 1:-1] + wide[:-2, 1:-1]
+
+
 def _forces(springs: _Springs, x: jax.Array) -> jax.Array:
-    """The stiffness matrix times x."""
+    """The stiffness matrix times x; x is zero outside the holes."""
     right, up, total = springs
+    if right is None or up is None:
+        return jnp.where(total > 0, total * x - _neighbours(x), 0)
     neighbours = (
         right * _shifted(x, 0, 1) + _shifted(right * x, 0, -1) + up * _shifted(x, 1, 0) + _shifted(up * x, -1, 0)
     )
@@ -98,6 +110,8 @@ def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], force: jax.Array
     springs, inverse = levels[0], inverses[0]
 
     def smooth(_: int, x: jax.Array) -> jax.Array:
+        if springs.right is None:  # the same with fewer reads
+            return jnp.where(inverse > 0, x + _DAMPING * ((force + _neighbours(x)) * inverse - x), 0)
         return x + _DAMPING * inverse * (force - _forces(springs, x))
 
     if len(levels) == 1:
@@ -171,6 +185,7 @@ def fill_membrane(
     levels = [_springs(hole, inside)]
     for _ in range(depth):
         levels.append(_coarser(levels[-1]))
+    levels[0] = levels[0]._replace(right=None, up=None)
     inverses = [jnp.where(s.total > 0, 1 / jnp.maximum(s.total, 1e-6), 0) for s in levels]
     levels, inverses = lax.optimization_barrier((levels, inverses))
 
