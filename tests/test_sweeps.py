@@ -103,6 +103,18 @@ def test_methods_on_triangulations_equal_single_runs(filter_, hills):
     assert len({ground.tobytes() for ground in found}) > 3
 
 
+@pytest.mark.parametrize("filter_", [jf.SPF(window=30.0), jf.FPTD(window=30.0), jf.ATIN(seed_cell=30.0)], ids=str)
+def test_points_at_the_position_of_a_vertex_have_one_label_whatever_the_history(filter_, hills):
+    xyz = hills.coordinates()
+    xyz[:, :2] = np.rint(xyz[:, :2] / 1.25) * 1.25  # nearly two points at each position
+    crowded = jf.PointCloud.from_arrays(xyz, reference=hills.reference)
+    assert len(np.unique(crowded.xyz[:, :2], axis=0)) < 0.7 * len(crowded)
+    sets = product(filter_, max_angle=(4.0, 9.0, 15.0, 22.0, 30.0))
+    for one, ground in zip(sets, labels_of(filter_, sets, crowded), strict=True):
+        assert np.array_equal(one(crowded).ground, ground)
+        assert np.array_equal(one(crowded, workers=5).ground, ground)
+
+
 @pytest.mark.parametrize("limit", [1, 2, 3])
 def test_lanes_stop_at_the_limit_of_rounds(limit, hills):
     sets = product(jf.FPTD(window=30.0, max_rounds=limit), max_angle=(4.0, 30.0), max_elevation=(0.4, 1.4))
@@ -127,6 +139,30 @@ def test_any_method_sweeps_any_traced_field(filter_, hills):
     sets = [filter_, filter_.replace(**{name: 0.6 * value})]
     for one, ground in zip(sets, labels_of(filter_, sets, hills), strict=True):
         assert np.array_equal(one(hills).ground, ground)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(workers, hills, monkeypatch):
+    sets = [jf.MSF(slope=slope) for slope in (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)]
+    begun, classify = [], jf.MSF.classify
+
+    def counted(self, points, **options):
+        if self.slope == 0.45:
+            raise RuntimeError("a set that fails")
+        begun.append((self.slope, options["workers"]))
+        return classify(self, points, **options)
+
+    monkeypatch.setattr(jf.MSF, "classify", counted)
+    points = canonical_points(hills)
+    reader = sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9)
+    assert [next(reader)[0] for _ in range(3)] == [0, 1, 2]
+    reader.close()
+    assert 3 <= len(begun) <= 3 + workers and {w for _, w in begun} == {1}
+    with pytest.raises(RuntimeError, match="fails"):
+        list(sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9))
+    begun.clear()
+    list(sets[0].ground_each(points, sets[:2], key=None, workers=workers, memory=1.0))
+    assert {w for _, w in begun} == {workers}, "one at a time, with all threads, where memory is short"
 
 
 def test_copies_of_a_triangulation_are_the_same_and_apart(rng):

@@ -164,3 +164,21 @@ def test_triangles_around_vertices_are_found_on_the_hull_and_inside(pool):
     assert (network.around(vertices) == expected).all()
     own = network.triangle_of_vertices()
     assert (network.triangles[own[vertices]] == vertices[:, None]).any(axis=1).all()
+
+
+def test_one_of_the_triangles_at_a_vertex_is_first_in_any_history(pool, rng):
+    xyz = nodes(rng, 900, 40, 0.5)
+    all_nodes, corners = np.arange(len(xyz)), np.arange(len(xyz) - 4, len(xyz))
+    sheet = np.zeros(len(xyz), np.int32)
+    whole = Tin(xyz, sheet, all_nodes, pool)
+    grown = Tin(xyz, sheet, corners, pool)
+    for part in np.array_split(rng.permutation(len(xyz) - 4), 3):
+        grown.insert(np.sort(part))
+    found = [np.sort(tin.triangles[tin.first_around(all_nodes)], axis=1) for tin in (whole, grown)]
+    assert np.array_equal(*found)
+    for v in all_nodes[::37]:
+        at = np.sort(whole.triangles[(whole.triangles == v).any(axis=1)], axis=1).tolist()
+        assert found[0][v].tolist() == min(at)
+    marked = rng.random(len(whole)) < 0.05
+    expected = [bool(marked[(whole.triangles == v).any(axis=1)].any()) for v in all_nodes]
+    assert whole.any_around(all_nodes, marked).tolist() == expected

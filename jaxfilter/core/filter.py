@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
+import os
 import warnings
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -14,6 +17,9 @@ from .errors import JaxfilterWarning, ParameterError
 from .params import check_fields
 from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
+
+_BYTES = 1000
+"""About so many of memory per point of a classification."""
 
 
 @dataclasses.dataclass
@@ -98,13 +104,31 @@ class Filter:
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
 
-        A method overrides this where sets can share work. Each set has the labels of ``classify``, to the last bit of the
-        arithmetic. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
+        A method overrides this where sets can share work; here each is classified on its own, several at a time in threads.
+        Each set has the labels of ``classify``, to the last bit of the arithmetic. The clouds are those that ``classify``
+        gets; ``memory`` is in bytes, for what is held for many sets.
 
         Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
         """
-        for number, one in enumerate(sets):
-            yield number, one.classify(points, key=key, workers=workers, progress=silent, trace=False).ground
+        threads = workers or os.cpu_count() or 1
+        at_once = int(np.clip(memory // (_BYTES * len(points)), 1, min(threads, len(sets))))
+
+        def ground(one: Self) -> np.ndarray:
+            return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False).ground
+
+        if at_once == 1:
+            yield from ((number, ground(one)) for number, one in enumerate(sets))
+            return
+        pool = ThreadPoolExecutor(at_once)
+        try:
+            running = collections.deque(pool.submit(ground, one) for one in sets[:at_once])
+            for number in range(len(sets)):
+                found = running.popleft().result()
+                if number + at_once < len(sets):
+                    running.append(pool.submit(ground, sets[number + at_once]))
+                yield number, found
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def __call__(
         self,

@@ -25,7 +25,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
@@ -487,18 +487,37 @@ class Tin:
         self._at[self.triangles[rows].ravel()] = np.repeat(rows, 3)
 
     def around(self, vertices: np.ndarray) -> np.ndarray:
-        """Rows of all triangles at the vertices, found by turning about each of them; ascending."""
-        found = [np.zeros(0, np.int32)]
+        """Rows of all triangles at the vertices; ascending."""
+        return np.unique(np.concatenate([np.zeros(0, np.int32), *(tri for _, tri in self._turns(vertices))]))
+
+    def any_around(self, vertices: np.ndarray, marked: np.ndarray) -> np.ndarray:
+        """bool[n]: one of the triangles at each vertex is marked, bool[t]."""
+        out = np.zeros(len(vertices), bool)
+        for which, tri in self._turns(vertices):
+            out[which] |= marked[tri]
+        return out
+
+    def first_around(self, vertices: np.ndarray) -> np.ndarray:
+        """i32[n]: of the triangles at each vertex the one whose corners come first, whatever the history of the network."""
+        best, rank = self._at[vertices], np.full((len(vertices), 3), len(self.xy), np.int64)
+        for which, tri in self._turns(vertices):
+            corner, least = np.sort(self.triangles[tri], axis=1), rank[which]
+            differs = (corner != least).argmax(axis=1)[:, None]
+            comes_first = (np.take_along_axis(corner, differs, 1) < np.take_along_axis(least, differs, 1))[:, 0]
+            best[which[comes_first]], rank[which[comes_first]] = tri[comes_first], corner[comes_first]
+        return best
+
+    def _turns(self, vertices: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Places in ``vertices`` and a triangle at each, until all triangles at the vertices have come, some of them twice."""
         for side in (1, 2):  # one way, and the other in case the hull stopped it
-            v, tri = vertices, self._at[vertices]
+            which, tri = np.arange(len(vertices)), self._at[vertices]
             first = tri
-            while len(v):
-                found.append(tri)
-                corner = (self.triangles[tri] == v[:, None]).argmax(axis=1)
+            while len(which):
+                yield which, tri
+                corner = (self.triangles[tri] == vertices[which, None]).argmax(axis=1)
                 step = self.neighbours[tri, (corner + side) % 3]
                 on = (step >= 0) & (step != first)
-                v, tri, first = v[on], step[on], first[on]
-        return np.unique(np.concatenate(found))
+                which, tri, first = which[on], step[on], first[on]
 
     def walk(self, xy: np.ndarray, start: np.ndarray, sheet: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position f64[n, 2], walking from triangles ``start``; -1 outside."""

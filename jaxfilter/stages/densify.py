@@ -192,6 +192,7 @@ class Growth:
         self.ground = network.seed.copy()
         self.virtual = np.flatnonzero(network.row < 0)
         self.head = _same_position(network.xyz, network.sheet)
+        self._find_shared()
         self.vertex_at = np.full(k, -1, np.int64)  # per head: the node that stands for this position in the network
         self.square = _squares(network, vertex_spacing) if vertex_spacing > 0 else None
         self.taken = np.zeros(0 if self.square is None else int(self.square.max(initial=-1)) + 1, bool)
@@ -265,6 +266,8 @@ class Growth:
         """bool[.]: nodes to test again: their facet, or that of their mirror image, has changed, or they were put off."""
         again = changed[self.tin.where[rest]]
         again[np.searchsorted(rest, deferred)] = True
+        place, vertex = self._at_vertex(rest)
+        again[place] |= self.tin.any_around(vertex, changed)
         if self.mirror is not None:
             image = self.image_in[rest]
             again |= (image >= 0) & np.append(changed, True)[np.minimum(image, len(changed))]
@@ -339,7 +342,7 @@ class Growth:
     def _over_ground(self) -> tuple[np.ndarray, np.ndarray]:
         """Unsigned distances and angles of the ground points that are no vertices, in their facets."""
         nodes = np.flatnonzero(self.ground & ~self.tin.vertex)
-        found = self._judge(nodes, self.tin.where[nodes])
+        found = self._judge(nodes, self._facets(nodes))
         return np.abs(found["distance"]), np.abs(found["angle"])
 
     def _over_neighbours(self) -> tuple[np.ndarray, np.ndarray]:
@@ -376,9 +379,10 @@ class Growth:
 
     def _test(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Test nodes against their facets, keep the tested quantities, and return those accepted and those deferred."""
-        verdict = self._judge(nodes, self.tin.where[nodes])
+        facet = self._facets(nodes)
+        verdict = self._judge(nodes, facet)
         if self.mirror is not None and self.mirror.slope < 90.0:
-            self._mirror(nodes, verdict)
+            self._mirror(nodes, facet, verdict)
         self.angle[nodes] = verdict["angle"]
         self.elevation[nodes] = verdict["elevation"]
         self.margin[nodes] = verdict["margin"]
@@ -386,10 +390,10 @@ class Growth:
         passed = np.flatnonzero(verdict["accepted"])
         if not self.one_per_facet:
             return nodes[passed], nodes[:0]
-        put_off = self._not_lowest(nodes[passed], verdict["height"][passed])
+        put_off = self._not_lowest(nodes[passed], facet[passed], verdict["height"][passed])
         return nodes[passed[~put_off]], nodes[passed[put_off]]
 
-    def _not_lowest(self, nodes: np.ndarray, height: np.ndarray) -> np.ndarray:
+    def _not_lowest(self, nodes: np.ndarray, facet: np.ndarray, height: np.ndarray) -> np.ndarray:
         """bool[n]: nodes that could become vertices, but are not the lowest of these over their facet."""
         if self.lowest is not None:
             free = self._undercuts(nodes)
@@ -398,13 +402,12 @@ class Growth:
             if self.square is not None:
                 free &= ~self.taken[self.square[nodes]]
         free = np.flatnonzero(free)
-        facet = self.tin.where[nodes[free]]
-        order = np.lexsort((nodes[free], height[free], facet))
+        order = free[np.lexsort((nodes[free], height[free], facet[free]))]
         put_off = np.zeros(len(nodes), bool)
-        put_off[free[order]] = np.diff(facet[order], prepend=-1) == 0
+        put_off[order] = np.diff(facet[order], prepend=-1) == 0
         return put_off
 
-    def _mirror(self, nodes: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
+    def _mirror(self, nodes: np.ndarray, facet: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
         """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes.
 
         Where a second test cannot change the outcome it is left out.
@@ -418,7 +421,7 @@ class Growth:
         steep = np.flatnonzero(of_use)
         if len(steep) == 0:
             return
-        facet = self.tin.where[nodes[steep]]
+        facet = facet[steep]
         image = np.empty((len(steep), 3), np.float32)
         for start in range(0, len(steep), self.batches[-1]):
             part = slice(start, start + self.batches[-1])
@@ -432,6 +435,34 @@ class Growth:
         replace = second["accepted"] | (mode != "or")
         for name in ("accepted", "decision", "margin", "angle", "elevation"):
             verdict[name][steep[replace]] = second[name][replace]
+
+    def _find_shared(self) -> None:
+        """Find the positions with several nodes: bool[k], whether a node has company; and the nodes that do, by position."""
+        alone = np.ones(len(self.head), bool)
+        alone[1:] = self.head[1:] != self.head[:-1]  # nodes at one position follow each other
+        self.shares = ~alone
+        self.shares[:-1] |= ~alone[1:]
+        self.shared = np.flatnonzero(self.shares)
+        self.position = np.cumsum(alone[self.shared]) - 1
+
+    def _at_vertex(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places of the nodes that lie exactly at the position of a vertex, and these vertices."""
+        place = np.flatnonzero(self.shares[nodes])
+        if len(place) == 0:
+            return place, place
+        vertex = np.full(int(self.position[-1]) + 1, -1)
+        here = self.tin.vertex[self.shared]
+        vertex[self.position[here]] = self.shared[here]
+        found = vertex[self.position[np.searchsorted(self.shared, nodes[place])]]
+        other = (found >= 0) & (found != nodes[place])
+        return place[other], found[other]
+
+    def _facets(self, nodes: np.ndarray) -> np.ndarray:
+        """i32[n]: the facets that contain the nodes. At a vertex all its facets do; the first of them is taken."""
+        facet = self.tin.where[nodes]
+        place, vertex = self._at_vertex(nodes)
+        facet[place] = self.tin.first_around(vertex)
+        return facet
 
     def _judge(self, nodes: np.ndarray, facet: np.ndarray, image: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Test nodes, or ``image`` f32[n, 3] in their place, in facets i32[n]; the quantities on the host."""

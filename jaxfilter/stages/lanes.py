@@ -143,6 +143,7 @@ class _Lanes(Growth):
         )
         self.ground, self.waiting = of(self.ground), of(self.waiting)
         self.head, self.vertex_at = moved(self.head, size), moved(self.vertex_at, size)
+        self._find_shared()
         self.virtual = moved(self.virtual, size, self.borders)
         self.border_gap = of(self.border_gap, self.borders)
         if self.square is not None:
@@ -198,9 +199,10 @@ class _Lanes(Growth):
         return np.flatnonzero(marked)
 
     def _test(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        verdict = self._judge(nodes, self.tin.where[nodes])
+        facet = self._facets(nodes)
+        verdict = self._judge(nodes, facet)
         if self.mirror is not None and self.mirror.slope < 90.0:
-            self._mirror(nodes, verdict)
+            self._mirror(nodes, facet, verdict)
         return nodes[verdict["accepted"]], nodes[:0]
 
     def _verdict(self, nodes: np.ndarray, *arguments: np.ndarray) -> Verdict:
