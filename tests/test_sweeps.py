@@ -165,6 +165,26 @@ def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(work
     assert {w for _, w in begun} == {workers}, "one at a time, with all threads, where memory is short"
 
 
+@pytest.mark.parametrize(
+    ("filter_", "others"),
+    [(jf.CSF(), {"max_step": (0.3, 0.5)}), (jf.PPDF(), {"buffer": (0.3, 0.5)})],
+    ids=["CSF", "PPDF"],
+)
+def test_sets_that_differ_in_the_last_threshold_are_classified_once(filter_, others, hills, monkeypatch):
+    (last,) = filter_.LAST
+    sets = product(filter_, **{last: (0.1, 0.25, 0.6, 1.2)}, **others)
+    alone = [one(hills).ground for one in sets]
+    runs, classify = [], type(filter_).classify
+
+    def counted(self, points, **options):
+        runs.append(self)
+        return classify(self, points, **options)
+
+    monkeypatch.setattr(type(filter_), "classify", counted)
+    assert np.array_equal(labels_of(filter_, sets, hills), alone)
+    assert len(runs) == 2 and len({ground.tobytes() for ground in alone}) >= 4
+
+
 def test_copies_of_a_triangulation_are_the_same_and_apart(rng):
     from concurrent.futures import ThreadPoolExecutor
 

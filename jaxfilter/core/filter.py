@@ -14,7 +14,7 @@ import numpy as np
 
 from .cloud import PointCloud, as_cloud
 from .errors import JaxfilterWarning, ParameterError
-from .params import check_fields
+from .params import check_fields, declared
 from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
@@ -24,7 +24,10 @@ _BYTES = 1000
 
 @dataclasses.dataclass
 class Labels:
-    """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None."""
+    """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None.
+
+    ``settled``: bool[m], points that are ground before the last thresholds are applied.
+    """
 
     ground: np.ndarray
     height: np.ndarray | None = None
@@ -34,6 +37,7 @@ class Labels:
     margin: np.ndarray | None = None
     decision: np.ndarray | None = None
     barred: np.ndarray | None = None
+    settled: np.ndarray | None = None
     status: Status = Status.CONVERGED
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     trace: list[dict[str, Any]] = dataclasses.field(default_factory=list)
@@ -45,11 +49,14 @@ class Filter:
     ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
+    ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
+    that has such defines ``passed``.
     """
 
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
     ORDER_FREE: ClassVar[bool] = False
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
+    LAST: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         self.check()
@@ -99,34 +106,42 @@ class Filter:
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
+    def passed(self, labels: Labels) -> np.ndarray:
+        """bool[m], ground by the thresholds in ``LAST``; ``labels`` are those of a set that may differ in these."""
+        raise TypeError(f"{type(self).__name__} does not define passed()")
+
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
 
-        A method overrides this where sets can share work; here each is classified on its own, several at a time in threads.
-        Each set has the labels of ``classify``, to the last bit of the arithmetic. The clouds are those that ``classify``
-        gets; ``memory`` is in bytes, for what is held for many sets.
+        A method overrides this where sets can share work. Here sets that differ in ``LAST`` only share all but the last step,
+        and several are classified at a time, in threads. Each set has the labels of ``classify``, to the last bit of the
+        arithmetic. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
 
         Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
         """
+        names = [field.name for field in declared(self) if field.name not in self.LAST]
+        alike: dict[tuple[Any, ...], list[int]] = {}
+        for number, one in enumerate(sets):
+            alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
+        jobs = list(alike.values())
         threads = workers or os.cpu_count() or 1
-        at_once = int(np.clip(memory // (_BYTES * len(points)), 1, min(threads, len(sets))))
+        at_once = int(np.clip(memory // (_BYTES * len(points)), 1, min(threads, len(jobs))))
 
-        def ground(one: Self) -> np.ndarray:
-            return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False).ground
+        def classified(job: list[int]) -> Labels:
+            one = sets[job[0]]
+            return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
 
-        if at_once == 1:
-            yield from ((number, ground(one)) for number, one in enumerate(sets))
-            return
         pool = ThreadPoolExecutor(at_once)
         try:
-            running = collections.deque(pool.submit(ground, one) for one in sets[:at_once])
-            for number in range(len(sets)):
-                found = running.popleft().result()
-                if number + at_once < len(sets):
-                    running.append(pool.submit(ground, sets[number + at_once]))
-                yield number, found
+            running = collections.deque(pool.submit(classified, job) for job in jobs[:at_once])
+            for k, job in enumerate(jobs):
+                labels = running.popleft().result()
+                if k + at_once < len(jobs):
+                    running.append(pool.submit(classified, jobs[k + at_once]))
+                yield job[0], labels.ground
+                yield from ((number, sets[number].passed(labels)) for number in job[1:])
         finally:
             pool.shutdown(cancel_futures=True)
 

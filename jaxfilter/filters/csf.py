@@ -78,6 +78,7 @@ class CSF(Filter):
     )
     low_clusters: bool = static(True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
 
+    LAST: ClassVar[tuple[str, ...]] = ("threshold",)
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
         "paper": {"resolution": 0.5, "rigidness": 3, "surface": "nearest", "low_clusters": False},
@@ -106,6 +107,11 @@ class CSF(Filter):
         Beyond it, what holds the cloth is the ground around. Membranes of cloth over voids reach further.
         """
         return self.resolution * (_HOLE + MARGIN)
+
+    def passed(self, labels: Labels) -> np.ndarray:
+        """Sets that differ in the threshold share the cloth."""
+        assert labels.height is not None
+        return np.abs(labels.height) - np.float32(self.threshold) < 0
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
@@ -147,7 +153,7 @@ class CSF(Filter):
         progress(0.9, "classifying")
         above, slope = (np.asarray(a)[: len(points)] for a in _test(xyz, top - height, frame, true))
         margin = np.abs(above) - np.float32(self.threshold)
-        ground = margin < 0
+        ground = margin < 0  # as in passed()
         decision = np.where(ground, Decision.ACCEPTED, np.where(above < 0, Decision.LOW, Decision.SURFACE))
         info = {"particles": rows * columns, "on_ground": int(pinned.sum()), "steps": cloth.steps}
         progress(1.0, "done")

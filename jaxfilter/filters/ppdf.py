@@ -89,6 +89,7 @@ class PPDF(Filter):
         "quadrants", choices=("quadrants", "nearest"), doc="references: one in each quadrant, or the nearest four"
     )
 
+    LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
     PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
         "recommended": {},
         "paper": {
@@ -120,6 +121,11 @@ class PPDF(Filter):
         """
         disks = math.ceil(self.window / self.canopy_cell - 1e-6)
         return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
+
+    def passed(self, labels: Labels) -> np.ndarray:
+        """Sets that differ in the distance to the local plane share the references."""
+        assert labels.settled is not None and labels.elevation is not None
+        return labels.settled | (np.abs(labels.elevation) <= self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -187,7 +193,7 @@ class PPDF(Filter):
         around = self._around(xyz, rows, side)
         around.add(np.flatnonzero(reference), workers)
         distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row)
-        ground = reference | (np.abs(distance) <= self.max_distance)
+        ground = reference | (np.abs(distance) <= self.max_distance)  # as in passed()
         decision = np.where(ground, Decision.ACCEPTED, np.where(distance < 0, Decision.LOW, Decision.ELEVATION))
         decision[reference & seed] = Decision.SEED
         limit = np.where(reference, max(self.buffer, self.reference_distance), self.max_distance)
@@ -200,6 +206,7 @@ class PPDF(Filter):
             margin=(np.abs(distance) - limit).astype(np.float32),
             decision=decision.astype(np.uint8),
             barred=barred,
+            settled=reference,
             status=status,
             info={
                 "under_canopy": int(under.sum()),
