@@ -1,10 +1,13 @@
 """Calibration finds parameters from few labels, judges them on blocks it did not use, and refuses labels it cannot use."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import jaxfilter as jf
 from jaxfilter import scenes
+from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.calibrate import _folds
 from jaxfilter.sweeps.ranges import RANGES, Range, search_ranges
 
@@ -66,6 +69,66 @@ def test_an_optimiser_drives_a_study_in_batches(scene, patches):
     assert len(study.sets) == 36 and optimiser.best_value == pytest.approx(float(study.result().trials.total.min()))
 
 
+def test_scores_are_averaged_over_sets_with_similar_parameters_only(scene):
+    study = jf.Study(jf.SMRF(), scene.cloud, scene.truth)  # all labels are known: the score to expect is the score
+    slopes = np.geomspace(0.04, 0.5, 20)
+    totals = np.concatenate([
+        study.evaluate([{"slope": s} for s in slopes]),
+        study.evaluate([{"slope": s, "threshold": 5.0} for s in slopes]),
+        study.evaluate([{"slope": 0.1, "window": w} for w in (2.0, 9.0, 18.0)]),
+    ])  # fmt: skip
+    (expected,) = study.expected()
+    place = np.array([[np.log(one["slope"] / 0.03), one.get("threshold") == 5.0] for one in study.sets])
+    for number in (4, 10, 24, 35):
+        near = np.flatnonzero(place[:, 1] == place[number, 1])
+        assert totals[near].min() <= expected[number] <= totals[near].max()
+        assert abs(expected[number] - totals[number]) < 0.3 * np.ptp(totals)
+    few = jf.Study(jf.PMF(), scene.cloud, scene.truth)
+    totals = few.evaluate([{"compare": word, "slope": s} for s in (0.1, 0.2) for word in ("surfaces", "points")])
+    assert np.array_equal(few.expected()[0], totals)
+    assert f"compare={few.result().filter.compare}" in str(few.result())
+
+
+@pytest.mark.parametrize("seed", [5, 8])
+def test_the_best_set_is_that_of_the_cloud_not_that_of_the_patches(seed):
+    place = scenes.make("mixed", size=120.0, density=1.5, seed=seed)
+    cloud, truth = place.cloud, place.truth
+    patches = [np.abs(cloud.xyz[:, :2] - at).max(axis=1) < 6 for at in ((25, 25), (90, 30), (30, 95), (85, 85))]
+    study = jf.Study(jf.SMRF(), cloud, truth, labelled=np.any(patches, axis=0) & cloud.candidate)
+    axes = itertools.product((0.05, 0.1, 0.2, 0.4, 0.8), (0.15, 0.3, 0.6, 1.2), (0.0, 1.5, 3.0))
+    naive = study.evaluate([dict(zip(("slope", "threshold", "scaling"), values, strict=True)) for values in axes])
+
+    def error(**values):
+        return jf.evaluate(jf.SMRF(**values)(cloud).ground, truth).total
+
+    best = study.sets[study.best(study.expected()[0])]
+    assert error(**best) < min(0.8 * error(), 0.6 * error(**study.sets[int(naive.argmin())]))
+
+
+def test_a_given_filter_without_limit_is_searched(scene, patches):
+    found = jf.calibrate(
+        jf.FPTD(window=30.0), scene.cloud, scene.truth, labelled=patches, axes={"max_below": (0.5, 5.0)}, size=20
+    )
+    assert np.isinf(found.trials.max_below.values[0]) and found.trials.sizes["set"] == 40
+
+
+def test_trials_are_tabled_and_stored(scene, patches, tmp_path):
+    found = jf.calibrate(jf.SMRF(), scene.cloud, scene.truth, labelled=patches, size=24, rounds=1, score="kappa")
+    table = best_sets(found.trials, "expected", None)
+    assert table.expected.is_monotonic_decreasing and table.slope.iloc[0] == found.filter.slope
+    found.trials.to_netcdf(tmp_path / "trials.nc")
+
+
+def test_labels_that_say_nothing_are_refused_or_warned_of(scene):
+    cloud = scene.cloud
+    with pytest.raises(jf.InputError, match="set aside"):
+        jf.Study(jf.SMRF(), cloud, np.arange(len(cloud)) % 2 == 0, labelled=~cloud.candidate)
+    line = np.column_stack([np.arange(40.0), np.zeros(40), np.arange(40) % 2])
+    with pytest.warns(jf.JaxfilterWarning, match="SMRF"):
+        found = jf.calibrate(jf.SMRF(), line, np.arange(40) % 2 == 0, size=4, rounds=1)
+    assert found.score == found.before
+
+
 @pytest.mark.parametrize("count", [2, 5])
 def test_folds_are_whole_blocks_of_about_the_same_size(count, rng):
     xyz = (rng.random((900, 3)) * [200, 80, 9]).astype(np.float32)
@@ -93,7 +156,14 @@ def test_bad_labels_and_arguments_are_named(scene, patches):
         ({"axes": {"slope": (0.2, 0.1)}}, "from low to high"),
         ({"axes": {"slope": (-0.2, 0.1)}}, r"SMRF\(slope=-0.2\)"),
         ({"axes": {"slope": 0.1}}, "pair"),
+        ({"axes": ["slope"]}, "map fields of SMRF"),
+        ({"axes": {"slope": Range(0.1, 0.2, "linear"), "window": (9.0, float("inf"))}}, "window=.*from low to high"),
         ({"size": 0}, "size=0"),
+        ({"size": 2.5}, "size=2.5"),
+        ({"seed": -1}, "seed=-1"),
+        ({"workers": 0}, "workers=0"),
+        ({"memory": float("inf")}, "memory=inf"),
+        ({"block": float("inf")}, "block=inf"),
         ({"rounds": 0}, "rounds=0"),
         ({"folds": 1}, "folds=1"),
         ({"block": 0.0}, "block=0.0"),
@@ -116,4 +186,8 @@ def test_search_ranges_hold_values_that_the_method_takes(method):
 def test_ranges_map_the_unit_interval():
     assert Range(0.1, 10.0, "log").at(0.5) == 1.0 and Range(2.0, 4.0).at(0.25) == 2.5
     assert [Range(1, 3, "whole").at(u) for u in (0.0, 0.34, 0.99, 1.0)] == [1, 2, 3, 3]
-    assert RANGES["max_angle"].position(4.0) == 0.0
+    assert RANGES["max_angle"].position(4.0) == 0.0 and RANGES["slope"].position(np.inf) == 2.0
+    for arguments, message in (((1.0, 0.1), "low to high"), ((0.0, 1.0, "log"), "above 0"), ((0.1, 1.0, "sqrt"), "scale"),
+                               ((0.5, 3.0, "whole"), "whole ends")):  # fmt: skip
+        with pytest.raises(jf.ParameterError, match=message):
+            Range(*arguments)

@@ -1,13 +1,16 @@
 """Sweeps give the labels of single runs, whatever they share, and their scores; bad axes are named before anything runs."""
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
+import jax
 import numpy as np
 import pytest
 
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
+from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.host.tin import Tin
 from jaxfilter.ops.inpaint import fill_membrane
@@ -183,6 +186,19 @@ def test_sets_that_differ_in_the_last_threshold_are_classified_once(filter_, oth
     monkeypatch.setattr(type(filter_), "classify", counted)
     assert np.array_equal(labels_of(filter_, sets, hills), alone)
     assert len(runs) == 2 and len({ground.tobytes() for ground in alone}) >= 4
+
+
+def test_threads_keep_the_device_of_their_caller():
+    device = jax.devices()[0]
+
+    def used(_):
+        return jax.config.values["jax_default_device"]
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(on_same_device(used), 0).result() is None
+        with jax.default_device(device):
+            assert pool.submit(used, 0).result() is None, "threads do not inherit it"
+            assert pool.submit(on_same_device(used), 0).result() == device
 
 
 def test_copies_of_a_triangulation_are_the_same_and_apart(rng):

@@ -161,7 +161,7 @@ def least(found: jf.Calibration) -> jf.Filter:
     """The set with the fewest errors on the labels."""
     trials = found.trials
     best = int(trials.total.values.argmin())
-    return found.filter.replace(**{name: trials[name].values[best].item() for name in trials.attrs["searched"]})
+    return found.filter.replace(**{name: trials[name].values[best].item() for name in found.searched})
 
 
 def report(rows: list[Row], command: str, draws: int, size: int) -> str:

@@ -478,8 +478,10 @@ def _write(
 
 def _storable(dataset: xarray.Dataset) -> xarray.Dataset:
     """With values that are not all of one type as words, which NetCDF can hold."""
+    from ..sweeps.best import word
+
     words = {
-        name: (values.dims, [_word(value) for value in values.values], values.attrs)
+        name: (values.dims, [word(value) for value in values.values], values.attrs)
         for name, values in dataset.coords.items()
         if values.dtype == object
     }
@@ -513,7 +515,7 @@ def _print_table(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -
     from rich.measure import Measurement
     from rich.table import Table
 
-    from ..sweeps.best import SCORES, axes_of
+    from ..sweeps.best import SCORES, axes_of, word
 
     names = axes_of(dataset)
     heads = {"type1": "Type I", "type2": "Type II"}
@@ -527,15 +529,11 @@ def _print_table(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -
     for column in shown.columns:
         column.justify = "right"
     for number, row in table.iterrows():
-        shown.add_row(str(number), *(_word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
+        shown.add_row(str(number), *(word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
     console = Console()
     wanted = Measurement.get(console, console.options.update(max_width=10_000), shown).maximum
     console.width = max(console.width, wanted)  # a value that is cut off is worse than a long line
     console.print(shown)
-
-
-def _word(value: Any) -> str:
-    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _calibration(
@@ -563,7 +561,7 @@ def _calibration(
         "before": found.before,
         "sets": found.trials.sizes["set"],
         "folds": found.trials.sizes["fold"],
-        "found": {name: values[name] for name in found.trials.attrs["searched"]},
+        "found": {name: values[name] for name in found.searched},
         "changed": changed,
         "parameters": values,
         "command": shlex.join(words),
@@ -571,8 +569,10 @@ def _calibration(
 
 
 def _print_calibration(found: Calibration, report: dict[str, Any], out: Path | None) -> None:
+    from ..sweeps.best import word
+
     what = "total error" if report["score"] == "total" else "kappa"
-    parameters = ", ".join(f"{name} {_word(value)}" for name, value in report["found"].items())
+    parameters = ", ".join(f"{name} {word(value)}" for name, value in report["found"].items())
     labelled = report["labelled"]
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
     click.echo(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import jax.monitoring
 
+T = TypeVar("T")
+R = TypeVar("R")
 _BACKEND_COMPILE = "/jax/core/compile/backend_compile_duration"
 _compiled: list[float] = []
 _listening = False
@@ -19,6 +23,19 @@ def bucket(n: int, smallest: int = 1024) -> int:
     while size < n:
         size *= 2
     return size
+
+
+def on_same_device(function: Callable[[T], R]) -> Callable[[T], R]:
+    """The function for another thread, with the default device that the caller has set for its own (it is not inherited)."""
+    device = jax.config.values["jax_default_device"]
+    if device is None:
+        return function
+
+    def call(argument: T) -> R:
+        with jax.default_device(device):
+            return function(argument)
+
+    return call
 
 
 def _listen(event: str, duration_secs: float, **_: str | int) -> None:

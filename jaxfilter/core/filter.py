@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 import os
 import warnings
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from .cloud import PointCloud, as_cloud
+from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
 from .params import check_fields, declared
 from .points import Points, canonical_points, plain_points
@@ -134,12 +136,13 @@ class Filter:
             return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
 
         pool = ThreadPoolExecutor(at_once)
+        run = on_same_device(classified)
         try:
-            running = collections.deque(pool.submit(classified, job) for job in jobs[:at_once])
+            running = collections.deque(pool.submit(run, job) for job in jobs[:at_once])
             for k, job in enumerate(jobs):
                 labels = running.popleft().result()
                 if k + at_once < len(jobs):
-                    running.append(pool.submit(classified, jobs[k + at_once]))
+                    running.append(pool.submit(run, jobs[k + at_once]))
                 yield job[0], labels.ground
                 yield from ((number, sets[number].passed(labels)) for number in job[1:])
         finally:
@@ -167,8 +170,7 @@ class Filter:
         Raises: ParameterError, InputError.
         """
         self.check()
-        if workers is not None and workers < 1:
-            raise ParameterError(f"workers={workers!r}: must be at least 1")
+        check_resources(workers)
         cloud = as_cloud(cloud)
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         labels = degenerate(cloud, points)
@@ -177,6 +179,14 @@ class Filter:
         else:
             warnings.warn(f"{type(self).__name__}: {labels.status.message}", JaxfilterWarning, stacklevel=2)
         return expand(cloud, points, labels)
+
+
+def check_resources(workers: int | None, memory: float = 1.0) -> None:
+    """Raises: ParameterError for threads or bytes that are none."""
+    if workers is not None and workers < 1:
+        raise ParameterError(f"workers={workers!r}: must be at least 1")
+    if not 0 < memory < math.inf:
+        raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
 
 
 def degenerate(cloud: PointCloud, points: Points) -> Labels | None:

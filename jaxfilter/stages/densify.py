@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.compilation import on_same_device
 from ..core.grid import Grid
 from ..core.result import Decision, Progress
 from ..host.tin import Tin
@@ -495,7 +496,7 @@ class Growth:
             values = {**verdict._asdict(), **verdict.score._asdict()}
             return {name: np.asarray(values[name])[: stop - start] for name in _KEPT}
 
-        parts = list(self.pool.map(one, range(0, max(n, 1), most)))
+        parts = list(self.pool.map(on_same_device(one), range(0, max(n, 1), most)))
         return {name: np.concatenate([part[name] for part in parts]) for name in _KEPT}
 
     def _verdict(self, nodes: np.ndarray, *arguments: np.ndarray) -> Verdict:

@@ -16,6 +16,11 @@ SCORES = ("type1", "type2", "total", "kappa")
 LARGER_IS_BETTER = ("kappa",)
 
 
+def word(value: Any) -> str:
+    """A value of a field, short."""
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def is_grid(dataset: xarray.Dataset) -> bool:
     """Whether each axis is a dimension; else all lie along the dimension ``set``."""
     return "set" not in dataset.sizes
@@ -61,7 +66,7 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
 
     Args:
         dataset: from :func:`jaxfilter.sweep`, or the ``trials`` of a :class:`jaxfilter.Calibration`.
-        score: what decides: the lowest "type1", "type2" or "total", or the highest "kappa".
+        score: what decides: the lowest "type1", "type2" or "total", or the highest "kappa"; of trials also "expected".
         count: rows; None for all.
 
     Returns: pandas.DataFrame with the number of the set as index. Columns: the fields; type1, type2, total, kappa
@@ -71,12 +76,13 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
     """
     import pandas as pd
 
-    check_score(dataset, score)
+    if score != "expected" or score not in dataset:
+        check_score(dataset, score)
     names, shape = axes_of(dataset), dataset[score].isel({"cloud": 0}, missing_dims="ignore").shape
     columns: dict[str, Any] = {}
     for name, place in zip(names, _places(dataset, names, shape), strict=True):
         columns[name] = dataset[name].values[place]
-    for name in (*SCORES, "ground"):
+    for name in (*SCORES, "expected", "ground"):
         if name in dataset:
             values = dataset[name]
             columns[name] = (values.mean("cloud") if "cloud" in values.dims else values).values.ravel()
@@ -84,7 +90,8 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
         for number, cloud in enumerate(dataset["cloud"].values):
             columns[f"{score}_{cloud}"] = dataset[score].isel(cloud=number).values.ravel()
     frame = pd.DataFrame(columns, index=pd.RangeIndex(int(np.prod(shape)), name="set"))
-    sorted_ = frame.sort_values(score, ascending=score not in LARGER_IS_BETTER, kind="stable", na_position="last")
+    decides = dataset.attrs["score"] if score == "expected" else score
+    sorted_ = frame.sort_values(score, ascending=decides not in LARGER_IS_BETTER, kind="stable", na_position="last")
     return sorted_ if count is None else sorted_.head(count)
 
 

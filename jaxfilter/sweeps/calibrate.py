@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import numbers
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,12 +15,13 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter, degenerate
+from ..core.errors import InputError, JaxfilterWarning, ParameterError
+from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.points import canonical_points, plain_points
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
+from .best import word
 from .design import Design, make_design
 from .inference import Sample
 from .ranges import Range, around, search_ranges
@@ -40,12 +42,14 @@ class Calibration:
 
     Attributes:
         filter: the filter with the best parameters; call it on the cloud.
-        score: cross-validated total error or kappa, percent: every block scored with what the others would have chosen.
-        spread: standard deviation of that score over the folds, percent.
+        score: cross-validated total error or kappa, percent: every block scored with the set that the others would have
+            chosen, of those that were tried (where later rounds look is decided with all labels).
+        spread: standard deviation of that score over the folds, percent; for kappa over those with both classes.
         before: the score of the filter as it was given, on the same labelled points.
         trials: the sets that were tried, in order, over the dimension ``set``: coordinates are the fields, variables
             ``total`` and ``kappa`` on all labelled points, ``confusion`` per fold, and ``expected``, which decided: the
-            score to expect on the whole cloud, a mean over similar sets.
+            score to expect on the whole cloud (:meth:`Study.expected`).
+        searched: the fields that differ between them.
     """
 
     filter: Filter
@@ -53,10 +57,11 @@ class Calibration:
     spread: float
     before: float
     trials: xarray.Dataset
+    searched: tuple[str, ...]
 
     def __str__(self) -> str:
         name = "total error" if self.trials.attrs["score"] == "total" else "kappa"
-        changed = ", ".join(f"{field}={getattr(self.filter, field):g}" for field in self.trials.attrs["searched"])
+        changed = ", ".join(f"{field}={word(getattr(self.filter, field))}" for field in self.searched)
         return (
             f"{type(self.filter).__name__}({changed}): {name} {self.score:.2f} +- {self.spread:.2f} %, cross-validated; "
             f"{self.before:.2f} % before; {self.trials.sizes['set']} sets tried"
@@ -98,12 +103,14 @@ class Study:
         workers: int | None = None,
         memory: float = 2e9,
     ) -> None:
+        check_resources(workers, memory)
+        _check_whole(folds=folds)
         if score not in SCORES:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
         if folds < 2:
             raise ParameterError(f"folds={folds!r}: must be at least 2")
-        if block is not None and not block > 0:
-            raise ParameterError(f"block={block!r}: must be > 0 metres")
+        if block is not None and not 0 < block < math.inf:
+            raise ParameterError(f"block={block!r}: must be > 0 metres, and finite")
         self.filter, self.score = filter_, score
         self.options: dict[str, Any] = {"key": key, "workers": workers, "memory": memory}
         cloud = as_cloud(cloud)
@@ -112,11 +119,18 @@ class Study:
         for name, kind in (("ground", truth), ("object", ~truth)):
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
+        if not (known & cloud.candidate).any():
+            raise InputError(
+                "labels: all labelled points are set aside before filtering (they are no last echoes, or noise)"
+            )
         self.points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
         self.same = degenerate(cloud, self.points)
+        if self.same is not None:
+            warnings.warn(f"{type(filter_).__name__}: {self.same.status.message}", JaxfilterWarning, stacklevel=2)
         fold = _folds(cloud.xyz[known], folds, block)
         self.folds = int(fold.max()) + 1
         self.truth, self.fold = truth[known], fold
+        self.cell = (2 * fold + ~self.truth) * 2 + 1  # of the table fold by reference by label, for objects
         row = np.full(len(cloud), len(self.points))  # one more row: points that are set aside, never ground
         row[self.points.index] = self.points.member
         self.row = row[known]
@@ -129,9 +143,12 @@ class Study:
     def evaluate(self, sets: Sequence[Mapping[str, Any]], progress: Progress | None = None) -> np.ndarray:
         """f64[s], percent: the score of every set on all labelled points. Sets are kept for :meth:`result`.
 
+        What decides there is not this but :meth:`expected`. Points that are set aside before filtering count as called objects.
         Raises: ParameterError naming a field that does not exist or a value out of range.
         """
         report = progress or silent
+        if isinstance(sets, Mapping):
+            raise ParameterError(f"sets={sets!r}: give a list of mappings from field to value")
         if len(sets) == 0:
             return np.zeros(0)
         names = list(sets[0])
@@ -143,14 +160,20 @@ class Study:
         bits = np.zeros((len(sets), self.bits.shape[1]), np.uint8)
         for done, (number, ground) in enumerate(self._ground_each(plan), 1):
             called = np.append(ground, False)
-            cell = (self.fold * 2 + ~self.truth) * 2 + ~called[self.row]
-            found[number] = np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
+            found[number] = self._counts(called)
+            if self.filter.replace(**plan.sets[number]) == self.filter:
+                self._given = ground
             bits[number] = np.packbits(called[self.row_of_sample])
             report(done / len(sets), f"{len(sets)} sets")
         self.sets += plan.sets
         self.confusion = np.concatenate([self.confusion, found])
         self.bits = np.concatenate([self.bits, bits])
         return self._of(found.sum(axis=1))
+
+    def _counts(self, called: np.ndarray) -> np.ndarray:
+        """i64[folds, 2, 2] of labels bool[m + 1]."""
+        cell = self.cell - called[self.row]
+        return np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
 
     def _ground_each(self, plan: Design) -> Any:
         for group in plan.groups:
@@ -172,23 +195,42 @@ class Study:
             return 100 * (n * (a + d) - by_chance) / (n * n - by_chance)
 
     def expected(self, without: Sequence[int] = (-1,)) -> np.ndarray:
-        """f64[v, s], percent: the score of each set to expect on the whole cloud, a mean over sets with similar parameters.
+        """f64[v, s], percent: the score of each set to expect on the whole cloud.
 
-        Labels count as they are; of the other points, see :mod:`jaxfilter.sweeps.inference`.
+        Labels count as they are; of the other points, see :mod:`jaxfilter.sweeps.inference`. If there are more than sixteen
+        sets, the score is a mean over each set and the seven most like it, so that luck counts less.
 
         Args:
             without: per view the fold whose labels are left out; -1 for none.
         """
+        if not self.sets:
+            raise ParameterError("Study: no set has been evaluated")
         counts = self.sample.expected(self.bits, np.append(self._given, False)[self.row_of_sample], without)
         whole = self.confusion.sum(axis=1)
         for view, fold in enumerate(without):
             counts[view] += whole if fold < 0 else whole - self.confusion[:, fold]
         scores = self._of(counts)
-        names = [name for name in self.ranges if all(name in one for one in self.sets)]
-        if not names or len(self.sets) <= 2 * _NEIGHBOURS:
-            return scores
-        place = np.array([[self.ranges[name].position(one[name]) for name in names] for one in self.sets])
-        return scores[:, cKDTree(place).query(place, _NEIGHBOURS)[1]].mean(axis=2)
+        for kind, place in self._places():
+            distinct, first, which = np.unique(place, axis=0, return_index=True, return_inverse=True)
+            if len(distinct) > 2 * _NEIGHBOURS:
+                near = cKDTree(distinct).query(distinct, _NEIGHBOURS)[1]
+                scores[:, kind] = scores[:, kind[first[near]]].mean(axis=2)[:, which.ravel()]
+        return scores
+
+    def _places(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Sets that agree in all fields that are no numbers, i64[k], and where they lie, f64[k, fields]."""
+        names = list(dict.fromkeys(name for one in self.sets for name in one))
+        values = [[one.get(name, getattr(self.filter, name)) for name in names] for one in self.sets]
+        kinds: dict[tuple[Any, ...], list[int]] = {}
+        for number, row in enumerate(values):
+            kinds.setdefault(tuple(None if _is_number(v) else v for v in row), []).append(number)
+        for kind in kinds.values():
+            columns = [np.zeros(len(kind))]
+            for name, *column in zip(names, *(values[number] for number in kind), strict=True):
+                if _is_number(column[0]):
+                    r = self.ranges.get(name) or Range(min(column), max(column)) if min(column) < max(column) else None
+                    columns.append(np.array([r.position(v) if r else 0.0 for v in column]))
+            yield np.array(kind), np.column_stack(columns)
 
     def best(self, expected: np.ndarray) -> np.ndarray:
         """i64[...]: numbers of the best sets by scores f64[..., s]; of equal ones the first."""
@@ -199,12 +241,11 @@ class Study:
         """The best of the sets evaluated so far. Raises: ParameterError if there are none."""
         import xarray as xr
 
-        if not self.sets:
-            raise ParameterError("Study.result: no set has been evaluated")
         whole = self.confusion.sum(axis=1)
-        views = self.expected([-1, *range(self.folds)])
+        views = self.expected([-1, *range(self.folds)])  # raises if there is no set
         chosen = self.best(views)
         held_out = self.confusion[chosen[1:], np.arange(self.folds)]
+        both = (held_out.sum(axis=2) > 0).all(axis=1) | (self.score == "total")
         names = list(dict.fromkeys(name for one in self.sets for name in one))
         columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
         fields = {f.name: f for f in declared(self.filter)}
@@ -218,21 +259,16 @@ class Study:
             },
             {"set": np.arange(len(self.sets))}
             | {name: ("set", values, about(fields[name])) for name, values in columns.items()},
-            {"method": type(self.filter).__name__, "score": self.score, "searched": names},
+            {"method": type(self.filter).__name__, "score": self.score},
         )
         return Calibration(
             filter=self.filter.replace(**self.sets[chosen[0]]),
             score=float(self._of(held_out.sum(axis=0))),
-            spread=float(np.nanstd(self._of(held_out))),
-            before=self._before(),
+            spread=float(np.nanstd(np.where(both, self._of(held_out), np.nan))) if both.any() else math.nan,
+            before=float(self._of(self._counts(np.append(self._given, False)).sum(axis=0))),
             trials=trials,
+            searched=tuple(names),
         )
-
-    def _before(self) -> float:
-        """The score of the filter as it was given."""
-        called = np.append(self._given, False)[self.row]
-        cell = 2 * ~self.truth + ~called
-        return float(self._of(np.bincount(cell, minlength=4).reshape(2, 2)))
 
     @functools.cached_property
     def _given(self) -> np.ndarray:
@@ -267,17 +303,17 @@ def calibrate(
     range around the best. A set is judged by the score to expect on the whole cloud, and by those of sets like it: labels
     count as they are and say what points without a label are likely to be, and where they say little the given filter is
     believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned is cross-validated: labelled points are cut
-    into folds of whole blocks, and each fold is scored with the set that the other folds would have chosen, since points
-    next to each other share their fate.
+    into folds of whole blocks, and each fold is scored with the set that the other folds would have chosen among those that
+    were tried, since points next to each other share their fate. With ``rounds`` above 1 all labels decide where the search
+    goes on, so that it is a little too good.
 
     Args: as for :class:`Study`; ``progress`` is called with the fraction done and what is being done.
 
     Returns: Calibration; ``.filter`` is the filter with the best parameters.
     Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
     """
-    for name, value in (("size", size), ("rounds", rounds)):
-        if value < 1:
-            raise ParameterError(f"{name}={value!r}: must be at least 1")
+    _check_whole(size=size, rounds=rounds)
+    _check_whole(0, seed=seed)
     study = Study(
         filter_,
         cloud,
@@ -313,6 +349,8 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
     """Checked search ranges."""
     ranges = search_ranges(filter_)
     if axes is not None:
+        if not isinstance(axes, Mapping):
+            raise ParameterError(f"axes={axes!r}: map fields of {type(filter_).__name__} to their ranges")
         fields = {f.name: f for f in declared(filter_)}
         known, ranges = ranges, {}
         for name, given in axes.items():
@@ -320,6 +358,8 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
                 raise ParameterError(
                     f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}"
                 )
+            if name in filter_.NOT_SWEPT:
+                raise ParameterError(f"axes: {type(filter_).__name__}.{name} cannot be swept")
             if isinstance(given, Range):
                 ranges[name] = given
                 continue
@@ -327,19 +367,30 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
                 low, high = (float(v) for v in given)
             except (TypeError, ValueError):
                 raise ParameterError(f"axes: {name}={given!r}: give a pair (low, high)") from None
-            if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                raise ParameterError(f"axes: {name}={given!r}: the range must go from low to high")
             usual = known.get(name) or around(fields[name])
             scale = usual.scale if usual is not None else "linear"
-            if isinstance(fields[name].default, int):
-                scale = "whole"
-            ranges[name] = Range(low, high, "linear" if scale == "log" and low <= 0 else scale)
+            if isinstance(fields[name].default, int) and math.isfinite(low) and math.isfinite(high):
+                scale, low, high = "whole", math.ceil(low), math.floor(high)
+            try:
+                ranges[name] = Range(low, high, "linear" if scale == "log" and low <= 0 else scale)
+            except ParameterError as error:
+                raise ParameterError(f"axes: {name}={given!r}: {error}") from None
     if not ranges:
         raise ParameterError(f"axes: name at least one field of {type(filter_).__name__} and its range")
     for name, r in ranges.items():
         for value in (r.at(0.0), r.at(1.0)):
             filter_.replace(**{name: value})  # raises ParameterError, naming field and value
     return ranges
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _check_whole(least: int = 1, **arguments: Any) -> None:
+    for name, value in arguments.items():
+        if not isinstance(value, numbers.Integral) or value < least:
+            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
 
 
 def _labels(cloud: PointCloud, labels: Any, labelled: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

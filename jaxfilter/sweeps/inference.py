@@ -23,7 +23,7 @@ CONFIDENCE = 1.0
 BLOCK = 10.0
 """Side of the squares, in point spacings, in which all labels together count as one: neighbours share their fate."""
 LEARNT = 256
-"""Sets whose calls say what kind of point a point is."""
+"""Sets whose calls say what kind of point a point is, the first of all."""
 LABELLED, UNLABELLED = 20_000, 100_000
 """At most so many points to learn from, and others to compare the sets on."""
 # Components, confidence, block and the neighbours of calibrate.py were chosen on simulated scenes and squares of labelled
@@ -114,7 +114,11 @@ def components(calls: np.ndarray) -> np.ndarray:
     size, axes = np.linalg.eigh(both / points - np.outer(mean, mean))
     size, axes = size[::-1][:COMPONENTS], axes[:, ::-1][:, :COMPONENTS]
     some = size > 1e-9 * number
-    return (calls.T.astype(np.float32) @ axes[:, some] - mean @ axes[:, some]) / np.sqrt(size[some])
+    out = np.empty((points, int(some.sum())))
+    for start in range(0, points, 1 << 14):
+        rows = slice(start, start + (1 << 14))
+        out[rows] = (calls[:, rows].T - mean) @ axes[:, some]
+    return out / np.sqrt(size[some])
 
 
 def ground_probability(

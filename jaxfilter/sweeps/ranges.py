@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import Any
 
+from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 
@@ -21,6 +22,16 @@ class Range:
     high: float
     scale: str = "linear"
 
+    def __post_init__(self) -> None:
+        if self.scale not in SCALES:
+            raise ParameterError(f"Range(scale={self.scale!r}): choose one of {', '.join(map(repr, SCALES))}")
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ParameterError(f"Range({self.low!r}, {self.high!r}): the range must go from low to high")
+        if self.scale == "log" and self.low <= 0:
+            raise ParameterError(f"Range({self.low!r}, {self.high!r}, 'log'): must begin above 0")
+        if self.scale == "whole" and (self.low % 1 or self.high % 1):
+            raise ParameterError(f"Range({self.low!r}, {self.high!r}, 'whole'): must have whole ends")
+
     def at(self, u: float) -> float:
         """The value at a position of the unit interval, to four digits."""
         if self.scale == "whole":
@@ -29,10 +40,13 @@ class Range:
         return float(f"{value:.4g}")
 
     def position(self, value: float) -> float:
-        """Where a value lies on the unit interval; outside the range beyond it."""
+        """Where a value lies on the unit interval; outside the range beyond it, but not further than its length."""
         if self.scale == "log":
-            return math.log(max(value, 1e-12) / self.low) / math.log(self.high / self.low)
-        return (value - self.low + 0.5 * (self.scale == "whole")) / (self.high - self.low + (self.scale == "whole"))
+            place = math.log(max(value, 1e-12) / self.low) / math.log(self.high / self.low)
+        else:
+            whole = self.scale == "whole"
+            place = (value - self.low + 0.5 * whole) / (self.high - self.low + whole)
+        return min(max(place, -1.0), 2.0)
 
 
 RANGES: dict[str, Range] = {

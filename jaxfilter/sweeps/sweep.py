@@ -17,17 +17,17 @@ import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter, degenerate
+from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.points import Points, canonical_points, plain_points
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
+from .best import SCORES
 from .design import Design, make_design
 
 if TYPE_CHECKING:
     import xarray
 
-SCORES = ("type1", "type2", "total", "kappa")
 _SAVE_EVERY = 10.0
 """Seconds between writes of a checkpoint."""
 
@@ -73,12 +73,13 @@ def sweep(
         in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
         With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
         over ``point_NAME``.
-    Raises: ParameterError naming the axis, and InputError for reference labels of one class only, before anything runs;
-        InputError for a checkpoint of another sweep.
+    Raises: ParameterError naming the axis or argument, and InputError for reference labels of one class only, before
+        anything runs; InputError for a checkpoint of another sweep.
     """
     import xarray as xr
 
     plan = make_design(filter_, axes, design, size, seed)
+    check_resources(workers, memory)
     several, named = _named(clouds)
     for name, cloud in named.items():
         _check_reference(name, cloud)
