@@ -223,13 +223,17 @@ class Study:
         values = [[one.get(name, getattr(self.filter, name)) for name in names] for one in self.sets]
         kinds: dict[tuple[Any, ...], list[int]] = {}
         for number, row in enumerate(values):
-            kinds.setdefault(tuple(None if _is_number(v) else v for v in row), []).append(number)
+            kinds.setdefault(tuple("number" if _is_number(v) else v for v in row), []).append(number)
         for kind in kinds.values():
             columns = [np.zeros(len(kind))]
             for name, *column in zip(names, *(values[number] for number in kind), strict=True):
-                if _is_number(column[0]):
-                    r = self.ranges.get(name) or Range(min(column), max(column)) if min(column) < max(column) else None
-                    columns.append(np.array([r.position(v) if r else 0.0 for v in column]))
+                if not _is_number(column[0]):
+                    continue
+                finite = [v for v in column if math.isfinite(v)]
+                r = self.ranges.get(name)
+                if r is None and finite and min(finite) < max(finite):
+                    r = Range(min(finite), max(finite))
+                columns.append(np.array([r.position(v) if r else float(math.isfinite(v)) for v in column]))
             yield np.array(kind), np.column_stack(columns)
 
     def best(self, expected: np.ndarray) -> np.ndarray:
