@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Row, machine, markdown, with_averages, write_csv
+from experiments.report import Row, machine, markdown, read_csv, with_averages, write_csv
 from experiments.tiles.run import LEFT_OUT
 from jaxfilter.core.compilation import use_persistent_cache
 
@@ -53,10 +53,20 @@ def main(arguments: list[str] | None = None) -> None:
             print(f"{row['sample']:12} {row['shape']:8}  given {row['given']:.2f}  naive {row['naive']:.2f}  "
                   f"calibrated {row['calibrated']:.2f}  oracle {row['oracle']:.2f}", flush=True)  # fmt: skip
     name = "calibration" if options.clouds == "isprs" else "calibration_others"
-    write_csv(options.out / f"{name}.csv", rows)
+    rows = kept(options.out / f"{name}.csv", rows)
     command = shlex.join(["python", "experiments/sensitivity/calibration.py", *given])
-    (options.out / f"{name}.md").write_text(report(rows, command, options.draws, options.size))
+    (options.out / f"{name}.md").write_text(report(rows, command))
     print(f"results are in {options.out}")
+
+
+def kept(path: Path, rows: list[Row]) -> list[Row]:
+    """The rows, and those of an earlier run that were not made anew, shape by shape; written to the file."""
+    new = {(row["sample"], row["shape"]): row for row in rows}
+    old = {(row["sample"], row["shape"]): row for row in (read_csv(path) if path.exists() else [])}
+    shapes = list(SHAPES)
+    out = sorted((old | new).values(), key=lambda row: shapes.index(row["shape"]))
+    write_csv(path, out)
+    return out
 
 
 def isprs(folder: Path, numbers: Sequence[str]) -> Iterator[tuple[str, jf.PointCloud]]:
@@ -150,7 +160,7 @@ def sample_rows(
             columns["expected"].append(found.score)
         loss = np.subtract(columns["calibrated"], columns["oracle"])
         yield {
-            "sample": name, "shape": shape, "points": len(cloud), "labelled": int(labelled.sum()),
+            "sample": name, "shape": shape, "points": len(cloud), "labelled": int(labelled.sum()), "draws": draws, "sets": size,
             **{which: float(np.median(values)) for which, values in columns.items()},
             "loss": float(np.median(loss)), "worst": float(loss.max()),
             "better": float(np.mean(np.less(columns["calibrated"], columns["given"]))),
@@ -164,12 +174,12 @@ def least(found: jf.Calibration) -> jf.Filter:
     return found.filter.replace(**{name: trials[name].values[best].item() for name in found.searched})
 
 
-def report(rows: list[Row], command: str, draws: int, size: int) -> str:
+def report(rows: list[Row], command: str) -> str:
     """The tables as Markdown."""
     parts = [
         "# Calibration from a few labels",
-        f"`{command}` on {machine()}. SMRF, two rounds of {size} sets over slope, threshold and scaling. Total error in "
-        f"percent on the points without labels, medians of {draws} draws of labels for {100 * SHARE:g} % of the points. "
+        f"`{command}` on {machine()}. SMRF, two rounds of sets over slope, threshold and scaling. Total error in "
+        f"percent on the points without labels, medians of several draws of labels for {100 * SHARE:g} % of the points. "
         "Naive = the set with fewest errors on the labels. Oracle = the best of the same search with all labels; loss = "
         "calibrated - oracle. Cross-validated = the score that the calibration itself reports, on its labelled points. "
         "Better = share of the draws in which calibration was better than the given filter.",
@@ -179,6 +189,7 @@ def report(rows: list[Row], command: str, draws: int, size: int) -> str:
         near = sum(row["loss"] <= 0.5 for row in some)
         parts += [
             f"## Labels of {SHAPES[shape]}",
+            f"{_all(some, 'draws')} draws, rounds of {_all(some, 'sets')} sets.",
             markdown(
                 [
                     ("sample", "sample", ""), ("labelled", "labelled points", ",.0f"), ("given", "as given", ".2f"),
@@ -191,6 +202,10 @@ def report(rows: list[Row], command: str, draws: int, size: int) -> str:
             f"The loss is at most 0.5 points on {near} of {len(some)} clouds.",
         ]  # fmt: skip
     return "\n\n".join([*parts, ""])
+
+
+def _all(rows: list[Row], column: str) -> str:
+    return " or ".join(sorted({f"{row[column]}" for row in rows}, key=float))
 
 
 if __name__ == "__main__":

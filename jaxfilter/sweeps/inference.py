@@ -18,7 +18,7 @@ from scipy.special import expit
 
 COMPONENTS = 12
 """Principal components of the calls that are used."""
-CONFIDENCE = 1.0
+CONFIDENCE = 1.5
 """Logit of the probability that a call of the given filter is right, where calls depend on the parameters."""
 BLOCK = 10.0
 """Side of the squares, in point spacings, in which all labels together count as one: neighbours share their fate."""
