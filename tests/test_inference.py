@@ -36,10 +36,10 @@ def test_without_labels_the_given_filter_is_believed(rng):
 def test_labels_of_a_kind_tell_the_class_of_the_kind(rng):
     calls, kind = kinds(rng)
     truth = kind >= 2
-    known = rng.permutation(3000)[:80]
-    p = ground_probability(components(calls), rng.random(3000) < 0.5, known, truth[known], np.ones(80))
+    known = rng.permutation(3000)[:300]
+    p = ground_probability(components(calls), rng.random(3000) < 0.5, known, truth[known], np.ones(300))
     assert ((p > 0.5) == truth).mean() > 0.95
-    light = ground_probability(components(calls), truth, known, ~truth[known], np.full(80, 0.001))
+    light = ground_probability(components(calls), truth, known, ~truth[known], np.full(300, 0.001))
     assert ((light > 0.5) == truth).all()  # labels that count little do not outweigh the filter
 
 
