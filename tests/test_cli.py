@@ -14,26 +14,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import jaxfilter
 from jaxfilter.cli import flags, main
 from jaxfilter.core.filter import Filter
 from jaxfilter.filters import FILTERS
 from jaxfilter.host.las import read, write
 
+pytestmark = pytest.mark.usefixtures("compilation_cache")
 METHODS = pytest.mark.parametrize("method", list(FILTERS))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """Compilations of these tests go to a folder of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAXFILTER_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return jaxfilter.scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
 
 
 @pytest.fixture

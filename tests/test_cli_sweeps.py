@@ -21,21 +21,9 @@ from jaxfilter.host.las import read, write
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.labels import labels_from, point_labels, within
 
+pytestmark = pytest.mark.usefixtures("compilation_cache")
 SETS = {"slope": [0.1, 0.2], "threshold": [0.3, 0.5, 0.7]}
 AXES = ("--axis", "slope=0.1,0.2", "--axis", "threshold=0.3:0.7:0.2")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """Compilations of these tests go to a folder of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAXFILTER_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return jf.scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
 
 
 @pytest.fixture
