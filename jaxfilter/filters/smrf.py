@@ -21,7 +21,7 @@ from ..stages.surfaces import LowestCells, cell_for, check_width, chunks, croppe
 
 _SLOPES, _LANES, _SETS = 256, 16, 32
 """In a sweep: slopes that share the openings, terrains filled at a time, sets tested at a time."""
-_CELL_BYTES, _POINT_BYTES = 80, 16
+_CELL_BYTES, _POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each terrain of a sweep."""
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 
@@ -162,6 +162,7 @@ class SMRF(Filter):
         rise = np.asarray([one.slope * one.cell for one in sets], np.float32)
         rises = np.unique(rise)
         lanes = int(np.clip(memory // (_CELL_BYTES * surface.size + _POINT_BYTES * len(points)), 1, _LANES))
+        before: tuple[list[Any], np.ndarray, np.ndarray] = [], np.zeros(0, np.int64), rise
         for first in range(0, len(rises), _SLOPES):
             some = rises[first : first + _SLOPES]
             padded = np.append(some, np.full(_SLOPES - len(some), np.inf, np.float32))
@@ -181,22 +182,24 @@ class SMRF(Filter):
                     (_heights(chunk, terrain, steep, cells.frame, cells.extent), rows.stop - rows.start)
                     for rows, chunk, _ in chunks(points.xyz)
                 ]
-                lane = np.searchsorted(some[which], rise)
-                for k in range(0, len(mine), _SETS):
-                    yield from _labels(parts, mine[k : k + _SETS], lane, sets)
+                yield from _labels(*before, sets)  # while the next terrains are being computed
+                before = parts, mine, np.searchsorted(some[which], rise)
+        yield from _labels(*before, sets)
 
 
 def _labels(
     parts: list[tuple[tuple[jax.Array, jax.Array], int]], numbers: np.ndarray, lane: np.ndarray, sets: Sequence[SMRF]
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Number and ground, bool[n], of at most :data:`_SETS` sets; ``lane``: i64[sets], where the terrain of each set is."""
-    which, limits = np.zeros(_SETS, np.int32), np.zeros((_SETS, 2), np.float32)
-    which[: len(numbers)] = lane[numbers]
-    limits[: len(numbers)] = [(sets[i].threshold, sets[i].scaling) for i in numbers]
-    found = [np.asarray(_within(*heights, which, limits))[:, :n] for heights, n in parts]
-    ground = np.concatenate(found, axis=1)
-    for k, number in enumerate(numbers):
-        yield int(number), ground[k]
+    """Number and ground, bool[n], of some sets; ``lane``: i64[sets], where the terrain of each of all sets is."""
+    for start in range(0, len(numbers), _SETS):
+        some = numbers[start : start + _SETS]
+        which, limits = np.zeros(_SETS, np.int32), np.zeros((_SETS, 2), np.float32)
+        which[: len(some)] = lane[some]
+        limits[: len(some)] = [(sets[i].threshold, sets[i].scaling) for i in some]
+        found = [np.asarray(_within(*heights, which, limits))[:, :n] for heights, n in parts]
+        ground = np.concatenate(found, axis=1)
+        for k, number in enumerate(some):
+            yield int(number), ground[k]
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "mesh"))
