@@ -129,7 +129,7 @@ class Filter:
             alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
         jobs = list(alike.values())
         threads = workers or os.cpu_count() or 1
-        at_once = int(np.clip(memory // (_BYTES * len(points)), 1, min(threads, len(jobs))))
+        at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
 
         def classified(job: list[int]) -> Labels:
             one = sets[job[0]]

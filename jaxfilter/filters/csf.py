@@ -111,7 +111,11 @@ class CSF(Filter):
     def passed(self, labels: Labels) -> np.ndarray:
         """Sets that differ in the threshold share the cloth."""
         assert labels.height is not None
-        return np.abs(labels.height) - np.float32(self.threshold) < 0
+        return self._margin(labels.height) < 0
+
+    def _margin(self, above: np.ndarray) -> np.ndarray:
+        """f32[m], metres by which the distance from the cloth exceeds the threshold."""
+        return np.abs(above) - np.float32(self.threshold)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
@@ -152,8 +156,8 @@ class CSF(Filter):
 
         progress(0.9, "classifying")
         above, slope = (np.asarray(a)[: len(points)] for a in _test(xyz, top - height, frame, true))
-        margin = np.abs(above) - np.float32(self.threshold)
-        ground = margin < 0  # as in passed()
+        margin = self._margin(above)
+        ground = margin < 0
         decision = np.where(ground, Decision.ACCEPTED, np.where(above < 0, Decision.LOW, Decision.SURFACE))
         info = {"particles": rows * columns, "on_ground": int(pinned.sum()), "steps": cloth.steps}
         progress(1.0, "done")

@@ -125,7 +125,11 @@ class PPDF(Filter):
     def passed(self, labels: Labels) -> np.ndarray:
         """Sets that differ in the distance to the local plane share the references."""
         assert labels.settled is not None and labels.elevation is not None
-        return labels.settled | (np.abs(labels.elevation) <= self.max_distance)
+        return self._near(labels.settled, labels.elevation)
+
+    def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """bool[m], references and points within the distance f32[m], metres, from their local planes."""
+        return reference | (np.abs(distance) <= self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -193,7 +197,7 @@ class PPDF(Filter):
         around = self._around(xyz, rows, side)
         around.add(np.flatnonzero(reference), workers)
         distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row)
-        ground = reference | (np.abs(distance) <= self.max_distance)  # as in passed()
+        ground = self._near(reference, distance)
         decision = np.where(ground, Decision.ACCEPTED, np.where(distance < 0, Decision.LOW, Decision.ELEVATION))
         decision[reference & seed] = Decision.SEED
         limit = np.where(reference, max(self.buffer, self.reference_distance), self.max_distance)
