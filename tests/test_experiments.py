@@ -422,6 +422,20 @@ def test_the_bench_reports_growth_and_the_gain_of_vertex_spacing():
     assert "1.00 s instead of 2.00 s; total error 3.25 % instead of 3.00 % (+0.25 points)" in text
 
 
+def test_profiles_cross_more_of_the_scene_than_patches_and_less_than_points(monkeypatch):
+    monkeypatch.setattr(calibration, "SHARE", 0.06)  # profiles much longer than they are wide
+    scene = jf.scenes.make("mixed", size=120.0, density=1.5, seed=2)
+    cloud = jf.PointCloud.from_arrays(scene.cloud.coordinates(), reference=scene.truth)
+    cells = np.floor(cloud.xyz[:, :2] / calibration.WIDTH)
+    touched = {
+        shape: np.mean(
+            [len(np.unique(cells[calibration.draw_labels(cloud, shape, seed)], axis=0)) for seed in range(5)]
+        )
+        for shape in calibration.SHAPES
+    }
+    assert 1.3 * touched["patches"] < touched["profiles"] < 0.7 * touched["points"]
+
+
 @pytest.mark.parametrize("shape", list(calibration.SHAPES))
 def test_labels_for_calibration_are_as_many_as_said_and_lie_together_where_said(shape):
     scene = jf.scenes.make("mixed", size=120.0, density=1.5, seed=2)

@@ -1,6 +1,7 @@
 """Sweeps give the labels of single runs, whatever they share, and their scores; bad axes are named before anything runs."""
 
 import itertools
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -159,6 +160,7 @@ def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(work
     points = canonical_points(hills)
     reader = sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9)
     assert [next(reader)[0] for _ in range(3)] == [0, 1, 2]
+    time.sleep(0.5)  # time in which all would be done, if nothing waited for the reader
     reader.close()
     assert 3 <= len(begun) <= 3 + workers and {w for _, w in begun} == {1}
     with pytest.raises(RuntimeError, match="fails"):
