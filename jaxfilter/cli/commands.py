@@ -179,6 +179,8 @@ def _ground(
     report = _report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
+        "units": str(cloud.units),
+        "metres_per_unit": [cloud.units.xy, cloud.units.z],
         "ground_class": options["ground_class"],
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
@@ -251,6 +253,9 @@ def _print_report(report: dict[str, Any]) -> None:
     if kept:
         name, all_ = report["ground_class"], report["of_ground_class"]
         click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
+    xy, z = report.get("metres_per_unit", (1.0, 1.0))
+    if (xy, z) != (1.0, 1.0):
+        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     if report["barred"]:
         click.echo(
             f"{report['barred']:,} points were barred from the seeds as outliers, of which "

@@ -96,9 +96,11 @@ def dtm(
                 ground &= ~cloud.withheld
         elif cloud.reference is not None:
             ground = cloud.reference
+        elif not len(cloud):
+            ground = cloud.candidate
         else:
             raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-        if not ground.any():
+        if len(cloud) and not ground.any():
             raise InputError(f"{source}: no point is ground; classify it first, or find the ground with --filter")
         with session.step("interpolate"):
             raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
