@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Iterator
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Self
 
 import click
@@ -21,6 +23,43 @@ class BadUsage(click.ClickException):
     """Wrong usage that is found before anything is read: one line, exit code 2."""
 
     exit_code = 2
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the command to stop; clean-up runs as it does for Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+_STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """A block that SIGINT (Ctrl-C), SIGTERM and SIGHUP end in order: what is unfinished is removed, one line is printed,
+    and the exit code is 128 and the number of the signal. A signal that was ignored before stays so, as nohup wants it."""
+    old = {}
+    if threading.current_thread() is threading.main_thread():
+        old = {number: signal.signal(number, _stop) for number in _STOPS if signal.getsignal(number) != signal.SIG_IGN}
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        number = getattr(error, "number", signal.SIGINT)
+        notes = getattr(error, "__notes__", [])
+        click.echo("; ".join([f"stopped by {signal.Signals(number).name}", *notes]), err=True)
+        raise SystemExit(128 + number) from None
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    for other in _STOPS:
+        if other != signal.SIGINT:  # Ctrl-C can end a clean-up that hangs, the others come in pairs
+            signal.signal(other, signal.SIG_IGN)
+    raise Stopped(number)
 
 
 def session_options() -> list[click.Parameter]:
