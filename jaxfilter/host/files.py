@@ -85,7 +85,7 @@ class Tally:
     def add(self, coordinates: np.ndarray) -> None:
         """Append i32[k, 3] or f64[k, 3], or the bytes of as many points."""
         self.points += len(coordinates)
-        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates), self.checksum)
+        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
 
 
 @dataclasses.dataclass(frozen=True)
