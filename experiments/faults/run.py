@@ -119,7 +119,9 @@ def labelled(path: Path) -> tuple[np.ndarray, np.ndarray]:
         table = np.loadtxt(path, ndmin=2)
         return np.rint(table[:, :3] / SCALE).astype(np.int32), table[:, 3] == 0
     las = laspy.read(path)
-    return np.stack([las.X, las.Y, las.Z], axis=1), np.asarray(las.classification) == 2
+    return np.rint(np.stack([las.x, las.y, las.z], axis=1) / SCALE).astype(np.int32), np.asarray(
+        las.classification
+    ) == 2
 
 
 def not_one_of(path: Path, versions: list[np.ndarray]) -> str:

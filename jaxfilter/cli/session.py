@@ -128,6 +128,8 @@ class Session:
             self._stack.close()
         finally:
             Session.running -= 1
+        if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
+            raise Stopped(Session.stopped_by)  # finalisers and decoders had swallowed it
         if error is None or self.debug or not isinstance(error, Exception) or isinstance(error, click.ClickException):
             return
         if isinstance(error, ParameterError):
@@ -154,7 +156,7 @@ class Session:
         self._bar.update(self._task, description=step, completed=fraction)
 
     def _next(self, step: str) -> None:
-        if Session.stopped_by is not None:  # exceptions are lost in finalisers; this one comes again
+        if Session.stopped_by is not None:  # see __exit__
             raise Stopped(Session.stopped_by)
         now = time.perf_counter()
         running, since = self._mark

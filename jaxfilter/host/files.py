@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import InputError, JaxfilterError, OutputError
+from ..core.errors import InputError, OutputError
 
 if sys.platform == "win32":
     import msvcrt
@@ -59,7 +59,7 @@ class Identity:
         not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
         try:
             yield
-        except JaxfilterError as error:
+        except Exception as error:
             if not self._holds(path):
                 raise InputError(f"{path}: {message}") from error
             raise
