@@ -35,7 +35,7 @@ class Reference:
 def reference_of(header: Header) -> Reference:
     """From the WKT record if it can be understood, else from the GeoTIFF keys. Warns about records that cannot be."""
     records = {}
-    with header.open() as file:
+    with open(header.path, "rb") as file:
         for record in header.vlrs + header.evlrs:
             size = record.end - record.payload
             if record.user == _PROJECTION and record.number in (_WKT, _GEOKEYS) and size <= _LARGEST_WKT:
