@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .commands import check_reading, main, print_json
+from .commands import check_reading, check_target, main, print_json
 from .session import BadUsage, Session, session_options
 
 
@@ -129,8 +129,5 @@ def _check_target(target: Path, overwrite: bool) -> None:
 
     if target.suffix.lower() not in raster.SUFFIXES:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(raster.SUFFIXES)}")
-    if target.exists() and not overwrite:
-        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    check_target(target, overwrite)
     raster.check_library()

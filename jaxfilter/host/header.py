@@ -7,10 +7,12 @@ and 24 (extra bytes).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import struct
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +20,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterWarning, OutputError
+from .files import CHANGED_IN_READING, Identity
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point record by point format, 0 to 10."""
@@ -62,13 +65,23 @@ class ExtraDimension:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes."""
+    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes; ``identity`` is
+    that of the file it was read from, None for the header of a new file."""
 
     path: Path
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...]
+    identity: Identity | None = None
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[BinaryIO]:
+        """The file that the header is of. Raises InputError if the name is another file's by now, OSError."""
+        with open(self.path, "rb") as file:
+            if Identity.of(file.fileno()) != self.identity:
+                raise InputError(f"{self.path}: {CHANGED_IN_READING}")
+            yield file
 
     def _get(self, layout: str, at: int) -> tuple:
         return struct.unpack_from("<" + layout, self.head, at)
@@ -217,6 +230,7 @@ def read_header(path: Path) -> Header:
     point counts that the file cannot hold, scales that are not positive numbers.
     """
     with open(path, "rb") as file:
+        identity = Identity.of(file.fileno())
         size = file.seek(0, 2)
         file.seek(0)
         block = file.read(HEADER_LENGTHS[4])
@@ -243,7 +257,7 @@ def read_header(path: Path) -> Header:
             )
         file.seek(0)
         head = file.read(offset)
-        header = _parse(path, head, size)
+        header = dataclasses.replace(_parse(path, head, size), identity=identity)
         _check_points(header)
         if header.compressed and header.count:
             _check_chunk_table(header, file)
