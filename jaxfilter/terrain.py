@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud
+from .core.cloud import QUANTUM, PointCloud, as_cloud
 from .core.errors import InputError, ParameterError
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points
@@ -44,7 +44,7 @@ def dtm(
     with the same x and y the lowest counts.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
@@ -66,6 +66,7 @@ def dtm(
     ImportError if a library is missing.
     """
     check_settings(cell, method, max_gap, neighbours, power)
+    cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
     corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
@@ -134,7 +135,7 @@ def dtm_rmse(
     state the variogram, nor how far cells outside the ground points count.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; by default the cloud's own reference.
         cell, method, settings: as in :func:`dtm`; ``cell`` in the units of the cloud's coordinate system.
@@ -142,6 +143,7 @@ def dtm_rmse(
     Returns: HeightErrors, in metres whatever the units of the cloud.
     Raises: what :func:`dtm` raises.
     """
+    cloud = as_cloud(cloud)
     model, truth = (dtm(cloud, labels, cell, method, **settings).values for labels in (result, reference))
     difference = (model.astype(np.float64) - truth) * cloud.units.z
     both = np.isfinite(difference)
