@@ -110,7 +110,8 @@ def evaluate(
     Args:
         result: a FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; or integers with 1 = ground, 0 = object, -1 = unlabelled; or a PointCloud
-            with reference labels, or a ``laspy.LasData`` with points of class 2. If those come from its classes, points of class 0 (never classified) are unlabelled.
+            with reference labels, or a ``laspy.LasData`` with points of class 2. If labels come from classes, points of
+            class 0 (never classified) are unlabelled.
         ignore: bool[n]; True leaves a point out.
         classes: int[n], ASPRS classes that ``ignore_classes`` refers to; by default those of a reference PointCloud.
         ignore_classes: points of these classes are left out.

@@ -14,6 +14,7 @@ from .errors import InputError, JaxfilterWarning
 from .units import (
     GEOKEYS,
     PROJECTION,
+    UNITS,
     WKT,
     Units,
     linear_units,
@@ -31,8 +32,9 @@ Below 16 km from the origin such values, and all differences between them, are e
 lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
 """
 
-NOISE_CLASSES = (7, 18)
-"""ASPRS classes low noise and high noise."""
+KEPT_CLASSES = (7, 9, *range(17, 256))
+"""ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
+by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
 
 GROUND_CLASS = 2
@@ -74,7 +76,7 @@ class PointCloud:
     reference: np.ndarray | None = None
     valid: np.ndarray | None = None
     crs: Any = None
-    units: Units = Units()
+    units: Units = UNITS["m"]
     anchor: np.ndarray | None = None
     source: Any = None
 
@@ -97,7 +99,7 @@ class PointCloud:
         drop_invalid: bool = False,
         name: str = "xyz",
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
@@ -159,7 +161,7 @@ class PointCloud:
         drop_invalid: bool = False,
         name: str = "xyz",
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
@@ -252,7 +254,7 @@ class PointCloud:
         self,
         *,
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         name: str = "cloud",
     ) -> PointCloud:
@@ -261,7 +263,8 @@ class PointCloud:
         Args:
             returns: comma-separated list out of ``first``, ``intermediate``, ``last``, ``only``, or ``all``. The default
                 takes single echoes and the last of several.
-            ignore_classes: points of these classes are set aside, by default low and high noise.
+            ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
+                default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
             keep_withheld: take points that carry the withheld flag as well.
         """
         candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()
@@ -378,7 +381,7 @@ def _near(
     with np.errstate(over="ignore", invalid="ignore"):
         spans = (high - low) * factor
     near = None
-    for axis in np.flatnonzero(spans > LARGEST_SPAN):
+    for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
         limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
         values = column(axis)
         known = values[~np.isnan(values)]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.cloud import GROUND_CLASS, NOISE_CLASSES, PointCloud, is_laspy
+from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, is_laspy
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.points import canonical_points
 from ..core.units import (
@@ -29,12 +29,12 @@ from . import records, text
 from .files import Bounds, Source, check_bounds
 from .header import Header, read_header
 from .records import inside, read_records, reading
-from .writing import LAS_SUFFIXES, write
+from .writing import LAS_SUFFIXES, class_changes, write
 
 if TYPE_CHECKING:
     import laspy
 
-__all__ = ["info", "read", "write"]
+__all__ = ["class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
 
@@ -45,7 +45,7 @@ def read(
     bounds: Iterable[float] | None = None,
     units: str | Units | None = None,
     returns: str = "last,only",
-    ignore_classes: Iterable[int] = NOISE_CLASSES,
+    ignore_classes: Iterable[int] = KEPT_CLASSES,
     keep_withheld: bool = False,
     drop_invalid: bool = False,
     anchor: Iterable[float] | None = None,

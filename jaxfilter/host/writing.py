@@ -13,7 +13,7 @@ import lazrs
 import numpy as np
 import pyproj
 
-from ..core.cloud import PointCloud
+from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
 from ..core.result import FilterResult
 from . import records, text
@@ -21,7 +21,6 @@ from .files import Source, new_file
 from .header import FLOAT32, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
 
-GROUND_CLASS = 2
 RESETS = ("ground", "all", "none")
 EXTRAS = ("height", "slope", "angle", "elevation", "margin")
 """Quantities of a FilterResult that can be written along with the points."""
@@ -85,6 +84,25 @@ def write(
             with open(temporary, "xb") as file:
                 _write_las(path, file, cloud, labels)
     return path
+
+
+def class_changes(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    *,
+    ground_class: int = GROUND_CLASS,
+    other_class: int = 1,
+    reset: str = "ground",
+    only_ground: bool = False,
+) -> dict[tuple[int, int], int]:
+    """What :func:`write` makes of the classes with these arguments: number of points by (old class, new class), in order.
+
+    Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
+    """
+    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, ())
+    old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
+    pairs = np.bincount(old.astype(np.int64) * 256 + labels.classes(old, slice(None)), minlength=1)
+    return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
 
 
 class _Labels:
