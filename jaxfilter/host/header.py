@@ -130,25 +130,25 @@ class Header:
                 found.append(
                     f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read"
                 )
-        returns = self._get("15Q", 255) if self.minor >= 4 and self._get("Q", 247)[0] else self._get("5I", 111)
-        if self.unread:
-            found.append(
-                f"the header announces {self.count} points, but the compressed chunks hold at least "
-                f"{self.count + self.unread}: the others are not read, and will be in no output"
-            )
-        elif sum(returns) > self.count:
-            found.append(
-                f"the header announces {self.count} points, and {sum(returns)} in its counts by return: {self.count} are read"
-            )
+        room = 0
         if not self.compressed:
             starts = [s for s in (self.waveform_start, self.evlr_start) if self.points_end <= s <= self.file_size]
             room = min(starts, default=self.file_size) - self.points_end
-            if room >= self.record_length:
-                found.append(
-                    f"the header announces {self.count} points, but {room} bytes follow them, enough for "
-                    f"{room // self.record_length} more, so {self.count + room // self.record_length} in all: they are not "
-                    "read; LAS written from this file keeps them as they are, behind its points"
-                )
+        returns = self._get("15Q", 255) if self.minor >= 4 and self._get("Q", 247)[0] else self._get("5I", 111)
+        said = f"the header announces {self.count} points"
+        if self.unread:
+            found.append(
+                f"{said}, but the compressed chunks hold at least {self.count + self.unread}: the others are not read, and "
+                "will be in no output"
+            )
+        elif room >= self.record_length:
+            more = room // self.record_length
+            found.append(
+                f"{said}, but {room} bytes follow them, enough for {more} more, so {self.count + more} in all: they are not "
+                "read; LAS written from this file keeps them as they are, behind its points"
+            )
+        elif sum(returns) > self.count:
+            found.append(f"{said}, and {sum(returns)} in its counts by return: {self.count} are read")
         return found
 
     @property
