@@ -171,7 +171,7 @@ def test_extent_of_all_points_by_a_wrong_scale(tmp_path):
 def test_coordinates_that_float64_does_not_resolve(tmp_path, offset):
     make_las(tmp_path / "in.las")
     patch(tmp_path / "in.las", "d", 155 + 8, offset)
-    with pytest.raises(jf.InputError, match="in.las: Y reaches .* float64 does not resolve"):
+    with pytest.raises(jf.InputError, match=r"in.las: Y reaches .* float64 does not resolve"):
         jf.read(tmp_path / "in.las")
     assert_error(ground(tmp_path / "in.las"), "in.las: Y reaches")
     with pytest.raises(jf.InputError, match="X reaches"):
@@ -447,7 +447,7 @@ def test_las_data_is_checked_as_files_are():
     las.x, las.y, las.z = degrees(500).T
     with (
         pytest.warns(jf.JaxfilterWarning, match="LasData: no CRS"),
-        pytest.raises(jf.InputError, match="LasData: .*degrees"),
+        pytest.raises(jf.InputError, match=r"LasData: .*degrees"),
     ):
         jf.SPF()(las)
     header.add_crs(pyproj.CRS.from_epsg(4326))
