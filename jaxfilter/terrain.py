@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud
+from .core.cloud import QUANTUM, PointCloud, as_cloud
 from .core.errors import InputError, JaxfilterWarning, ParameterError
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points
@@ -45,7 +45,7 @@ def dtm(
     with the same x and y the lowest counts.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
@@ -63,10 +63,11 @@ def dtm(
 
     Returns: Raster with the CRS of the cloud; of a cloud without points, one without heights, and a warning.
     Raises: ParameterError for settings out of range; InputError if there are fewer than three distinct ground positions or
-    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, or if more than 400 million cells would be needed;
-    ImportError if a library is missing.
+    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, or if more than
+    400 million cells would be needed; ImportError if a library is missing.
     """
     check_settings(cell, method, max_gap, neighbours, power)
+    cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
     corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
@@ -139,7 +140,7 @@ def dtm_rmse(
     state the variogram, nor how far cells outside the ground points count.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; by default the cloud's own reference.
         cell, method, settings: as in :func:`dtm`; ``cell`` in the units of the cloud's coordinate system.
@@ -147,6 +148,7 @@ def dtm_rmse(
     Returns: HeightErrors, in metres whatever the units of the cloud.
     Raises: what :func:`dtm` raises.
     """
+    cloud = as_cloud(cloud)
     model, truth = (dtm(cloud, labels, cell, method, **settings).values for labels in (result, reference))
     difference = (model.astype(np.float64) - truth) * cloud.units.z
     both = np.isfinite(difference)

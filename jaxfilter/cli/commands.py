@@ -521,12 +521,14 @@ def _summary(method: type[Filter]) -> str:
 
 @main.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def info(file: Path, quiet: bool, as_json: bool, debug: bool) -> None:
+@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
+def info(file: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
     """What a file says of itself: points, extent, CRS, units, classes and echoes."""
     from ..host import las
 
     with Session(quiet=quiet, debug=debug):
-        facts = las.info(file)
+        check_reading(units, "last,only")
+        facts = las.info(file, units=units)
     if as_json:
         print_json(facts)
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import signal
 import threading
 import time
@@ -77,6 +78,21 @@ def session_options() -> list[click.Parameter]:
     ]
 
 
+def in_flags(text: str) -> str:
+    """A message of the library in the words of the running command: ``pass drop_invalid=True`` becomes
+    ``pass --drop-invalid``. Arguments that the command has no flag for stay."""
+    context = click.get_current_context(silent=True)
+    options = {p.name: p for p in context.command.params if isinstance(p, click.Option)} if context else {}
+
+    def flag(found: re.Match[str]) -> str:
+        option = options.get(found[1])
+        if option is None:
+            return found[0]
+        return f"pass {option.opts[0]}" + (f" {found[2]}" if found[2] and not option.is_flag else "")
+
+    return re.sub(r"\bpass (\w+)=([\w.]*)", flag, " ".join(text.split()))
+
+
 class Session:
     """A context in which a command runs.
 
@@ -133,8 +149,8 @@ class Session:
         if error is None or self.debug or not isinstance(error, Exception) or isinstance(error, click.ClickException):
             return
         if isinstance(error, ParameterError):
-            raise BadUsage(str(error)) from error
-        text = str(error) if isinstance(error, JaxfilterError) else f"{type(error).__name__}: {error}"
+            raise BadUsage(in_flags(str(error))) from error
+        text = in_flags(str(error)) if isinstance(error, JaxfilterError) else f"{type(error).__name__}: {error}"
         raise click.ClickException(" ".join(text.split())) from error
 
     @contextlib.contextmanager
@@ -165,7 +181,7 @@ class Session:
         self._mark = (step, now)
 
     def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        text = " ".join(str(message).split())
+        text = in_flags(str(message))
         self.warnings.append(text)
         self._console.print(f"warning: {text}")
 

@@ -104,7 +104,7 @@ class Filter:
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
 
-        There are at least three positions, not on a line, and not all of one elevation.
+        There are at least four positions, not on a line, and not all of one elevation.
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
@@ -160,7 +160,7 @@ class Filter:
         """Classify a cloud.
 
         Args:
-            cloud: a PointCloud, or coordinates f64[n, 3] in metres.
+            cloud: a PointCloud, a ``laspy.LasData``, or coordinates f64[n, 3] in metres.
             key: a JAX random key; only methods that draw samples use it.
             workers: threads for triangulation; by default one per core.
             progress: called with the fraction done and the name of the step.
@@ -197,7 +197,8 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
     if m == 0:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
     z = points.xyz[:, 2]
-    if not points.has_area():
+    three = all(len(np.unique(xy, axis=0)) <= 3 for xy in (points.xyz[:1000, :2], points.xyz[:, :2]))
+    if three or not points.has_area():
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
         first = np.ones(m, bool)

@@ -225,7 +225,8 @@ class Writer:
         header = self.header
         if header.minor >= 4:
             struct.pack_into("<16Q", self.head, 247, self.count, *self.by_return[1:])
-        legacy = [self.count, *self.by_return[1:6]] if header.point_format < 6 and self.count < 2**32 else [0] * 6
+        old = header.minor < 4 or header.point_format < 6  # point formats from 6 have no legacy counts in LAS 1.4
+        legacy = [self.count, *self.by_return[1:6]] if old and self.count < 2**32 else [0] * 6
         struct.pack_into("<6I", self.head, 107, *(int(v) for v in legacy))
         extent = np.zeros((3, 2))
         if self.count:

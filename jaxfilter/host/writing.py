@@ -14,7 +14,7 @@ import lazrs
 import numpy as np
 import pyproj
 
-from ..core.cloud import PointCloud
+from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
 from ..core.result import FilterResult
 from . import records, text
@@ -22,7 +22,6 @@ from .files import Replay, Source, new_file
 from .header import FLOAT32, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
 
-GROUND_CLASS = 2
 RESETS = ("ground", "all", "none")
 EXTRAS = ("height", "slope", "angle", "elevation", "margin")
 """Quantities of a FilterResult that can be written along with the points."""
