@@ -262,7 +262,13 @@ def test_parameters_follow_spacing_and_building_size(method, small):
     assert far.halo() > near.halo()
     assert isinstance(near(xyz), jf.FilterResult)
     unknown = method.for_cloud(xyz)
-    for name in ("window", "max_window", "seed_cell", "resolution", "max_height"):  # what follows from a building's size
+    for name in (
+        "window",
+        "max_window",
+        "seed_cell",
+        "resolution",
+        "max_height",
+    ):  # what follows from a building's size
         assert getattr(unknown, name, None) == getattr(method(), name, None)
     for size in (25.0, 33.3, 50.0):
         assert len(method.for_cloud(xyz, largest_building=size)(xyz)) == len(xyz)

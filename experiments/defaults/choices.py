@@ -65,8 +65,18 @@ def _cell(share: float) -> Make:
 def _windows() -> list[Choice]:
     widths = (20.0, 36.0, 48.0, 60.0, 80.0)
     out = [
-        Choice("smrf: window", "smrf", {f"{w:g} m wide": _constant({"cell": 1.0, "window": w / 2}) for w in widths}, "36 m wide"),
-        Choice("pmf: window", "pmf", {f"{w:g} m wide": _constant({"cell": 1.0, "max_window": w}) for w in widths}, "60 m wide"),
+        Choice(
+            "smrf: window",
+            "smrf",
+            {f"{w:g} m wide": _constant({"cell": 1.0, "window": w / 2}) for w in widths},
+            "36 m wide",
+        ),
+        Choice(
+            "pmf: window",
+            "pmf",
+            {f"{w:g} m wide": _constant({"cell": 1.0, "max_window": w}) for w in widths},
+            "60 m wide",
+        ),
     ]
     rises: dict[str, Make] = {}
     for w in widths:

@@ -58,7 +58,9 @@ def run(known: clouds.Known, asked: Sequence[choices.Choice], kept: dict[tuple[s
             head: Row = {"group": known.group, "cloud": known.name, "parameters": search.digest(filter_)}
             if _key(head) not in kept:
                 try:
-                    counts = jf.evaluate(filter_(known.cloud), known.ground, ignore=~known.scored).confusion.ravel().tolist()
+                    counts = (
+                        jf.evaluate(filter_(known.cloud), known.ground, ignore=~known.scored).confusion.ravel().tolist()
+                    )
                     status = "OK"
                 except jf.JaxfilterError as error:
                     counts, status = [None] * 4, str(error)[:200]
@@ -88,9 +90,7 @@ def table(choice: choices.Choice, rows: Sequence[Row]) -> list[Row]:
     found = [line for line in lines if line["mean"] is not None and not line["failed"]]
     best = min(found, key=lambda line: line["mean"], default={})
     for line in lines:
-        line["note"] = ", ".join(
-            ["best"] * (line is best) + ["default"] * (line["alternative"] == choice.present)
-        )
+        line["note"] = ", ".join(["best"] * (line is best) + ["default"] * (line["alternative"] == choice.present))
     return lines
 
 
@@ -101,7 +101,11 @@ def _total(row: Row) -> float:
 
 def _markdown(lines: Sequence[Row]) -> str:
     groups = [key for key in lines[0] if key not in ("choice", "alternative", "failed", "mean", "note")]
-    columns: list[Column] = [("alternative", "alternative", ""), *((g, g, ".2f") for g in groups), ("mean", "mean", ".2f")]
+    columns: list[Column] = [
+        ("alternative", "alternative", ""),
+        *((g, g, ".2f") for g in groups),
+        ("mean", "mean", ".2f"),
+    ]
     return markdown([*columns, ("note", "", "")], lines)
 
 
@@ -122,7 +126,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    parser.add_argument("--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]")
+    parser.add_argument(
+        "--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]"
+    )
     parser.add_argument("--groups", nargs="+", metavar="GROUP", help="of clouds, such as '1 per m2' tiles [all]")
     parser.add_argument("--fresh", action="store_true", help="run again what is at hand")
     return parser

@@ -105,7 +105,11 @@ class PPDF(Filter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
-        own = {} if largest_building is None else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
+        own = (
+            {}
+            if largest_building is None
+            else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
+        )
         return own | {
             "canopy_cell": max(2.0, 1.5 * spacing),
             "cell": max(10.0, 7.0 * spacing),
