@@ -76,21 +76,22 @@ class Filter:
 
     @classmethod
     def for_cloud(
-        cls, cloud: Any, largest_building: float = 60.0, *, preset: str | None = None, **changes: Any
+        cls, cloud: Any, largest_building: float | None = None, *, preset: str | None = None, **changes: Any
     ) -> Self:
-        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud.
+        """Parameters set from point spacing and, where it is given, from the largest building (metres) in the cloud.
 
-        They replace those of ``preset``; ``changes`` come on top. Raises ParameterError.
+        Without it windows and seed cells keep their defaults. They replace those of ``preset``; ``changes`` come on top.
+        Raises ParameterError.
         """
-        if not largest_building > 0:
+        if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud))
         changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        """Field values for a mean point spacing and a largest building, both in metres."""
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known."""
         return {}
 
     def replace(self, **changes: Any) -> Self:
