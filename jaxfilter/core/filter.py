@@ -16,7 +16,7 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
-from .params import check_fields, declared
+from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
@@ -48,14 +48,15 @@ class Labels:
 class Filter:
     """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
 
-    ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
+    ``PRESETS`` maps a preset's name to field values with a note; every method has "paper" (as printed, but for what the
+    note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
     """
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
+    PRESETS: ClassVar[dict[str, Preset]] = {"paper": Preset("as printed"), "recommended": Preset("the default")}
     ORDER_FREE: ClassVar[bool] = False
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
     LAST: ClassVar[tuple[str, ...]] = ()
