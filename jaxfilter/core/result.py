@@ -37,7 +37,7 @@ _MESSAGES = {
     Status.ROUND_LIMIT: "the limit of rounds was reached before densification ended",
     Status.NO_POINTS: "the cloud has no points",
     Status.NO_CANDIDATES: "no point is a candidate: all are set aside by echo, class or withheld flag",
-    Status.TOO_FEW_POINTS: "fewer than three distinct positions, or all on a line: the lowest per position are ground",
+    Status.TOO_FEW_POINTS: "fewer than four distinct positions, or all on a line: the lowest per position are ground",
     Status.FLAT: "all points have one elevation: all are ground",
 }
 

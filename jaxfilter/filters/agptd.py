@@ -130,9 +130,10 @@ class AGPTD(TinFilter):
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         radius = max(1.0, round(6.0 * spacing, 1))  # four times the largest spacing, which is half as much again
-        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building, "radius": radius}
+        own = {} if largest_building is None else {"seed_cell": largest_building}
+        return super().from_spacing(spacing, largest_building) | own | {"radius": radius}
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach.

@@ -107,12 +107,14 @@ class CSF(Filter):
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """The finest cloth, in steps of 0.1 m, that bridges the largest building, 0.5 m at least, as in the paper.
 
         A cloth of rigidness 2 sags by less than 2 m over a square hole of 60 particles. Sparse points are no reason for a
         coarser one: on simulated scenes with 0.13 points per m2 cloths of 1 m lose less than cloths of 1.5 to 2.8 m.
         """
+        if largest_building is None:
+            return {}
         return {"resolution": max(0.5, 0.1 * math.ceil(10 * largest_building / _HOLE - 1e-6))}
 
     def halo(self) -> float:

@@ -87,9 +87,12 @@ class FPTD(TinFilter):
             )
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        dense = super().from_spacing(spacing, largest_building)
+        if largest_building is None:
+            return dense
         stride = math.ceil(largest_building / 0.6 - 1e-9) / 10.0  # a sixth of the window, which so is a multiple of it
-        return super().from_spacing(spacing, largest_building) | {"window": round(6 * stride, 1), "stride": stride}
+        return dense | {"window": round(6 * stride, 1), "stride": stride}
 
     def halo(self) -> float:
         """The neighbourhood radius d of Sec. II-A: the half diagonal of a block and its eight neighbours."""

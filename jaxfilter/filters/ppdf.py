@@ -111,15 +111,18 @@ class PPDF(Filter):
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
-        return {
+        own = (
+            {}
+            if largest_building is None
+            else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
+        )
+        return own | {
             "canopy_cell": max(2.0, 1.5 * spacing),
             "cell": max(10.0, 7.0 * spacing),
             "min_points": 20 if spacing <= 0.75 else 10,
             "reference_cell": max(1.0, spacing),
-            "window": largest_building / 2,
-            "reach": max(30.0, largest_building / 2),
         }
 
     def halo(self) -> float:

@@ -62,8 +62,9 @@ class PTD(TinFilter):
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building}
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        own = {} if largest_building is None else {"seed_cell": largest_building}
+        return super().from_spacing(spacing, largest_building) | own
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""

@@ -102,10 +102,10 @@ class SPF(TinFilter):
         check_width(self, "window", 1000)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of two point spacings, in steps of 0.5 m and 1 m at least, so that few of them are empty."""
-        own = {"cell": cell_for(spacing, 2), "window": largest_building}
-        return super().from_spacing(spacing, largest_building) | own
+        own = {} if largest_building is None else {"window": largest_building}
+        return super().from_spacing(spacing, largest_building) | own | {"cell": cell_for(spacing, 2)}
 
     def halo(self) -> float:
         """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""

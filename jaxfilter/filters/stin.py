@@ -125,8 +125,10 @@ class STIN(TinFilter):
             )
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         fixed = super().from_spacing(spacing, largest_building) | {"vertex_spacing": 0.0}
+        if largest_building is None:
+            return fixed
         return fixed | {"seed_cell": largest_building, "final_cell": min(2.0, largest_building)}
 
     def halo(self) -> float:

@@ -73,7 +73,7 @@ class TinFilter(Filter):
     max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Above four points per square metre, ranging noise makes steep angles at short range."""
         dense = spacing < 0.5
         return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0}
