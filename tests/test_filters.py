@@ -175,19 +175,21 @@ def test_no_points(method):
         [[0, 0, 0], [1, 1, 2], [2, 2, 1]],
         [[3, 3, 9], [3, 3, 1], [3, 3, 4]],
         [[k, 2 * k, k % 3] for k in range(30)],
+        [[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2]],
+        [[0, 0, 0], [10, 0, 0.1], [0, 10, 9], [0, 10, 0.2]],
     ],
 )
 def test_too_few_points_or_points_on_a_line(method, xyz):
     xyz = np.array(xyz, float)
-    with pytest.warns(jf.JaxfilterWarning, match="fewer than three"):
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than four"):
         result = method()(xyz)
     assert result.status == jf.Status.TOO_FEW_POINTS
     lowest = [not any((p[:2] == q[:2]).all() and q[2] < p[2] for q in xyz) for p in xyz]
     assert result.ground.tolist() == lowest
 
 
-def test_three_points_in_a_triangle(method):
-    assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2]]))) == 3
+def test_four_points(method):
+    assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2], [9, 9, 0.3]]))) == 4
 
 
 def test_one_elevation_is_all_ground(method, rng):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import Filter, Labels
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.cones import cone_erosion, cone_limits
@@ -66,9 +66,15 @@ class MSF(Filter):
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the minima")
 
     ORDER_FREE: ClassVar[bool] = True
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"slope": math.tan(math.radians(15.0)), "max_height": 3.0, "low_clusters": False},
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset("the default: terrain up to 30 degrees and 6 m, clusters of low points barred"),
+        "paper": Preset(
+            "as reported by Cai et al. (2023), Table 2 (15 degrees, 3 m, window 10 m), except that the window is a radius "
+            "and that 0.3 m of tolerance, which is not reported, is added",
+            slope=math.tan(math.radians(15.0)),
+            max_height=3.0,
+            low_clusters=False,
+        ),
     }
 
     def check(self) -> None:
