@@ -326,7 +326,7 @@ def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_p
     every = ablations.variants()
     names = [(v.choice, v.name) for v in every]
     assert len(set(names)) == len(names)
-    assert {v.choice.split(".")[0] for v in every} == {str(i) for i in range(1, 12)}
+    assert {v.choice.split(".")[0] for v in every} == {str(i) for i in range(1, 15)}
     given = ["--data", str(two_samples), "--out", str(tmp_path), "--samples", "52", "--choices", "2", "5", "10"]
     ablations.main([*given, "--processes", "1"])
     rows = report.read_csv(tmp_path / "summary.csv")
@@ -343,6 +343,59 @@ def test_points_that_an_ablation_leaves_out_are_objects():
     filter_ = jf.FPTD(radius=3.0, min_neighbours=4, low_clusters=False)
     barred = filter_(scene.cloud).barred
     assert barred.any() and not ablations._left_out(filter_, scene.cloud)[barred].any()
+
+
+def test_smrf_taken_apart_for_the_ablations_is_smrf():
+    scene = jf.scenes.make("town", size=(64, 60), density=0.8, seed=2)
+    apart = ablations._modified("smrf", classify=ablations._smrf_steps("disk", ablations._membrane))("samp11")
+    squares = ablations._modified("smrf", classify=ablations._smrf_steps("square", ablations._membrane))("samp11")
+    ground = spaces.fixed("smrf", "samp11")(scene.cloud).ground
+    assert np.array_equal(apart(scene.cloud).ground, ground)
+    assert not np.array_equal(squares(scene.cloud).ground, ground)
+
+
+@pytest.mark.parametrize("fill", [ablations._triangles, ablations._inverse])
+def test_holes_are_filled_from_the_cells_around_them(fill, rng):
+    z = (np.add.outer(2.0 * np.arange(20), 3.0 * np.arange(30))).astype(np.float32)
+    known, inside = rng.random(z.shape) < 0.5, np.ones(z.shape, bool)
+    known[[0, 0, -1, -1], [0, -1, 0, -1]] = True
+    inside[:, -3:] = False
+    known[-1, -4] = known[0, -4] = True
+    filled = np.asarray(fill(np.where(known, z, 0.0), known, inside))
+    assert np.array_equal(filled[known], z[known])
+    assert np.array_equal(fill(z, inside, inside), z)
+    away = np.abs(filled - z)[inside & ~known]
+    assert away.max() < (1e-3 if fill is ablations._triangles else 6.0)
+
+
+def test_second_lowest_points_are_the_seeds_once_the_lowest_are_left_out(rng):
+    xyz = np.column_stack([rng.uniform(0, 121, (600, 2)), rng.permutation(600) / 50])
+    xyz[:2, :2] = (0, 0), (121, 121)
+    cloud = jf.PointCloud.from_arrays(xyz)
+    filter_ = ablations._modified("ptd", outliers=ablations._lowest_of_all)("samp11")
+    seeds = filter_(cloud).decision == jf.core.result.Decision.SEED
+    cell = np.minimum(cloud.xyz[:, :2] // 60.0, 1) @ (2, 1)
+    for number in range(4):
+        mine = np.flatnonzero(cell == number)
+        assert np.flatnonzero(seeds & (cell == number)).tolist() == [mine[np.argsort(cloud.xyz[mine, 2])[1]]]
+
+
+def test_tiles_with_the_whole_around_them_have_its_labels_and_without_halo_have_not():
+    scene = jf.scenes.make("town", size=(160, 150), density=0.5, seed=2)
+    cloud = jf.PointCloud.from_arrays(scene.cloud.coordinates()[scene.cloud.candidate] + (500_000.25, 5_000_000.5, 0.0))
+    filter_ = spaces.fixed("smrf", "samp51")
+    whole = filter_(cloud).ground
+    assert filter_.halo() > 160 and np.array_equal(ablations._tiled(None)(filter_, cloud), whole)
+    assert 0 < np.mean(ablations._tiled(0.0)(filter_, cloud) != whole) < 0.3
+
+
+def test_ppdf_upward_only_takes_no_point_below_its_plane():
+    scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
+    both, upward = (v.make("samp11")(scene.cloud) for v in ablations._ppdf())
+    seeds = both.decision == jf.core.result.Decision.SEED
+    assert (both.elevation[both.ground & ~seeds] < 0).any()
+    seeds = upward.decision == jf.core.result.Decision.SEED
+    assert (upward.elevation[upward.ground & ~seeds] >= 0).all()
 
 
 def test_every_study_of_a_paper_is_listed_with_its_command():
