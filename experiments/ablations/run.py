@@ -428,7 +428,7 @@ def _switches() -> list[Variant]:
 
 def _tiles() -> list[Variant]:
     """12. Samples cut into tiles, each filtered with a margin of its neighbours: none, what is usual, and ``halo()``."""
-    ways = {"no halo": _tiled(0.0), "a halo of 25 m": _tiled(25.0), "a halo of halo()": _tiled(None)}
+    ways = {"tiles without halo": _tiled(0.0), "tiles, halo of 25 m": _tiled(25.0), "tiles, halo()": _tiled(None)}
     out = []
     for method in spaces.method_names():
         title = method.upper()
