@@ -19,7 +19,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021, paper  # noqa: E402
+from experiments.papers import li2021, paper, ppdf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
@@ -414,6 +414,45 @@ def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypa
     assert report.read_csv(tmp_path / "out" / "seeds.csv")[0]["printed_seeds"] == 841
     assert len(report.read_csv(tmp_path / "out" / "table1.csv")) == 23
     assert (tmp_path / "out" / "samp53.png").exists()
+
+
+@pytest.mark.parametrize("sample", [f"samp{number}" for number in stin2024.SAMPLES])
+def test_stin_and_atin_are_compared_with_thresholds_of_one_kind(sample):
+    import dataclasses
+
+    for kind, pair in stin2024.ALIKE.items():
+        atin, stin = (stin2024.filters(sample)[name] for name in pair)
+        both = {f.name for f in dataclasses.fields(atin)} & {f.name for f in dataclasses.fields(stin)} - {"thresholds"}
+        assert {"max_angle", "max_distance", "seed_cell", "mirror", "low_clusters", "radius"} <= both
+        assert [name for name in both if getattr(atin, name) != getattr(stin, name)] == []
+        assert (atin.thresholds == "constant") == (stin.thresholds == "constant") == kind.startswith("constant")
+
+
+def test_distances_of_the_first_test_of_stin_are_those_from_the_plane(rng):
+    x, y = rng.uniform(0, 120, (2, 4000))
+    z = 0.25 * x
+    z[:500] += 3.0
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]), reference=np.arange(4000) >= 500)
+    distance, angle = stin2024.first_test("samp12", cloud)
+    inner = ~np.isnan(angle) & (np.abs(cloud.xyz[:, :2] - 60) < 25).all(axis=1)
+    expected = np.where(cloud.reference, 0.0, 3.0 / np.hypot(1, 0.25))
+    np.testing.assert_allclose(distance[inner], expected[inner], atol=2e-3)
+    row = stin2024.limit_row(
+        "samp12", np.where(inner, distance, np.nan), np.where(inner, angle, np.nan), cloud.reference
+    )
+    assert (row["ground"], row["objects"], row["total"], row["best_total"]) == (100, 0, 0, 0)
+
+
+def test_the_steps_of_ppdf_are_those_of_the_filter():
+    scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
+    cloud = ppdf2023.part(scene.cloud, np.ones(len(scene), bool))
+    steps, info = ppdf2023.staged(cloud), jf.PPDF.preset("paper", max_rounds=1)(cloud).info
+    found = int(steps.under.sum()), steps.planes.accepted, int(steps.seed.sum())
+    assert found == (info["under_canopy"], info["planes"], info["seeds"])
+    rows = [ppdf2023.plane_row("forest", steps, size) for size in ppdf2023.sizes(steps)]
+    assert sum(row["planes"] for row in rows) == steps.planes.accepted
+    assert sum(row["area"] for row in rows) == pytest.approx(100)
+    assert ppdf2023.coverage(steps, steps.truth)["covered"] == 100
 
 
 def test_sites_and_threads_of_li_et_al_are_tabled_with_a_fit(tmp_path):
