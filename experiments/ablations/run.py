@@ -722,15 +722,15 @@ def report(command: str, lines: Sequence[Row], rows: Sequence[Row], count: int) 
 
 
 def _about_tiles() -> str:
-    names = spaces.method_names()
-    halos = [[f"{spaces.fixed(name, sample).halo():,.0f}" for sample in ("samp11", "samp51")] for name in names]
-    listed = ", ".join(
-        f"{name.upper()} {' and '.join(dict.fromkeys(pair))}" for name, pair in zip(names, halos, strict=True)
-    )
+    listed = []
+    for name in spaces.method_names():
+        halos = [spaces.fixed(name, f"samp{number}").halo() for number in samples.SAMPLES]
+        ends = f"{min(halos):,.0f}", f"{max(halos):,.0f}"
+        listed.append(f"{name.upper()} {' to '.join(dict.fromkeys(ends))}")
     return (
         f"Samples cut into equal tiles of about {TILE:g} m, each filtered with the points around it up to the halo, on the grids "
         "of the whole sample. `Labels changed`: share of the points that are labelled otherwise than in the whole, mean and "
-        f"largest over the samples. Halos in metres, urban and rural spacing: {listed}. Where the halo exceeds the sample, every "
+        f"largest over the samples. `halo()` in metres: {', '.join(listed)}. Where the halo exceeds the sample, every "
         "tile is the whole sample."
     )
 
