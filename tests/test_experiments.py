@@ -470,3 +470,33 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
     assert min(row["seconds"], row["singly"], row["pool"]) > 0
     assert "SMRF" in sweep_speed.report([row], [], "command", 1)
+
+
+def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):
+    import xarray
+
+    angles, elevations = [2.0, 22.0, 42.0], [0.6, 1.2, 1.4]
+    kappa = np.array([[10, 11, 12], [60, 80, 70], [50, 95, 75]], np.float32)
+    flat = dict.fromkeys(("type1", "type2", "total"), (("max_angle", "max_elevation"), 100 - kappa))
+    grid = xarray.Dataset(
+        {"kappa": (("max_angle", "max_elevation"), kappa), **flat},
+        coords={"max_angle": angles, "max_elevation": elevations},
+    )
+    grids = {run: grid.expand_dims(cloud=["samp71"]) for run in li2021.THRESHOLD_RUNS}
+    study = paper.Report("FPTD", "Li et al.", paper.arguments("li2021", "", ["--out", str(tmp_path)]))
+    li2021.thresholds(study, grids)
+    study.write()
+    row = report.read_csv(tmp_path / "thresholds.csv")[0]
+    assert (row["angle"], row["printed_angle"]) == (42, 22)  # at 1.4 m
+    assert (row["elevation"], row["printed_elevation"]) == (1.2, 1.2)  # at the printed angle
+    assert (row["kappa"], row["best_kappa"], row["best_angle"], row["best_elevation"]) == (80, 95, 42, 1.2)
+    assert (row["printed_kappa"], row["least_total"]) == (90.06, 5)
+    assert len(report.read_csv(tmp_path / "thresholds_sets.csv")) == 27
+    assert (tmp_path / "fig5.png").exists() and (tmp_path / "fig6.png").exists()
+
+
+def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does(two_samples):
+    cloud = jf.read(samples.sample_path(two_samples, "52"))
+    grid = li2021.sweep_thresholds({"samp52": cloud}, (18, 38), (1.4,))["independent"]
+    alone = jf.evaluate(jf.FPTD(max_angle=38, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
+    assert float(grid.kappa.sel(cloud="samp52", max_angle=38, max_elevation=1.4)) == pytest.approx(alone.kappa)
