@@ -5,6 +5,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021, paper  # noqa: E402
+from experiments.papers import agptd2024, li2021, paper, spf2023  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
@@ -500,3 +501,57 @@ def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does(two_samples):
     grid = li2021.sweep_thresholds({"samp52": cloud}, (18, 38), (1.4,))["independent"]
     alone = jf.evaluate(jf.FPTD(max_angle=38, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
     assert float(grid.kappa.sel(cloud="samp52", max_angle=38, max_elevation=1.4)) == pytest.approx(alone.kappa)
+
+
+def test_type_1_errors_are_counted_by_the_slope_of_the_reference_ground():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(0, 60, (4000, 2))
+    truth = np.arange(4000) % 4 > 0
+    z = np.tan(np.radians(25)) * xy[:, 1] + np.where(truth, 0.0, 8.0)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, z]), reference=truth)
+    slope = spf2023.terrain_slope(cloud)
+    inner = (np.abs(xy - 30) < 22).all(axis=1)
+    assert slope[inner] == pytest.approx(25, abs=0.5)
+
+    steep = np.where(np.arange(4000) < 1000, 25.0, 3.0)
+    found = truth.copy()
+    found[:40] = ~truth[:40]  # 30 ground points lost and 10 objects accepted, all on the slope
+    result = SimpleNamespace(ground=found)
+    rows = {row["low"]: row for row in spf2023.slope_rows("samp11", "spf", cloud, result, steep)}
+    assert [rows[20.0][key] for key in ("ground", "lost", "objects", "accepted")] == [750, 30, 250, 10]
+    assert [rows[0.0][key] for key in ("ground", "lost", "objects", "accepted")] == [2250, 0, 750, 0]
+    assert rows[45.0]["ground"] == 0
+
+
+def test_trial_and_error_of_agptd_is_set_against_table_1():
+    import xarray
+
+    total = np.array([[4.0, 3.0, 5.0], [2.0, 1.0, 1.05], [6.0, 7.0, 8.0]])
+    axes = {"max_angle": [15.0, 35.0, 55.0], "max_distance": [0.4, 0.8, 1.2]}
+    dims = ("cloud", *axes)
+    scores = {"total": (dims, np.stack([total, total[::-1]])), "kappa": (dims, 100 - np.stack([total, total[::-1]]))}
+    grid = xarray.Dataset(scores, coords=axes | {"cloud": ["samp11", "samp54"]})
+    rows = [
+        agptd2024.trial_row("table1", name, grid.sel(cloud=name), given, at)
+        for name, given, at in (("samp11", (39.0, 0.8), 1.5), ("samp54", (15.0, 0.6), 1.0))
+    ]
+    assert [rows[0][key] for key in ("angle", "distance", "total", "kappa", "cost", "close")] == [
+        35,
+        0.8,
+        1,
+        99,
+        0.5,
+        2,
+    ]
+    assert (rows[0]["printed_total"], rows[1]["cost"]) == (4.6, 0)
+    summary = agptd2024.trial_summary("table1", grid, rows)
+    assert (summary["common"], summary["common_angle"], summary["common_distance"]) == (1, 35, 0.8)
+    assert (summary["oracle"], summary["near"], summary["angle_off"], summary["worst"]) == (1, 1, 12, 0.5)
+
+
+def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two_samples):
+    cloud = jf.read(samples.sample_path(two_samples, "53"))
+    axes = {"max_angle": [29.0], "max_distance": [1.4]}
+    swept = agptd2024.sweep_trial("research", {"samp53": cloud}, axes)
+    alone = jf.evaluate(agptd2024.filters("samp53")["research"](cloud), cloud.reference)
+    assert float(swept.total.squeeze()) == pytest.approx(alone.total)
