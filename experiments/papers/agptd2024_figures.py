@@ -62,14 +62,14 @@ def seed_maps(name: str, cloud: jf.PointCloud, runs: Sequence[Mapping[str, jf.Fi
     """Fig. 7: the seeds of each run over the shaded reference ground; a row per mapping."""
     size = np.ptp(cloud.xyz[:, :2], axis=0)
     columns = max(len(row) for row in runs)
-    figure = Figure(figsize=(3.9 * columns, len(runs) * (3.5 * float(size[1] / size[0]) + 0.9)), layout="constrained")
+    figure = Figure(figsize=(3.9 * columns, len(runs) * (3.3 * float(size[1] / size[0]) + 0.5)), layout="constrained")
     panels = figure.subplots(len(runs), columns, squeeze=False, sharex=True, sharey=True)
     surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
     for axes, row in zip(panels, runs, strict=True):
         for ax, (title, result) in zip(axes, row.items(), strict=True):
             seed = result.decision == jf.Decision.SEED
             plots.hillshade(surface, ax=ax, title=f"{name}, {title}")
-            point = 7.0 if seed.sum() < 2000 else 2.5
+            point = 14.0 if seed.sum() < 1000 else 3.0
             for kind, colour, label in ((cloud.reference, RIGHT, "on ground"), (~cloud.reference, WRONG, "on objects")):
                 which = seed & kind
                 ax.scatter(
@@ -104,7 +104,7 @@ def means(rows: Sequence[Row], keys: Mapping[str, str]) -> Figure:
 
     colours = {"printed": PRINTED, "measured": MEASURED, "labels": BY_LABELS}
     order = sorted(rows, key=lambda row: -row[list(keys)[-1]])
-    figure = Figure(figsize=(3.2 * len(keys) + 2.6, 0.23 * len(rows) + 1.2), layout="constrained")
+    figure = Figure(figsize=(3.2 * len(keys) + 2.6, 0.23 * len(rows) + 1.4), layout="constrained")
     for ax, (key, title) in zip(
         figure.subplots(1, len(keys), sharey=True, squeeze=False)[0], keys.items(), strict=True
     ):
@@ -123,7 +123,8 @@ def means(rows: Sequence[Row], keys: Mapping[str, str]) -> Figure:
         Patch(color=MEASURED, label="measured, one set for all samples"),
         Patch(color=BY_LABELS, label="measured, thresholds or removal by the labels of the sample"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, frameon=False, fontsize=8)
+    ncols = 3 if len(keys) > 1 else 1
+    figure.legend(handles=handles, loc="outside upper center", ncols=ncols, frameon=False, fontsize=8)
     return figure
 
 
