@@ -51,7 +51,6 @@ TITLES = {
 }
 TRIALS = {
     "research": "printed cells, objects removed by the labels",
-    "as_printed": "printed cells",
     "table1": "cells of 60 m",
 }
 """Runs whose angle and distance are searched for, each with all else as it is."""
@@ -491,7 +490,7 @@ def trial_and_error(
     for run, title in TRIALS.items():
         found = with_averages([row for row in rows if row["run"] == run], "sample")
         report.text(f"### Oracle, {title} (`{run}`)", markdown(columns, found))
-    for run in ("research", "table1"):
+    for run in TRIALS:
         report.figure(
             figures.trial_maps(shown[run], given), f"trial_{run}",
             f"Oracle, {TRIALS[run]}: total error above the least of the sample, which the title gives. Star: the best pair; "

@@ -22,14 +22,15 @@ PRINTED, MEASURED, BY_LABELS = "0.6", "#0072B2", "#E69F00"
 
 
 def error_bars(bars: Mapping[str, Sequence[float]], names: Sequence[str]) -> Figure:
-    """A total error per sample for each of the ``bars``, by label."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    """Total errors per sample, a bar for each label of ``bars``."""
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots()
     for i, (label, values) in enumerate(bars.items()):
         axes.bar(np.arange(len(names)) + 0.16 * (i - 2), values, 0.15, label=label, color=f"C{i}")
     axes.set_xticks(range(len(names)), [name.removeprefix("samp") for name in names])
     axes.set(xlabel="sample", ylabel="total error (%)")
-    axes.legend(fontsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 
