@@ -496,11 +496,17 @@ def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):
     assert (tmp_path / "fig5.png").exists() and (tmp_path / "fig6.png").exists()
 
 
-def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does(two_samples):
-    cloud = jf.read(samples.sample_path(two_samples, "52"))
-    grid = li2021.sweep_thresholds({"samp52": cloud}, (18, 38), (1.4,))["independent"]
-    alone = jf.evaluate(jf.FPTD(max_angle=38, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
-    assert float(grid.kappa.sel(cloud="samp52", max_angle=38, max_elevation=1.4)) == pytest.approx(alone.kappa)
+def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does():
+    from jaxfilter import scenes
+
+    scene = scenes.make("hills", size=(190, 70), density=0.3, seed=1)
+    cloud = jf.PointCloud.from_arrays(scene.xyz, reference=scene.truth)
+    grids = li2021.sweep_thresholds({"samp52": cloud}, (6, 38), (1.4,))
+    here = {"cloud": "samp52", "max_angle": 6, "max_elevation": 1.4}
+    found = {run: float(grids[run].kappa.sel(here)) for run in ("global", "independent")}
+    alone = jf.evaluate(jf.FPTD(max_angle=6, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
+    assert found["independent"] == pytest.approx(alone.kappa)
+    assert found["global"] != pytest.approx(alone.kappa)
 
 
 def test_type_1_errors_are_counted_by_the_slope_of_the_reference_ground():
