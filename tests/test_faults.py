@@ -192,7 +192,7 @@ def test_a_file_put_back_does_not_mix_two(tmp_path, monkeypatch):
 def test_another_number_of_points_in_as_many_bytes(tmp_path, lines):
     source, widths = (
         tmp_path / "in.xyz",
-        {2: "100000000.00 200.0 300000000000.00 \n", 4: "10.00 20.00 30.00\n", 8: "1 22 333\n"},
+        {2: "10.0000000000 20.000000000 30.00000\n", 4: "10.00 20.00 30.00\n", 8: "1 22 333\n"},
     )
     source.write_text(widths[4] * 4)
     cloud, status = read(source), source.stat()
