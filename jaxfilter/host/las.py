@@ -170,15 +170,16 @@ def _las_cloud(
 
 def _text_cloud(path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
     layout = text.layout_of(path)
-    chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+    chunks = list(text.read_text(path, layout, cut, chosen.get("drop_invalid", False)))
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
     keys = chunks[0][1] if chunks else ()
     columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
+    del chunks  # they are as large as the cloud
     if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
         columns["reference"] = columns["classification"] == GROUND_CLASS
     if not len(xyz):
         _warn_empty(str(path), cut)
-    source = Source.of(path, "text", "text" if layout is None else str(layout), len(xyz), cut)
+    source = Source.of(path, "text", str(layout), len(xyz), cut)
     return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
 
 
