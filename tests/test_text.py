@@ -22,7 +22,7 @@ from jaxfilter.core.errors import InputError, JaxfilterWarning
 from jaxfilter.host import text
 from jaxfilter.host.las import info, read, write
 
-EVERY = {"returns": "all", "ignore_classes": (), "keep_withheld": True}  # all points are candidates
+EVERY = {"returns": "all", "ignore_classes": (), "keep_withheld": True, "units": "m"}  # all points are candidates
 
 
 def rewrite(folder, content, ground, name="in.csv", **options):
@@ -123,7 +123,7 @@ def files(draw):
                 name, pick(pads), pick(WORDS + [b"", b"old oak", b'say "a"'] * (written is not None)), pick(pads)
             )
         if name in "xyz":
-            value = draw(st.integers(-9999, 99_999)) / 10**decimals
+            value = draw(st.integers(-999, 5000)) / 10**decimals
             core = pick([f"{value:.{decimals}f}", f"{value:+.{decimals}f}", f"{value:.8e}", f"{value:.12G}"]).encode()
         else:
             core = pick([b"0", b"1", b"1.0", b"0e3"] + [b"2", b"5", b"+18"] * (name == "class"))

@@ -20,7 +20,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from ..core.errors import InputError
-from .files import Bounds
+from .files import Bounds, Replay
 from .records import inside, reading
 
 SUFFIXES = (".txt", ".xyz", ".csv")
@@ -161,11 +161,12 @@ def rewrite_text(
     bounds: Bounds | None,
     labels: Callable[[slice], np.ndarray],
     classes: Callable[[np.ndarray, slice], np.ndarray],
+    replay: Replay,
 ) -> None:
     """Copy a text file byte for byte, but for the results in its label column, or else in its class column, or else in a
     new last column of labels.
 
-    ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points.
+    ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points, which ``replay`` counts.
     """
     axes = _axes(layout)
     replaced = [name for name in ("label", "classification") if name in layout.columns]
@@ -175,7 +176,8 @@ def rewrite_text(
         keep = np.ones(len(run.values), bool)
         if bounds is not None:
             keep = inside(run.values[:, axes], bounds)
-        rows = slice(start, start + int(keep.sum()))
+        replay.add(run.values[keep][:, axes])
+        rows = slice(start, replay.points)
         start = rows.stop
         lines = list(run.lines)
         if layout.header is not None and not replaced and 0 <= layout.header - run.start < len(lines):
