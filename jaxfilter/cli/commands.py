@@ -3,7 +3,8 @@
 Terrain models are in ``terrain.py``, sweeps in ``sweeps.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
-usage (which is found before any file is read). What needs JAX is imported where it is used, so that help stays quick.
+usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
+where it is used, so that help stays quick.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from rich.console import Console
 
 from ..core.errors import JaxfilterError
-from .session import BadUsage, Session, session_options
+from .session import BadUsage, Session, session_options, stoppable
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -29,7 +31,16 @@ if TYPE_CHECKING:
 DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Program(click.Group):
+    """The command as a whole: it can be stopped, see ``stoppable``."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the subcommand."""
+        with stoppable():
+            return super().invoke(ctx)
+
+
+@click.group(cls=Program, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="jaxfilter")
 def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
@@ -56,11 +67,13 @@ def ground() -> None:
     """Classify the ground points of a file.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
-    everything else in the file stays as it is.
+    everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
+    (--ignore-class).
     """
 
 
 def _ground_command(method: type[Filter]) -> click.Command:
+    from ..core.cloud import KEPT_CLASSES
     from ..host import writing
     from . import flags
 
@@ -102,9 +115,9 @@ def _ground_command(method: type[Filter]) -> click.Command:
             ["--ignore-class", "ignore_classes"],
             type=flags.Value(int, optional=True),
             multiple=True,
-            default=(7, 18),
-            show_default=True,
-            help="Leave points of this class alone; may be repeated.",
+            default=KEPT_CLASSES,
+            show_default="7, 9, and all from 17 on",
+            help="Points of this class are not judged and keep it; may be repeated. Replaces the default; none judges all.",
         ),
         click.Option(["--keep-withheld"], is_flag=True, help="Judge withheld points as well."),
         click.Option(["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."),
@@ -152,7 +165,7 @@ def _ground(
     workers: int | None,
     **options: Any,
 ) -> None:
-    from .. import read, write
+    from .. import class_changes, read, write
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -171,7 +184,17 @@ def _ground(
             result = filter_(cloud, workers=workers, progress=session.progress)
         with session.step("write"):
             write(target, cloud, result, **writing)
-    report = _report(filter_, result, session) | {"input": str(source), "output": str(target)}
+        how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
+        changed = class_changes(cloud, result, **how)
+    report = _report(filter_, result, session) | {
+        "input": str(source),
+        "output": str(target),
+        "units": str(cloud.units),
+        "metres_per_unit": [cloud.units.xy, cloud.units.z],
+        "ground_class": options["ground_class"],
+        "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
+        "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
+    }
     if as_json:
         print_json(report)
     elif not quiet:
@@ -186,17 +209,28 @@ def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place
         if not in_place:
             raise BadUsage("OUT is missing: name a file to write, or pass --in-place")
         return source
-    if target.exists() and os.path.samefile(source, target):
-        if not in_place:
-            raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
-    elif target.exists() and not overwrite:
-        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    if check_target(target, overwrite, source) and not in_place:
+        raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
     suffixes = writing.LAS_SUFFIXES + text.SUFFIXES
     if target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     return target
+
+
+def check_target(target: Path, overwrite: bool, source: Path | None = None) -> bool:
+    """Whether ``target`` is ``source``. Raises BadUsage if it exists otherwise and not ``overwrite``, or cannot be written."""
+    from ..host.files import existing
+
+    try:
+        status = existing(target)
+    except JaxfilterError as error:
+        raise BadUsage(str(error)) from error
+    same = status is not None and source is not None and os.path.samefile(source, target)
+    if status is not None and not same and not overwrite:
+        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
+    if not target.absolute().parent.is_dir():
+        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    return same
 
 
 def check_reading(units: str | None, returns: str) -> None:
@@ -236,6 +270,13 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{report['output']}: {report['ground']:,} of {report['points']:,} points are ground ({share:.1f} %), "
         f"{report['candidates']:,} were judged"
     )
+    kept = report.get("of_ground_class", report["ground"]) - report["ground"]
+    if kept:
+        name, all_ = report["ground_class"], report["of_ground_class"]
+        click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
+    xy, z = report.get("metres_per_unit", (1.0, 1.0))
+    if (xy, z) != (1.0, 1.0):
+        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     if report["barred"]:
         click.echo(
             f"{report['barred']:,} points were barred from the seeds as outliers, of which "
@@ -245,6 +286,21 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{report['method']}: {report['message']}; {seconds}; "
         f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     )
+    if report.get("classes"):
+        _print_classes(report["classes"])
+
+
+def _print_classes(changes: list[dict[str, int]]) -> None:
+    """A table of old and new classes."""
+    from rich.table import Table
+
+    table = Table("class before", "class after", "points")
+    for column in table.columns:
+        column.justify = "right"
+    for change in changes:
+        old, new = change["before"], change["after"]
+        table.add_row(str(old), "kept" if old == new else str(new), f"{change['points']:,}")
+    Console().print(table)
 
 
 @main.command()
@@ -260,7 +316,7 @@ def _print_report(report: dict[str, Any]) -> None:
 @click.option(
     "--candidates-only",
     is_flag=True,
-    help="Count only last and only echoes of OUT that are neither noise nor withheld.",
+    help="Count only points of OUT that are judged by default: last and only echoes, not withheld, no class kept.",
 )
 @click.option("--ground-class", type=click.IntRange(0, 255), default=2, show_default=True, help="Of OUT.")
 def evaluate(
@@ -312,7 +368,6 @@ evaluate.params += session_options()
 
 
 def _print_scores(scores: Scores) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("score", "percent")
@@ -367,8 +422,11 @@ def demo(
     from .. import evaluate as score
     from .. import read, scenes, write
     from ..filters import FILTERS
+    from ..host.files import remove_dead
 
     with Session(quiet=quiet, debug=debug) as session:
+        if directory.is_dir():
+            remove_dead(directory)
         others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
         if others and not overwrite:
             raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
@@ -411,6 +469,7 @@ def _write_scene(directory: Path, scene: Scene) -> None:
 
 def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
     from .. import plots
+    from ..host.files import new_file
 
     cloud, truth = scene.cloud, scene.truth
     terrain = scene.terrain_grid(1.0)
@@ -422,7 +481,8 @@ def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
         "panel.png": plots.panel(cloud, result, truth),
     }
     for name, figure in pictures.items():
-        figure.savefig(directory / name)
+        with new_file(directory / name, overwrite=True) as part:
+            figure.savefig(part, format="png")
 
 
 demo.params += session_options()
@@ -440,6 +500,7 @@ def methods(as_json: bool) -> None:
         name: {
             "summary": _summary(method),
             "presets": method.PRESETS,
+            "notes": {preset: values.note for preset, values in method.PRESETS.items()},
             "parameters": {field: describe(declared) for field, declared in fields(method).items()},
             "citation": citation(method),
         }
@@ -449,7 +510,9 @@ def methods(as_json: bool) -> None:
         print_json(table)
         return
     for name, entry in table.items():
-        click.echo(f"{name}  {entry['summary']}\n  presets: {', '.join(entry['presets'])}")
+        click.echo(f"{name}  {entry['summary']}")
+        for preset, note in entry["notes"].items():
+            click.echo(f"  --preset {preset}: {note}")
         for field, text in entry["parameters"].items():
             click.echo(f"  --{field.replace('_', '-')}: {text}")
         click.echo()
@@ -462,12 +525,14 @@ def _summary(method: type[Filter]) -> str:
 
 @main.command()
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def info(file: Path, quiet: bool, as_json: bool, debug: bool) -> None:
+@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
+def info(file: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
     """What a file says of itself: points, extent, CRS, units, classes and echoes."""
     from ..host import las
 
     with Session(quiet=quiet, debug=debug):
-        facts = las.info(file)
+        check_reading(units, "last,only")
+        facts = las.info(file, units=units)
     if as_json:
         print_json(facts)
         return
