@@ -59,7 +59,7 @@ import json, sys
 import jaxfilter as jf
 from jaxfilter.core.compilation import use_persistent_cache
 use_persistent_cache()
-cloud = jf.read(sys.argv[1])
+cloud = jf.read(sys.argv[1], units="m")
 if sys.argv[2]:
     jf.FILTERS[sys.argv[2]](**json.loads(sys.argv[3]))(cloud)
 """
