@@ -461,7 +461,7 @@ def terrain_panels(cloud: jf.PointCloud, labels: Mapping[str, np.ndarray]) -> Fi
     low, high = np.nanpercentile(truth.values, (0.5, 99.5))
     across = 2.15
     figure = Figure(
-        figsize=(across * len(models) + 0.9, 2 * (0.9 * across * rows / columns + 0.3) + 0.3), layout="constrained"
+        figsize=(across * len(models) + 0.9, 2 * (0.95 * across * rows / columns + 0.4) + 0.4), layout="compressed"
     )
     axes = figure.subplots(2, len(models), sharex=True, sharey=True)
     place = {"extent": (west, west + columns, south, south + rows), "origin": "lower", "interpolation": "nearest"}
