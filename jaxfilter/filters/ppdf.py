@@ -240,7 +240,8 @@ class PPDF(Filter):
         )
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
-        reach = min(self.reach, float(np.hypot(*np.ptp(xyz[:, :2], axis=0))) + 1.0)  # the whole cloud, at most
+        diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))
+        reach = diagonal + 1.0 if math.isinf(self.reach) else self.reach
         if self.references == "nearest":
             return NearestReferences(xyz, query, reach)
         return QuadrantReferences(xyz, query, side, reach)
