@@ -326,7 +326,7 @@ def pictures(
     ], shares)  # fmt: skip
     report.text(
         "All points against the triangulation of the first seeds, as in Fig. 2, whose sample and values are not stated. † By the "
-        "labels: what no choice of two limits can go below in the first round."
+        "labels: what no two limits, up to 10 m, can go below in the first round."
     )
     caption = (
         "Fig. 2: distances (above) and angles (below) of all points to the triangulation of the first seeds, by reference "
