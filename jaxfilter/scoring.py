@@ -98,7 +98,7 @@ def _two(value: float) -> str:
 
 def evaluate(
     result: FilterResult | np.ndarray,
-    reference: PointCloud | np.ndarray,
+    reference: PointCloud | np.ndarray | None,
     *,
     ignore: np.ndarray | None = None,
     classes: np.ndarray | None = None,

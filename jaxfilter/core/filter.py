@@ -16,7 +16,7 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
-from .params import check_fields, declared
+from .params import check_fields, declared, plain_fields
 from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
@@ -61,6 +61,7 @@ class Filter:
     LAST: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
+        plain_fields(self)
         self.check()
 
     def check(self) -> None:

@@ -51,17 +51,21 @@ class TinFilter(Filter):
     fields that are named as those of :class:`jaxfilter.ops.facets.Rule` may decide the limits, and they nothing else.
     """
 
-    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
-    min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
-    noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
+    radius: float = static(default=0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    min_neighbours: int = static(
+        default=10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed"
+    )
+    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
+    noise_floor: float = param(
+        default=0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off"
+    )
     vertex_spacing: float = static(
-        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
+        default=0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
     )
     insertion: str = static(
-        "batch", choices=INSERTIONS, doc="add all points that pass in a round, or the lowest over each facet"
+        default="batch", choices=INSERTIONS, doc="add all points that pass in a round, or the lowest over each facet"
     )
-    max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
+    max_rounds: int = static(default=100, ge=1, doc="limit of densification rounds")
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
