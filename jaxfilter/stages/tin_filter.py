@@ -14,9 +14,9 @@ from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
 from ..ops.facets import Rule
-from .densify import INSERTIONS, Adaptive, Mirror, Vertices, densify
+from .densify import INSERTIONS, Adaptive, Mirror, Network, Vertices, densify
 from .lanes import densify_each
-from .network import Network, border_positions, labels_of, one_network
+from .network import border_positions, labels_of, one_network
 from .outliers import bar_outliers
 
 
