@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
     from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
-    from .host.las import info, read, write
+    from .host.las import class_changes, info, read, write
     from .host.raster import Raster
     from .scoring import Scores, evaluate
     from .sweeps.calibrate import Calibration, Study, calibrate
@@ -45,7 +45,7 @@ _HOMES = {
         "SPF",
         "STIN",
     ),
-    "host.las": ("info", "read", "write"),
+    "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
@@ -58,7 +58,7 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
     "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "sweep", "write",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "sweep", "write",
 ]  # fmt: skip
 
 

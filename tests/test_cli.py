@@ -212,6 +212,54 @@ def test_a_full_disk_leaves_nothing(folder):
     assert everything(folder) == before
 
 
+@pytest.fixture
+def survey(folder):
+    """survey.las: a delivered tile with a river, a bridge and a class of the producer's own inside; its classes."""
+    las = laspy.read(folder / "truth.laz")
+    x, y = (np.asarray(v) - v.min() for v in (las.x, las.y))
+    las.classification[np.abs(x - 20) < 5] = 9
+    las.classification[np.abs(y - 30) < 3] = 17
+    las.classification[np.hypot(x - 45, y - 45) < 6] = 26
+    edge = np.minimum(np.minimum(x, y), np.minimum(x.max() - x, y.max() - y)) == 0
+    las.withheld[::40] = True
+    las.classification[edge] = 1  # the extent stays when what is kept is taken away
+    las.write(folder / "survey.las")
+    return np.asarray(las.classification).copy()
+
+
+@pytest.mark.parametrize("method", ["fptd", "smrf"])
+def test_classes_of_a_survey_are_kept_and_have_no_influence(folder, survey, method):
+    kept = np.isin(survey, (9, 17, 26))
+    report = json.loads(ground(folder, "--json", source="survey.las", target="out.las", method=method).stdout)
+    classes = np.asarray(laspy.read(folder / "out.las").classification)
+    np.testing.assert_array_equal(classes[kept], survey[kept])
+    pairs, counts = np.unique(np.stack([survey, classes]), axis=1, return_counts=True)
+    expected = [
+        {"before": a, "after": b, "points": n} for a, b, n in zip(*pairs.tolist(), counts.tolist(), strict=True)
+    ]
+    assert report["classes"] == expected
+    assert report["of_ground_class"] == (classes == 2).sum() > report["ground"], "withheld ground stays"
+
+    las = laspy.read(folder / "survey.las")
+    las.points = las.points[~kept]
+    las.write(folder / "dry.las")
+    assert ground(folder, source="dry.las", target="alone.las", method=method).exit_code == 0
+    np.testing.assert_array_equal(np.asarray(laspy.read(folder / "alone.las").classification), classes[~kept])
+
+
+def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
+    plain = ground(folder, source="survey.las", target="out.las", method="smrf").stdout
+    rows = [[word.strip(" ┃│") for word in line.split("│")[1:4]] for line in plain.splitlines() if "│" in line]
+    assert ["9", "kept", f"{(survey == 9).sum():,}"] in rows
+    assert "keep class 2 without being found ground" in plain
+    every = ("--ignore-class", "none", "--returns", "all", "--keep-withheld")
+    report = json.loads(ground(folder, *every, "--json", source="survey.las", target="all.las", method="smrf").stdout)
+    assert report["candidates"] == len(survey) and report["of_ground_class"] == report["ground"]
+    replaced = ("--ignore-class", "26", "--returns", "all", "--keep-withheld", "--json", "--overwrite")
+    report = json.loads(ground(folder, *replaced, source="survey.las", target="all.las", method="smrf").stdout)
+    assert report["candidates"] == (survey != 26).sum(), "--ignore-class replaces the default"
+
+
 @pytest.mark.parametrize("source, reference", [("scene.laz", "truth.laz"), ("truth.laz", "truth.txt")])
 def test_evaluate_counts_points_in_any_order(folder, scene, source, reference):
     ground(folder, source=source)

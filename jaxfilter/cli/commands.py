@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from rich.console import Console
 
 from ..core.errors import JaxfilterError
 from .session import BadUsage, Session, session_options
@@ -56,11 +57,13 @@ def ground() -> None:
     """Classify the ground points of a file.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
-    everything else in the file stays as it is.
+    everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
+    (--ignore-class).
     """
 
 
 def _ground_command(method: type[Filter]) -> click.Command:
+    from ..core.cloud import KEPT_CLASSES
     from ..host import writing
     from . import flags
 
@@ -102,9 +105,9 @@ def _ground_command(method: type[Filter]) -> click.Command:
             ["--ignore-class", "ignore_classes"],
             type=flags.Value(int, optional=True),
             multiple=True,
-            default=(7, 18),
-            show_default=True,
-            help="Leave points of this class alone; may be repeated.",
+            default=KEPT_CLASSES,
+            show_default="7, 9, and all from 17 on",
+            help="Points of this class are not judged and keep it; may be repeated. Replaces the default; none judges all.",
         ),
         click.Option(["--keep-withheld"], is_flag=True, help="Judge withheld points as well."),
         click.Option(["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."),
@@ -152,7 +155,7 @@ def _ground(
     workers: int | None,
     **options: Any,
 ) -> None:
-    from .. import read, write
+    from .. import class_changes, read, write
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -171,7 +174,15 @@ def _ground(
             result = filter_(cloud, workers=workers, progress=session.progress)
         with session.step("write"):
             write(target, cloud, result, **writing)
-    report = _report(filter_, result, session) | {"input": str(source), "output": str(target)}
+        how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
+        changed = class_changes(cloud, result, **how)
+    report = _report(filter_, result, session) | {
+        "input": str(source),
+        "output": str(target),
+        "ground_class": options["ground_class"],
+        "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
+        "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
+    }
     if as_json:
         print_json(report)
     elif not quiet:
@@ -236,6 +247,10 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{report['output']}: {report['ground']:,} of {report['points']:,} points are ground ({share:.1f} %), "
         f"{report['candidates']:,} were judged"
     )
+    kept = report.get("of_ground_class", report["ground"]) - report["ground"]
+    if kept:
+        name, all_ = report["ground_class"], report["of_ground_class"]
+        click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
     if report["barred"]:
         click.echo(
             f"{report['barred']:,} points were barred from the seeds as outliers, of which "
@@ -245,6 +260,21 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{report['method']}: {report['message']}; {seconds}; "
         f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     )
+    if report.get("classes"):
+        _print_classes(report["classes"])
+
+
+def _print_classes(changes: list[dict[str, int]]) -> None:
+    """A table of old and new classes."""
+    from rich.table import Table
+
+    table = Table("class before", "class after", "points")
+    for column in table.columns:
+        column.justify = "right"
+    for change in changes:
+        old, new = change["before"], change["after"]
+        table.add_row(str(old), "kept" if old == new else str(new), f"{change['points']:,}")
+    Console().print(table)
 
 
 @main.command()
@@ -260,7 +290,7 @@ def _print_report(report: dict[str, Any]) -> None:
 @click.option(
     "--candidates-only",
     is_flag=True,
-    help="Count only last and only echoes of OUT that are neither noise nor withheld.",
+    help="Count only points of OUT that are judged by default: last and only echoes, not withheld, no class kept.",
 )
 @click.option("--ground-class", type=click.IntRange(0, 255), default=2, show_default=True, help="Of OUT.")
 def evaluate(
@@ -312,7 +342,6 @@ evaluate.params += session_options()
 
 
 def _print_scores(scores: Scores) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("score", "percent")

@@ -18,8 +18,9 @@ Below 16 km from the origin such values, and all differences between them, are e
 lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
 """
 
-NOISE_CLASSES = (7, 18)
-"""ASPRS classes low noise and high noise."""
+KEPT_CLASSES = (7, 9, *range(17, 256))
+"""ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
+by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +107,7 @@ class PointCloud:
         drop_invalid: bool = False,
         name: str = "xyz",
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
@@ -155,7 +156,7 @@ class PointCloud:
         anchor: Iterable[float] | None = None,
         name: str = "xyz",
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
@@ -193,7 +194,7 @@ class PointCloud:
         self,
         *,
         returns: str = "last,only",
-        ignore_classes: Iterable[int] = NOISE_CLASSES,
+        ignore_classes: Iterable[int] = KEPT_CLASSES,
         keep_withheld: bool = False,
         name: str = "cloud",
     ) -> PointCloud:
@@ -202,7 +203,8 @@ class PointCloud:
         Args:
             returns: comma-separated list out of ``first``, ``intermediate``, ``last``, ``only``, or ``all``. The default
                 takes single echoes and the last of several.
-            ignore_classes: points of these classes are set aside, by default low and high noise.
+            ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
+                default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
             keep_withheld: take points that carry the withheld flag as well.
         """
         candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import NOISE_CLASSES, PointCloud, Units, parse_units
+from ..core.cloud import KEPT_CLASSES, PointCloud, Units, parse_units
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.points import canonical_points
 from . import records, text
@@ -18,9 +18,9 @@ from .files import Bounds, Source, check_bounds
 from .header import Header, read_header
 from .records import read_records, reading
 from .units import Reference, linear_units, reference_of
-from .writing import GROUND_CLASS, LAS_SUFFIXES, write
+from .writing import GROUND_CLASS, LAS_SUFFIXES, class_changes, write
 
-__all__ = ["info", "read", "write"]
+__all__ = ["class_changes", "info", "read", "write"]
 
 
 def read(
@@ -29,7 +29,7 @@ def read(
     bounds: Iterable[float] | None = None,
     units: str | Units | None = None,
     returns: str = "last,only",
-    ignore_classes: Iterable[int] = NOISE_CLASSES,
+    ignore_classes: Iterable[int] = KEPT_CLASSES,
     keep_withheld: bool = False,
     drop_invalid: bool = False,
     anchor: Iterable[float] | None = None,

@@ -87,6 +87,25 @@ def write(
     return path
 
 
+def class_changes(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    *,
+    ground_class: int = GROUND_CLASS,
+    other_class: int = 1,
+    reset: str = "ground",
+    only_ground: bool = False,
+) -> dict[tuple[int, int], int]:
+    """What :func:`write` makes of the classes with these arguments: number of points by (old class, new class), in order.
+
+    Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
+    """
+    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, ())
+    old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
+    pairs = np.bincount(old.astype(np.int64) * 256 + labels.classes(old, slice(None)), minlength=1)
+    return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
+
+
 class _Labels:
     """The outcome of a run as new classes and extra values, for any run of points."""
 
