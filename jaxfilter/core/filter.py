@@ -17,7 +17,7 @@ from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
 from .params import check_fields, declared, plain_fields
-from .points import Points, canonical_points, plain_points
+from .points import Points, canonical_points, check_extent, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
 _BYTES = 1000
@@ -98,6 +98,12 @@ class Filter:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
+    def points_of(self, cloud: PointCloud) -> Points:
+        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is beyond measure."""
+        points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
+        check_extent(cloud, points.xyz)
+        return points
+
     def halo(self) -> float:
         """Metres beyond a region that can change labels inside it."""
         raise TypeError(f"{type(self).__name__} does not define halo()")
@@ -173,7 +179,7 @@ class Filter:
         self.check()
         check_resources(workers)
         cloud = as_cloud(cloud)
-        points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
+        points = self.points_of(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
             labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
