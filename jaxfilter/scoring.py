@@ -12,6 +12,7 @@ import numpy as np
 from .core.cloud import QUANTUM, PointCloud
 from .core.compilation import bucket
 from .core.errors import InputError
+from .core.forks import need_threads
 from .core.result import Decision, FilterResult
 from .ops.metrics import confusion_counts
 
@@ -212,6 +213,7 @@ def _describe(values: np.ndarray) -> str:
 
 def _count(ground: np.ndarray, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """Confusion matrix i64[2, 2], counted on the device in bucketed arrays."""
+    need_threads()
     padded = np.zeros((3, bucket(len(ground))), bool)
     padded[:, : len(ground)] = ground, truth, counted
     return np.asarray(confusion_counts(*padded)).astype(np.int64)

@@ -16,6 +16,7 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
+from .forks import need_threads
 from .params import check_fields, declared, plain_fields
 from .points import Points, canonical_points, check_extent, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
@@ -99,7 +100,9 @@ class Filter:
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def points_of(self, cloud: PointCloud) -> Points:
-        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is beyond measure."""
+        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is
+        beyond measure, ForkError in a forked process without the threads of JAX."""
+        need_threads()
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         check_extent(cloud, points.xyz)
         return points
@@ -174,7 +177,7 @@ class Filter:
             trace: keep the labels after every round in ``result.trace``.
 
         Returns: FilterResult of length n, in input order.
-        Raises: ParameterError, InputError.
+        Raises: ParameterError, InputError, ForkError.
         """
         self.check()
         check_resources(workers)

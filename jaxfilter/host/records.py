@@ -13,6 +13,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
+from ..core.forks import need_threads
 from . import copc
 from .files import Bounds
 from .header import Header
@@ -71,6 +72,7 @@ def _file_chunks(header: Header, file: BinaryIO, wanted: int) -> Iterator[np.nda
     decoder = None
     file.seek(len(header.head))
     if header.compressed and header.count:
+        need_threads()
         decoder = lazrs.ParLasZipDecompressor(file, header.decoder, lazrs.DecompressionSelection(wanted))
     for start in range(0, header.count, CHUNK):
         chunk = np.empty((min(CHUNK, header.count - start), header.record_length), np.uint8)
@@ -150,6 +152,8 @@ class Writer:
         self.count, self.by_return = 0, np.zeros(16, np.int64)
         self.low, self.high = np.full(3, 2**31, np.int64), np.full(3, -(2**31), np.int64)
         file.write(header.head)
+        if header.compressed:
+            need_threads()
         self.encoder = lazrs.ParLasZipCompressor(file, lazrs.LazVlr(header.laszip)) if header.compressed else None
 
     def write(self, records: np.ndarray) -> None:
