@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud
+from .core.cloud import QUANTUM, PointCloud, is_laspy
 from .core.compilation import bucket
 from .core.errors import InputError
 from .core.forks import need_threads
@@ -111,7 +111,8 @@ def evaluate(
     Args:
         result: a FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; or integers with 1 = ground, 0 = object, -1 = unlabelled; or a PointCloud
-            with reference labels. If those come from its classes, points of class 0 (never classified) are unlabelled.
+            with reference labels, or a ``laspy.LasData`` with points of class 2. If labels come from classes, points of
+            class 0 (never classified) are unlabelled.
         ignore: bool[n]; True leaves a point out.
         classes: int[n], ASPRS classes that ``ignore_classes`` refers to; by default those of a reference PointCloud.
         ignore_classes: points of these classes are left out.
@@ -125,6 +126,8 @@ def evaluate(
     if ground.ndim != 1 or ground.dtype != bool:
         raise InputError(f"result must be a FilterResult or bool[n] (True = ground), not {_describe(ground)}")
     n = len(ground)
+    if is_laspy(reference):
+        reference = PointCloud.from_laspy(reference, units="m")  # units do not matter here
     truth, counted = reference_labels(reference)
     if len(truth) != n:
         raise InputError(f"reference has {len(truth)} labels for the {n} points of the result: use the same points")

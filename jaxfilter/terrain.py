@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud
-from .core.errors import InputError, ParameterError
+from .core.cloud import QUANTUM, PointCloud, as_cloud
+from .core.errors import InputError, JaxfilterWarning, ParameterError
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points, check_extent
 from .core.result import FilterResult, Progress
@@ -44,7 +45,7 @@ def dtm(
     with the same x and y the lowest counts.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
@@ -60,17 +61,24 @@ def dtm(
         workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
 
-    Returns: Raster with the CRS of the cloud.
+    Returns: Raster with the CRS of the cloud; of a cloud without points, one without heights, and a warning.
     Raises: ParameterError for settings out of range; InputError if there are fewer than three distinct ground positions or
-    all lie on a line, if labels have the wrong length or dtype, or if points lie more than 131 km from the corner of the
-    cloud, unless ``bounds`` are given, or more than 400 million cells would be needed; ImportError if a library is missing.
+    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, if points lie more
+    than 131 km from the corner of the cloud, unless ``bounds`` are given, or if more than 400 million cells would be needed;
+    ImportError if a library is missing.
     """
     check_settings(cell, method, max_gap, neighbours, power)
+    cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
     corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
+    north = (corner[1] + shape[0]) * cell
+    transform = (cell, 0.0, corner[0] * cell, 0.0, -cell, north)
+    if not len(cloud):
+        warnings.warn("dtm: the cloud has no points, so no cell has a height", JaxfilterWarning, stacklevel=2)
+        return Raster(np.full(shape, np.nan, np.float32), transform, cloud.crs)
     if not points.has_area():
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
@@ -97,8 +105,7 @@ def dtm(
             if max_gap is not None:
                 z[distance > max_gap * cloud.units.xy] = np.nan
         values[top : top + step] = (cloud.origin[2] + z / cloud.units.z).reshape(len(rows), -1)
-    north = (corner[1] + shape[0]) * cell
-    return Raster(values, (cell, 0.0, corner[0] * cell, 0.0, -cell, north), cloud.crs)
+    return Raster(values, transform, cloud.crs)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +141,7 @@ def dtm_rmse(
     state the variogram, nor how far cells outside the ground points count.
 
     Args:
-        cloud: n points.
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; by default the cloud's own reference.
         cell, method, settings: as in :func:`dtm`; ``cell`` in the units of the cloud's coordinate system.
@@ -142,6 +149,7 @@ def dtm_rmse(
     Returns: HeightErrors, in metres whatever the units of the cloud.
     Raises: what :func:`dtm` raises.
     """
+    cloud = as_cloud(cloud)
     model, truth = (dtm(cloud, labels, cell, method, **settings).values for labels in (result, reference))
     difference = (model.astype(np.float64) - truth) * cloud.units.z
     both = np.isfinite(difference)
@@ -183,7 +191,7 @@ def _extent(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> t
     else:
         xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
         if len(xy) == 0:
-            raise InputError("dtm: the cloud has no points")
+            raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
         check_extent(cloud, xy)
         ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
         edges = np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy

@@ -180,7 +180,9 @@ def test_a_damaged_file_is_one_line_and_exit_code_1(folder):
     assert not (folder / "out.laz").exists()
 
 
-@pytest.mark.parametrize("error, code", [(MemoryError("no room"), 1), (KeyboardInterrupt(), 1), (ValueError("odd"), 1)])
+@pytest.mark.parametrize(
+    "error, code", [(MemoryError("no room"), 1), (KeyboardInterrupt(), 130), (ValueError("odd"), 1)]
+)
 def test_a_run_that_fails_leaves_nothing(folder, monkeypatch, error, code):
     def fails(*_, **__):
         raise error
@@ -297,7 +299,11 @@ def test_evaluate_refuses_other_points_and_missing_labels(folder):
 def test_methods_and_info_speak_json(folder, scene):
     table = json.loads(run("methods", "--json").stdout)
     assert list(table) == list(FILTERS)
-    assert all(name in run("methods").stdout for name in FILTERS)
+    listed = run("methods").stdout
+    for name, method in FILTERS.items():
+        assert f"\n{name}  " in f"\n{listed}"
+        assert all(f"  --preset {preset}: {values.note}\n" in listed for preset, values in method.PRESETS.items())
+    assert table["fptd"]["notes"]["D1"] == FILTERS["fptd"].PRESETS["D1"].note
     facts = json.loads(run("info", folder / "scene.laz", "--json").stdout)
     assert facts["points"] == len(scene)
     assert run("info", folder / "scene.laz").exit_code == 0

@@ -175,19 +175,21 @@ def test_no_points(method):
         [[0, 0, 0], [1, 1, 2], [2, 2, 1]],
         [[3, 3, 9], [3, 3, 1], [3, 3, 4]],
         [[k, 2 * k, k % 3] for k in range(30)],
+        [[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2]],
+        [[0, 0, 0], [10, 0, 0.1], [0, 10, 9], [0, 10, 0.2]],
     ],
 )
 def test_too_few_points_or_points_on_a_line(method, xyz):
     xyz = np.array(xyz, float)
-    with pytest.warns(jf.JaxfilterWarning, match="fewer than three"):
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than four"):
         result = method()(xyz)
     assert result.status == jf.Status.TOO_FEW_POINTS
     lowest = [not any((p[:2] == q[:2]).all() and q[2] < p[2] for q in xyz) for p in xyz]
     assert result.ground.tolist() == lowest
 
 
-def test_three_points_in_a_triangle(method):
-    assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2]]))) == 3
+def test_four_points(method):
+    assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2], [9, 9, 0.3]]))) == 4
 
 
 def test_one_elevation_is_all_ground(method, rng):
@@ -262,6 +264,15 @@ def test_parameters_follow_spacing_and_building_size(method, small):
     near, far = method.for_cloud(xyz, largest_building=20.0), method.for_cloud(xyz, largest_building=90.0)
     assert far.halo() > near.halo()
     assert isinstance(near(xyz), jf.FilterResult)
+    unknown = method.for_cloud(xyz)
+    for name in (
+        "window",
+        "max_window",
+        "seed_cell",
+        "resolution",
+        "max_height",
+    ):  # what follows from a building's size
+        assert getattr(unknown, name, None) == getattr(method(), name, None)
     for size in (25.0, 33.3, 50.0):
         assert len(method.for_cloud(xyz, largest_building=size)(xyz)) == len(xyz)
     with pytest.raises(jf.ParameterError, match="largest_building=-1"):

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from .errors import InputError, JaxfilterWarning
+from .units import (
+    GEOKEYS,
+    PROJECTION,
+    UNITS,
+    WKT,
+    Units,
+    linear_units,
+    not_metric,
+    parse_crs,
+    parse_units,
+    reference_of,
+    sampled,
+)
 
 QUANTUM = 2.0**-10
 """Local coordinates are multiples of this many metres (about 1 mm).
@@ -23,39 +37,14 @@ KEPT_CLASSES = (7, 9, *range(17, 256))
 by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Units:
-    """Metres per coordinate unit: ``xy`` for X and Y, ``z`` for Z; ``name`` says where that came from."""
+GROUND_CLASS = 2
+"""ASPRS class ground."""
 
-    xy: float = 1.0
-    z: float = 1.0
-    name: str = "metre"
+LARGEST_SPAN = (1e7, 1e7, 1e5)
+"""Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
 
-    def __str__(self) -> str:
-        if self.xy == self.z:
-            return self.name
-        return f"{self.name} (xy x {self.xy:.10g}, z x {self.z:.10g} m)"
-
-
-UNITS = {
-    "m": Units(1.0, 1.0, "metre"),
-    "ft": Units(0.3048, 0.3048, "foot"),
-    "us-ft": Units(1200 / 3937, 1200 / 3937, "US survey foot"),
-}
-"""Units that ``read(units=)`` and ``--units`` know; ``"m,ft"`` gives X and Y in metres and Z in feet."""
-
-
-def parse_units(text: str | Units) -> Units:
-    """``"m"``, ``"ft"``, ``"us-ft"``, or a pair such as ``"us-ft,m"`` for XY and Z apart. Raises InputError."""
-    if isinstance(text, Units):
-        return text
-    parts = [p.strip().lower() for p in text.split(",")]
-    if not 1 <= len(parts) <= 2 or any(p not in UNITS for p in parts):
-        raise InputError(
-            f"units {text!r} are not known: use one of {', '.join(UNITS)}, or a pair XY,Z such as 'us-ft,m'"
-        )
-    xy, z = UNITS[parts[0]], UNITS[parts[-1]]
-    return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
+SCALES = (1e-12, 100.0)
+"""Scale factors of LAS files that are believed: above the first, up to the second."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,8 +59,8 @@ class PointCloud:
         withheld: bool[n] or None; the LAS flag.
         candidate: bool[n]; the points that a filter may call ground. Others are non-ground and are written unchanged.
         reference: bool[n] or None; True = ground, from a labelled text file or from class 2 of a classified LAS file.
-        valid: bool[n] or None; False where a coordinate was NaN or infinite (only with ``drop_invalid=True``).
-        crs: pyproj.CRS or None.
+        valid: bool[n] or None; False where a coordinate was NaN, infinite or far off (only with ``drop_invalid=True``).
+        crs: pyproj.CRS or None; whatever ``pyproj.CRS.from_user_input`` takes becomes one.
         units: metres per file unit.
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
         source: a handle to the file (see ``jaxfilter.host.files``), used by lossless writing; None for plain arrays.
@@ -87,9 +76,12 @@ class PointCloud:
     reference: np.ndarray | None = None
     valid: np.ndarray | None = None
     crs: Any = None
-    units: Units = Units()
+    units: Units = UNITS["m"]
     anchor: np.ndarray | None = None
     source: Any = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "crs", parse_crs(self.crs))
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -116,16 +108,21 @@ class PointCloud:
         ``returns``, ``ignore_classes`` and ``keep_withheld`` choose the candidates, see :meth:`select`; ``name`` stands
         in error messages for where the numbers came from.
 
-        Raises: InputError for a wrong shape or attribute length, or for NaN and infinite coordinates unless
-        ``drop_invalid``, in which case those points become non-ground and a warning gives their number.
+        Raises: InputError for a wrong shape or attribute length, and for coordinates so large that float64 does not
+        resolve :data:`QUANTUM`; for NaN and infinite coordinates, and for an extent above :data:`LARGEST_SPAN`, unless
+        ``drop_invalid``: then points that are not numbers, or lie farther than half of that from the median of a
+        coordinate, become non-ground, and a warning gives their number.
         """
-        xyz = np.asarray(xyz)
+        try:
+            xyz = np.asarray(xyz)
+        except ValueError as error:
+            raise InputError(f"{name}: coordinates must be an array of shape (n, 3): {error}") from error
         if xyz.ndim != 2 or xyz.shape[1] != 3:
             raise InputError(f"{name}: coordinates must have shape (n, 3), not {xyz.shape}")
         if not np.issubdtype(xyz.dtype, np.number) or np.issubdtype(xyz.dtype, np.complexfloating):
             raise InputError(f"{name}: coordinates must be real numbers, not {xyz.dtype}")
         xyz = xyz.astype(np.float64, copy=False)
-        scale = parse_units(units)
+        scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
         finite = np.isfinite(xyz).all(axis=1)
         valid = None
         if not finite.all():
@@ -141,9 +138,16 @@ class PointCloud:
                 stacklevel=2,
             )
             valid = finite
-        origin, local = localise(xyz if valid is None else np.where(finite[:, None], xyz, np.nan), scale, anchor)
+            xyz = np.where(finite[:, None], xyz, np.nan)
+        low, high = _extremes(xyz)
+        near = _near(lambda axis: xyz[:, axis], low, high, scale, name, drop_invalid)
+        if near is not None:
+            valid, xyz = near, np.where(near[:, None], xyz, np.nan)
+            low, high = _extremes(xyz)
+        _check_resolution(low, high, scale, name)
+        origin, local = localise(xyz, scale, grid_anchor)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
-        return cls._assembled(origin, local, scale, anchor, name, chosen, valid=valid, **attributes)
+        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
 
     @classmethod
     def from_integers(
@@ -154,6 +158,7 @@ class PointCloud:
         *,
         units: str | Units = "m",
         anchor: Iterable[float] | None = None,
+        drop_invalid: bool = False,
         name: str = "xyz",
         returns: str = "last,only",
         ignore_classes: Iterable[int] = KEPT_CLASSES,
@@ -163,12 +168,68 @@ class PointCloud:
         """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
 
         ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (all positive) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
+        (see :func:`check_scales`) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
         """
-        scale = parse_units(units)
-        origin, local = localise_integers(ticks, scales, offsets, scale, anchor)
+        scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
+        check_scales(scales, offsets, name)
+        valid = None
+        if len(ticks):
+            low, high = (end * scales + offsets for end in (ticks.min(axis=0), ticks.max(axis=0)))
+            valid = _near(
+                lambda axis: ticks[:, axis] * scales[axis] + offsets[axis], low, high, scale, name, drop_invalid
+            )
+            if valid is not None and valid.any():
+                low, high = (end * scales + offsets for end in (ticks[valid].min(axis=0), ticks[valid].max(axis=0)))
+            _check_resolution(low, high, scale, name)
+        origin, local = localise_integers(ticks, scales, offsets, scale, grid_anchor, valid)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
-        return cls._assembled(origin, local, scale, anchor, name, chosen, **attributes)
+        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
+
+    @classmethod
+    def from_laspy(
+        cls,
+        las: Any,
+        *,
+        units: str | Units | None = None,
+        name: str = "LasData",
+        **options: Any,
+    ) -> PointCloud:
+        """Make a cloud from a ``laspy.LasData`` as from the file it would be written to, see :func:`jaxfilter.read`.
+
+        ``units`` are by default those of its CRS; ``options`` are those of :meth:`from_arrays`. Class 2 becomes the
+        reference. To keep all that the points hold, give labels back to laspy: ``las.classification[result.ground] = 2``.
+
+        Raises: InputError as :meth:`from_arrays`, and where X and Y are angles. Warns: as :func:`jaxfilter.read`.
+        """
+        evlrs = las.evlrs if las.header.version.minor >= 4 else None
+        stated = {
+            vlr.record_id: vlr.record_data_bytes()
+            for vlr in [*las.header.vlrs, *(evlrs or ())]
+            if vlr.user_id == PROJECTION and vlr.record_id in (WKT, GEOKEYS)
+        }
+        reference, asked = reference_of(stated, name), None if units is None else parse_units(units)
+        scale = linear_units(reference, asked, name)
+        ticks = np.stack([np.asarray(las[axis], np.int32) for axis in "XYZ"], axis=1)
+        scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)
+        if asked is None:
+            some = ticks[sampled(len(ticks))] * scales + offsets
+            if reason := not_metric(some, len(ticks), reference.units is not None):
+                raise InputError(f"{name}: {reason}")
+        fields = ("return_number", "number_of_returns", "classification")
+        columns: dict[str, Any] = {field: np.array(las[field], np.uint8) for field in fields}
+        is_ground = columns["classification"] == GROUND_CLASS
+        return cls.from_integers(
+            ticks,
+            scales,
+            offsets,
+            units=scale,
+            name=name,
+            crs=reference.crs,
+            withheld=np.array(las["withheld"], bool),
+            reference=is_ground if is_ground.any() else None,
+            **columns,
+            **options,
+        )
 
     @classmethod
     def _assembled(
@@ -176,7 +237,7 @@ class PointCloud:
         origin: np.ndarray,
         local: np.ndarray,
         units: Units,
-        anchor: Iterable[float] | None,
+        anchor: np.ndarray | None,
         name: str,
         chosen: dict[str, Any],
         **attributes: Any,
@@ -186,8 +247,7 @@ class PointCloud:
                 continue
             if len(value) != len(local):
                 raise InputError(f"{name}: {key} has {len(value)} entries for {len(local)} points")
-        grid_anchor = None if anchor is None else np.asarray(tuple(anchor), np.float64)
-        cloud = cls(origin=origin, xyz=local, units=units, anchor=grid_anchor, **attributes)
+        cloud = cls(origin=origin, xyz=local, units=units, anchor=anchor, **attributes)
         return cloud.select(name=name, **chosen)
 
     def select(
@@ -232,7 +292,7 @@ class PointCloud:
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
 
 
-def localise(xyz: np.ndarray, units: Units, anchor: Iterable[float] | None) -> tuple[np.ndarray, np.ndarray]:
+def localise(xyz: np.ndarray, units: Units, anchor: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Remove a float64 origin and quantise: the only place where raw coordinates become local ones.
 
     The origin is the lower corner in x, y, z. With an anchor it is whole metres from the anchor, so that clouds with one
@@ -249,30 +309,127 @@ def localise(xyz: np.ndarray, units: Units, anchor: Iterable[float] | None) -> t
 
 
 def localise_integers(
-    ticks: np.ndarray, scales: np.ndarray, offsets: np.ndarray, units: Units, anchor: Iterable[float] | None
+    ticks: np.ndarray,
+    scales: np.ndarray,
+    offsets: np.ndarray,
+    units: Units,
+    anchor: np.ndarray | None,
+    valid: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks."""
-    if len(ticks) == 0:
-        return np.zeros(3), np.zeros((0, 3), np.float32)
+    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks.
+
+    Rows that are not ``valid`` (bool[n]; by default all are) become zero.
+    """
+    if len(ticks) == 0 or (valid is not None and not valid.any()):
+        return np.zeros(3), np.zeros((len(ticks), 3), np.float32)
     factor = np.array([units.xy, units.xy, units.z])
-    origin = _origin(ticks.min(axis=0) * scales + offsets, factor, anchor)
+    low = ticks.min(axis=0) if valid is None else ticks[valid].min(axis=0)
+    origin = _origin(low * scales + offsets, factor, anchor)
     local = ticks.view(np.float32)
     for start in range(0, len(ticks), _ROWS):
         rows = slice(start, start + _ROWS)
         for axis in range(3):
             column = ticks[rows, axis] * scales[axis] + offsets[axis]
             local[rows, axis] = _quantised(column, origin[axis], factor[axis])
+    if valid is not None:
+        local[~valid] = 0
     return origin, local
 
 
 _ROWS = 1_000_000  # points of a large cloud that are converted at a time
 
 
-def _origin(low: np.ndarray, factor: np.ndarray, anchor: Iterable[float] | None) -> np.ndarray:
+def _origin(low: np.ndarray, factor: np.ndarray, anchor: np.ndarray | None) -> np.ndarray:
     if anchor is None:
         return low
-    base = np.append(np.asarray(tuple(anchor), np.float64), 0.0)
+    base = np.append(anchor, 0.0)
     return base + np.floor((low - base) * factor) / factor
+
+
+def _checked_anchor(anchor: Iterable[float] | None) -> np.ndarray | None:
+    """f64[2], or None for none. Raises InputError."""
+    if anchor is None:
+        return None
+    try:
+        x, y = (float(v) for v in anchor)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"anchor={anchor!r}: two numbers (x, y) in file units are needed") from error
+    if not max(abs(x), abs(y)) < _RESOLVED:
+        raise InputError(f"anchor={anchor!r}: must be two finite numbers below {_RESOLVED:g}")
+    return np.array([x, y])
+
+
+_RESOLVED = QUANTUM * 2.0**53
+"""Below this many metres float64 resolves the quantum."""
+
+
+def _extremes(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[3] least and f64[3] largest coordinates; NaN where there are none."""
+    known = xyz[~np.isnan(xyz[:, 0])] if np.isnan(xyz[:, 0]).any() else xyz
+    return (known.min(axis=0), known.max(axis=0)) if len(known) else (np.full(3, np.nan), np.full(3, np.nan))
+
+
+def _near(
+    column: Callable[[int], np.ndarray], low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
+) -> np.ndarray | None:
+    """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
+
+    ``column(axis)`` gives f64[n] file coordinates, NaN for points that do not count. Medians are taken only of clouds
+    that are too large. Raises: InputError unless points may be dropped (``drop``).
+    """
+    factor = np.array([units.xy, units.xy, units.z])
+    with np.errstate(over="ignore", invalid="ignore"):
+        spans = (high - low) * factor
+    near = None
+    for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
+        limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
+        values = column(axis)
+        known = values[~np.isnan(values)]
+        median = np.partition(known, len(known) // 2)[len(known) // 2]
+        with np.errstate(over="ignore"):
+            distance = abs(values - median) * factor[axis]
+        if not drop:
+            worst = int(np.nanargmax(distance))
+            place = ", ".join(f"{column(i)[worst]:.10g}" for i in range(3))
+            raise InputError(
+                f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
+                f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
+                f"drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
+            )
+        far = distance > limit / 2
+        warnings.warn(
+            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground",
+            JaxfilterWarning,
+            stacklevel=4,
+        )
+        near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
+    return near
+
+
+def _check_resolution(low: np.ndarray, high: np.ndarray, units: Units, name: str) -> None:
+    """Raises: InputError for coordinates that float64 holds less exactly than local ones are."""
+    factor = np.array([units.xy, units.xy, units.z])
+    largest = np.fmax(abs(low), abs(high)) * factor
+    if (largest >= _RESOLVED).any():
+        axis = int(np.argmax(largest >= _RESOLVED))
+        value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
+        raise InputError(
+            f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
+            "scale and offset, or subtract a constant from the coordinates"
+        )
+
+
+def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
+    """Scales and offsets of integer coordinates, f64[3] each. Raises InputError naming the field."""
+    low, high = SCALES
+    for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
+        if not low < scale <= high:
+            raise InputError(
+                f"{name}: {axis} scale factor is {scale:g}; it must be above {low:g} and not above {high:g}, the header is "
+                "damaged"
+            )
+        if not math.isfinite(offset):
+            raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
 
 
 def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
@@ -317,6 +474,13 @@ def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str
     return mask
 
 
+def is_laspy(points: Any) -> bool:
+    """Whether this is a ``laspy.LasData``; laspy is not imported to find out."""
+    return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
+
+
 def as_cloud(points: Any) -> PointCloud:
-    """A PointCloud as it is; anything else is taken as coordinates f64[n, 3] in metres."""
-    return points if isinstance(points, PointCloud) else PointCloud.from_arrays(points)
+    """A PointCloud as it is; a ``laspy.LasData`` as its file; anything else as coordinates f64[n, 3] in metres."""
+    if isinstance(points, PointCloud):
+        return points
+    return PointCloud.from_laspy(points) if is_laspy(points) else PointCloud.from_arrays(points)

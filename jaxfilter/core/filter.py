@@ -17,7 +17,7 @@ from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
 from .forks import need_threads
-from .params import check_fields, declared, plain_fields
+from .params import Preset, check_fields, declared, plain_fields
 from .points import Points, canonical_points, check_extent, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
@@ -49,14 +49,15 @@ class Labels:
 class Filter:
     """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
 
-    ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
+    ``PRESETS`` maps a preset's name to field values with a note; every method has "paper" (as printed, but for what the
+    note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
     """
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
+    PRESETS: ClassVar[dict[str, Preset]] = {"paper": Preset("as printed"), "recommended": Preset("the default")}
     ORDER_FREE: ClassVar[bool] = False
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
     LAST: ClassVar[tuple[str, ...]] = ()
@@ -78,21 +79,22 @@ class Filter:
 
     @classmethod
     def for_cloud(
-        cls, cloud: Any, largest_building: float = 60.0, *, preset: str | None = None, **changes: Any
+        cls, cloud: Any, largest_building: float | None = None, *, preset: str | None = None, **changes: Any
     ) -> Self:
-        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud.
+        """Parameters set from point spacing and, where it is given, from the largest building (metres) in the cloud.
 
-        They replace those of ``preset``; ``changes`` come on top. Raises ParameterError.
+        Without it windows and seed cells keep their defaults. They replace those of ``preset``; ``changes`` come on top.
+        Raises ParameterError.
         """
-        if not largest_building > 0:
+        if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud))
         changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        """Field values for a mean point spacing and a largest building, both in metres."""
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known."""
         return {}
 
     def replace(self, **changes: Any) -> Self:
@@ -114,7 +116,7 @@ class Filter:
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
 
-        There are at least three positions, not on a line, and not all of one elevation.
+        There are at least four positions, not on a line, and not all of one elevation.
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
@@ -170,7 +172,7 @@ class Filter:
         """Classify a cloud.
 
         Args:
-            cloud: a PointCloud, or coordinates f64[n, 3] in metres.
+            cloud: a PointCloud, a ``laspy.LasData``, or coordinates f64[n, 3] in metres.
             key: a JAX random key; only methods that draw samples use it.
             workers: threads for triangulation; by default one per core.
             progress: called with the fraction done and the name of the step.
@@ -207,7 +209,8 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
     if m == 0:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
     z = points.xyz[:, 2]
-    if not points.has_area():
+    three = all(len(np.unique(xy, axis=0)) <= 3 for xy in (points.xyz[:1000, :2], points.xyz[:, :2]))
+    if three or not points.has_area():
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
         first = np.ones(m, bool)

@@ -37,7 +37,7 @@ _MESSAGES = {
     Status.ROUND_LIMIT: "the limit of rounds was reached before densification ended",
     Status.NO_POINTS: "the cloud has no points",
     Status.NO_CANDIDATES: "no point is a candidate: all are set aside by echo, class or withheld flag",
-    Status.TOO_FEW_POINTS: "fewer than three distinct positions, or all on a line: the lowest per position are ground",
+    Status.TOO_FEW_POINTS: "fewer than four distinct positions, or all on a line: the lowest per position are ground",
     Status.FLAT: "all points have one elevation: all are ground",
 }
 
@@ -45,7 +45,9 @@ _MESSAGES = {
 class Decision(enum.IntEnum):
     """Which test decided a point."""
 
-    SET_ASIDE = 0  # no candidate: echo, class, withheld flag or invalid coordinate
+    SET_ASIDE = (
+        0  # never tested: no candidate (echo, class, withheld flag, invalid coordinate), or taken out by the method
+    )
     SEED = 1
     ACCEPTED = 2  # passed every test
     NOISE_FLOOR = 3  # within the noise floor of its facet

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.filter import Filter, Labels
 from ..core.grid import Grid, grid_over
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress, Status
 from ..ops.grid import inside, padded_shape
@@ -63,6 +63,12 @@ class PPDF(Filter):
     division_distance: float = param(
         default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
     )
+    ignored_share: float = param(
+        default=0.0,
+        ge=0,
+        lt=1,
+        doc="share of a cell's points, the lowest below its plane, that do not divide it; rounded up",
+    )
     buffer: float = param(default=0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
     window: float = static(
         default=18.0,
@@ -80,7 +86,9 @@ class PPDF(Filter):
         doc="largest drop in an opening, and height above the lowest point of the cell, of a seed",
     )
     low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the planes")
-    reach: float = static(default=30.0, unit="m", gt=0, doc="distance to the farthest reference point")
+    reach: float = static(
+        default=30.0, unit="m", gt=0, doc="distance to the farthest reference point; inf = any distance"
+    )
     reference_cell: float = static(
         default=1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
     )
@@ -101,28 +109,36 @@ class PPDF(Filter):
     )
 
     LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {
-            "max_slope": 90.0,
-            "window": 0.0,
-            "low_clusters": False,
-            "reference_cell": 0.0,
-            "reference_distance": 1.5,
-            "max_distance": 1.5,
-        },
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: one reference per square metre, its lowest; roofs and low outliers make no seeds"
+        ),
+        "paper": Preset(
+            "as printed, except that a plane needs at least N_i points, not less, that points due north, east, south and "
+            "west belong to a quadrant, and that 0.5 m and 128 hypotheses for the planes are not printed",
+            max_slope=90.0,
+            window=0.0,
+            low_clusters=False,
+            reach=math.inf,
+            reference_cell=0.0,
+            reference_distance=1.5,
+            max_distance=1.5,
+        ),
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
-        return {
+        own = (
+            {}
+            if largest_building is None
+            else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
+        )
+        return own | {
             "canopy_cell": max(2.0, 1.5 * spacing),
             "cell": max(10.0, 7.0 * spacing),
             "min_points": 20 if spacing <= 0.75 else 10,
             "reference_cell": max(1.0, spacing),
-            "window": largest_building / 2,
-            "reach": max(30.0, largest_building / 2),
         }
 
     def halo(self) -> float:
@@ -140,7 +156,11 @@ class PPDF(Filter):
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points within the distance f32[m], metres, from their local planes."""
-        return reference | (np.abs(distance) <= self.max_distance)
+        return reference | self._within(distance, self.max_distance)
+
+    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
+        """bool[m], points on either side of their planes, f32[m] metres from them, up to the limit."""
+        return np.abs(distance) <= limit
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -163,6 +183,7 @@ class PPDF(Filter):
             min_points=self.min_points,
             inlier_distance=self.inlier_distance,
             division_distance=self.division_distance,
+            ignored_share=self.ignored_share,
             max_slope=self.max_slope,
         )
         height, slope, distance = planes.height, planes.slope, planes.distance
@@ -189,7 +210,7 @@ class PPDF(Filter):
             changed = around.add(new, workers)
             rows = open_[changed]
             distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row[changed])
-            new = rows[np.abs(distance[rows]) <= self.reference_distance]
+            new = rows[self._within(distance[rows], self.reference_distance)]
             reference[new] = True
             steps.append(
                 {"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())}
@@ -235,9 +256,11 @@ class PPDF(Filter):
         )
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
+        diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))
+        reach = diagonal + 1.0 if math.isinf(self.reach) else self.reach
         if self.references == "nearest":
-            return NearestReferences(xyz, query, self.reach)
-        return QuadrantReferences(xyz, query, side, self.reach)
+            return NearestReferences(xyz, query, reach)
+        return QuadrantReferences(xyz, query, side, reach)
 
 
 def _under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float) -> np.ndarray:

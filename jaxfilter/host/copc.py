@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+import warnings
 from collections.abc import Iterator
 from typing import BinaryIO
 
 import lazrs
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, JaxfilterWarning
 from ..core.forks import need_threads
 from .files import Bounds
 from .header import Header
@@ -31,17 +32,23 @@ class Node:
 
 
 def nodes_within(header: Header, file: BinaryIO, bounds: Bounds) -> list[Node]:
-    """The nodes whose cubes meet ``bounds``, in file order. Raises InputError if the hierarchy is damaged."""
+    """The nodes whose cubes meet ``bounds``, in file order.
+
+    The whole octree is read and compared with the table of chunks, and the first point of each chunk, which is not
+    compressed, with the cube of its node: a damaged cube would lose points. If they do not agree, all nodes are returned,
+    with a warning.
+
+    Raises: InputError if the octree is damaged.
+    """
     at = header.vlrs[0].payload
-    x0, y0, _, half, _, page, size = struct.unpack_from("<5d2Q", header.head.ljust(at + 160, b"\0"), at)
-    x0, y0 = x0 - half, y0 - half
-    margin_x, margin_y = header.scales[:2]  # cubes are rounded by some writers
-    nodes: list[Node] = []
+    *centre, half, _, page, size = struct.unpack_from("<5d2Q", header.head.ljust(at + 160, b"\0"), at)
+    low = np.array(centre) - half
     chunks, start = set(), len(header.head) + 8
     file.seek(len(header.head))
     for points, length in lazrs.read_chunk_table(file, lazrs.LazVlr(header.decoder)):
         chunks.add(Node(start, length, points))
         start += length
+    keys, nodes = [], []
     pages, seen = [(page, size)], set()
     while pages:
         page, size = pages.pop()
@@ -49,21 +56,45 @@ def nodes_within(header: Header, file: BinaryIO, bounds: Bounds) -> list[Node]:
             raise InputError(f"{header.path}: page of the octree at byte {page}, {size} bytes long, is damaged")
         seen.add(page)
         file.seek(page)
-        for level, x, y, _, offset, length, points in _ENTRY.iter_unpack(file.read(size)):
-            if not 0 <= level < 64 or length < 0 or points < -1 or offset + length > header.file_size:
+        for *key, offset, length, points in _ENTRY.iter_unpack(file.read(size)):
+            if not 0 <= key[0] < 64 or length < 0 or points < -1 or offset + length > header.file_size:
                 raise InputError(f"{header.path}: entry of the octree's page at byte {page} is damaged")
-            edge = 2 * half / 2**level
-            low_x, low_y = x0 + x * edge - margin_x, y0 + y * edge - margin_y
-            if not (low_x < bounds[2] and low_x + edge + 2 * margin_x >= bounds[0]
-                    and low_y < bounds[3] and low_y + edge + 2 * margin_y >= bounds[1]):  # fmt: skip
-                continue
             if points == -1:
                 pages.append((offset, length))
             elif points:
+                keys.append(key)
                 nodes.append(Node(offset, length, points))
-    if len(set(nodes)) < len(nodes) or not chunks.issuperset(nodes):
-        raise InputError(f"{header.path}: the octree names chunks that are not in the table of chunks; it is damaged")
-    return sorted(nodes)
+    if len(set(nodes)) < len(nodes) or chunks != set(nodes):
+        raise InputError(
+            f"{header.path}: the octree does not name the chunks that are in the table of chunks; it is damaged: read the "
+            "file without bounds"
+        )
+    if not nodes:
+        return []
+    level, corner = np.array(keys)[:, :1], np.array(keys)[:, 1:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        edge = 2 * half / 2.0**level
+        first = low + corner * edge - header.scales  # cubes are rounded by some writers
+        last = low + (corner + 1) * edge + header.scales
+    points = _first_points(header, file, nodes)
+    if not ((points >= first) & (points <= last)).all():
+        warnings.warn(
+            f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds",
+            JaxfilterWarning,
+            stacklevel=4,
+        )
+        return sorted(nodes)
+    met = (first[:, 0] < bounds[2]) & (last[:, 0] >= bounds[0]) & (first[:, 1] < bounds[3]) & (last[:, 1] >= bounds[1])
+    return sorted(node for node, meets in zip(nodes, met.tolist(), strict=True) if meets)
+
+
+def _first_points(header: Header, file: BinaryIO, nodes: list[Node]) -> np.ndarray:
+    """f64[n, 3], file units: the first point of each node."""
+    ticks = bytearray()
+    for node in nodes:
+        file.seek(node.offset)
+        ticks += file.read(12)
+    return np.frombuffer(ticks, "<i4").reshape(-1, 3) * header.scales + header.offsets
 
 
 def node_chunks(header: Header, file: BinaryIO, nodes: list[Node], selection: int, chunk: int) -> Iterator[np.ndarray]:

@@ -7,17 +7,20 @@ and 24 (extra bytes).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import math
 import struct
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 import lazrs
 import numpy as np
 
+from ..core.cloud import check_scales
 from ..core.errors import InputError, JaxfilterWarning, OutputError
+from .files import CHANGED_IN_READING, Identity
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point record by point format, 0 to 10."""
@@ -62,13 +65,25 @@ class ExtraDimension:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes."""
+    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes, ``unread`` the
+    number of compressed points, as far as it is known, that are in the file and not in its count; ``identity`` is that of
+    the file it was read from, None for the header of a new file."""
 
     path: Path
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...]
+    unread: int = 0
+    identity: Identity | None = None
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[BinaryIO]:
+        """The file that the header is of. Raises InputError if the name is another file's by now, OSError."""
+        with open(self.path, "rb") as file:
+            if Identity.of(file.fileno()) != self.identity:
+                raise InputError(f"{self.path}: {CHANGED_IN_READING}")
+            yield file
 
     def _get(self, layout: str, at: int) -> tuple:
         return struct.unpack_from("<" + layout, self.head, at)
@@ -118,6 +133,36 @@ class Header:
     def is_copc(self) -> bool:
         """Cloud Optimised Point Cloud: LAZ with its octree in an info record, which comes first."""
         return bool(self.vlrs) and self.vlrs[0].key == ("copc", 1)
+
+    def remarks(self) -> list[str]:
+        """What the header says of the number of points that contradicts itself or the file."""
+        found = []
+        if self.minor >= 4:
+            full, legacy = self._get("Q", 247)[0], self._get("I", 107)[0]
+            if legacy and full != legacy:
+                found.append(
+                    f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read"
+                )
+        room = 0
+        if not self.compressed:
+            starts = [s for s in (self.waveform_start, self.evlr_start) if self.points_end <= s <= self.file_size]
+            room = min(starts, default=self.file_size) - self.points_end
+        returns = self._get("15Q", 255) if self.minor >= 4 and self._get("Q", 247)[0] else self._get("5I", 111)
+        said = f"the header announces {self.count} points"
+        if self.unread:
+            found.append(
+                f"{said}, but the compressed chunks hold at least {self.count + self.unread}: the others are not read, and "
+                "will be in no output"
+            )
+        elif room >= self.record_length:
+            more = room // self.record_length
+            found.append(
+                f"{said}, but {room} bytes follow them, enough for {more} more, so {self.count + more} in all: they are not "
+                "read; LAS written from this file keeps them as they are, behind its points"
+            )
+        elif sum(returns) > self.count:
+            found.append(f"{said}, and {sum(returns)} in its counts by return: {self.count} are read")
+        return found
 
     @property
     def points_end(self) -> int:
@@ -217,6 +262,7 @@ def read_header(path: Path) -> Header:
     point counts that the file cannot hold, scales that are not positive numbers.
     """
     with open(path, "rb") as file:
+        identity = Identity.of(file.fileno())
         size = file.seek(0, 2)
         file.seek(0)
         block = file.read(HEADER_LENGTHS[4])
@@ -243,10 +289,10 @@ def read_header(path: Path) -> Header:
             )
         file.seek(0)
         head = file.read(offset)
-        header = _parse(path, head, size)
+        header = dataclasses.replace(_parse(path, head, size), identity=identity)
         _check_points(header)
-        if header.compressed and header.count:
-            _check_chunk_table(header, file)
+        if header.compressed and (header.count or any(record.key == _LASZIP for record in header.vlrs)):
+            header = dataclasses.replace(header, unread=_check_chunk_table(header, file))
         if minor >= 4:
             start, count = struct.unpack_from("<QI", head, 235)
             if count:
@@ -302,11 +348,7 @@ def _check_points(header: Header) -> None:
             f"{path}: point records of {header.record_length} bytes are too short for point format {number} "
             f"({RECORD_LENGTHS[number]} bytes); the header is damaged"
         )
-    for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True):
-        if not (math.isfinite(scale) and scale > 0):
-            raise InputError(f"{path}: {axis} scale factor is {scale:g}; it must be positive, the header is damaged")
-        if not math.isfinite(offset):
-            raise InputError(f"{path}: {axis} offset is {offset:g}; the header is damaged")
+    check_scales(header.scales, header.offsets, str(path))
     if not header.compressed and header.points_end > header.file_size:
         held = (header.file_size - len(header.head)) // header.record_length
         raise InputError(
@@ -314,16 +356,19 @@ def _check_points(header: Header) -> None:
         )
 
 
-def _check_chunk_table(header: Header, file: BinaryIO) -> None:
-    """Compare the LAZ chunk table with header and file length, before memory for the points is taken."""
-    laszip = header.decoder
-    path, compressor = header.path, lazrs.LazVlr(laszip)
+def _check_chunk_table(header: Header, file: BinaryIO) -> int:
+    """Compare the LAZ chunk table with header and file length, before memory for the points is taken.
+
+    Returns: number of points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed
+    size do not say how full the last one is, unless they are layered.
+    """
+    path, compressor = header.path, lazrs.LazVlr(header.decoder)
     if compressor.item_size() != header.record_length:
         raise InputError(
             f"{path}: the laszip record describes points of {compressor.item_size()} bytes, the header of "
             f"{header.record_length}; the file is damaged"
         )
-    method = struct.unpack_from("<H", laszip)[0]
+    method, size = struct.unpack_from("<H", header.laszip)[0], struct.unpack_from("<I", header.laszip, 12)[0]
     if method not in (_CHUNKED, _LAYERED):
         raise InputError(f"{path}: LAZ without chunks (before LASzip 2.0) is not supported; compress the file anew")
     if header.count > _POINTS_PER_BYTE * header.file_size:
@@ -336,6 +381,8 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> None:
         file.seek(-8, 2)
         start = int.from_bytes(file.read(8), "little", signed=True)
     if not len(header.head) + 8 <= start <= header.file_size - 8:
+        if not header.count:  # some writers leave out the table where there is nothing in it
+            return 0
         raise InputError(f"{path}: the table of compressed chunks (byte {start}) is not in the file; it is truncated")
     file.seek(start)
     _, chunks = struct.unpack("<II", file.read(8))
@@ -343,29 +390,40 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> None:
         raise InputError(f"{path}: {chunks} compressed chunks cannot fit into {header.file_size} bytes; it is damaged")
     file.seek(len(header.head))
     table = lazrs.read_chunk_table(file, compressor)
-    last = len(header.head) + 8 + sum(size for _, size in table)
-    points = sum(count for count, _ in table)
-    slack = 0 if compressor.uses_variable_size_chunks() or not table else table[-1][0] - 1
-    if last > start or not points - slack <= header.count <= points:
+    sizes = [length for _, length in table]
+    if compressor.uses_variable_size_chunks():
+        most = least = sum(count for count, _ in table)
+    else:
+        most, least = len(table) * size, max(0, len(table) - 1) * size + bool(table)
+    if len(header.head) + 8 + sum(sizes) > start:
         raise InputError(
-            f"{path}: the header announces {header.count} points, but the compressed chunks hold another number; "
-            "the file is damaged or truncated"
+            f"{path}: the compressed chunks run into the table of chunks; the file is damaged or truncated"
         )
-    if method == _LAYERED:
-        _check_layers(header, file, [size for _, size in table])
+    if header.count <= most and method == _LAYERED:
+        most = least = _check_layers(header, file, sizes)
+    if header.count > most or (header.is_copc and header.count != most):
+        raise InputError(
+            f"{path}: the header announces {header.count} points, but the compressed chunks hold "
+            f"{'' if most == least else 'at most '}{most}; the file is damaged or truncated"
+        )
+    return max(0, least - header.count)
 
 
-def _check_layers(header: Header, file: BinaryIO, sizes: list[int]) -> None:
-    """Formats 6 to 10: a chunk is a first point, the number of points, the sizes of its layers, then the layers."""
+def _check_layers(header: Header, file: BinaryIO, sizes: list[int]) -> int:
+    """Formats 6 to 10: a chunk is a first point, the number of points, the sizes of its layers, then the layers.
+
+    Returns: number of points in the chunks.
+    """
     items = struct.iter_unpack("<3H", header.laszip[34:])
     layers = sum(size if kind == 14 else {10: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
-    at = len(header.head) + 8
+    at, points = len(header.head) + 8, 0
     for i, size in enumerate(sizes):
         file.seek(at + header.record_length)
-        _, *lengths = struct.unpack(f"<{1 + layers}I", file.read(4 + 4 * layers))
+        count, *lengths = struct.unpack(f"<{1 + layers}I", file.read(4 + 4 * layers))
         if header.record_length + 4 + 4 * layers + sum(lengths) > size:
             raise InputError(f"{header.path}: layers of compressed chunk {i + 1} of {len(sizes)} exceed it: damaged")
-        at += size
+        at, points = at + size, points + count
+    return points
 
 
 def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:

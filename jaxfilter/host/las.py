@@ -6,25 +6,41 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from ..core.cloud import KEPT_CLASSES, PointCloud, Units, parse_units
+from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, is_laspy
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.points import canonical_points
+from ..core.units import (
+    GEOKEYS,
+    PROJECTION,
+    WKT,
+    Reference,
+    Units,
+    linear_units,
+    not_metric,
+    parse_units,
+    reference_of,
+    sampled,
+)
 from . import records, text
-from .files import Bounds, Source, check_bounds
+from .files import CHANGED_IN_READING, Bounds, Identity, Source, Tally, check_bounds
 from .header import Header, read_header
-from .records import read_records, reading
-from .units import Reference, linear_units, reference_of
-from .writing import GROUND_CLASS, LAS_SUFFIXES, class_changes, write
+from .records import inside, read_records, reading
+from .writing import LAS_SUFFIXES, class_changes, write
+
+if TYPE_CHECKING:
+    import laspy
 
 __all__ = ["class_changes", "info", "read", "write"]
 
+_LARGEST_CRS = 2**20  # bytes
+
 
 def read(
-    path: str | Path,
+    path: str | Path | laspy.LasData,
     *,
     bounds: Iterable[float] | None = None,
     units: str | Units | None = None,
@@ -41,35 +57,46 @@ def read(
     return_number, number_of_returns, withheld) and others are passed over. The reference of a LAS file is its class 2.
 
     Args:
-        path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy.
+        path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy. A
+            ``laspy.LasData`` is taken as the file it would become. What ``write`` makes of such a cloud is a new file,
+            which holds coordinates, echoes, withheld flags and classes only; to keep all else, give the labels to laspy:
+            ``las.classification[result.ground] = 2``.
         bounds: (xmin, ymin, xmax, ymax) in file units; points with xmin <= x < xmax and ymin <= y < ymax are kept, so
             that adjoining bounds share no point. COPC reads only the octree nodes concerned.
         units: ``"m"``, ``"ft"``, ``"us-ft"``, or XY and Z apart (``"us-ft,m"``); by default what the CRS says. Where
-            it says nothing of Z, Z has the unit of XY. Text is in metres unless told otherwise.
+            it says nothing of Z, Z has the unit of XY. Text is in metres unless told otherwise. Units that are given
+            are believed; without them, coordinates that look like degrees are refused.
         returns, ignore_classes, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
-        drop_invalid: label NaN and infinite coordinates (text only) non-ground instead of raising.
+        drop_invalid: label points with NaN or infinite coordinates (text only), or far from all others (docs/conventions.md,
+            Range), non-ground instead of raising.
         anchor: (x, y) in file units that grids are aligned to; by default the cloud's own corner.
 
-    Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular coordinates.
-    Warns: JaxfilterWarning where something was assumed: no CRS, damaged CRS or extra bytes, odd echoes, no points.
+    Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular or geocentric coordinates,
+    scales, units or extents that cannot be true.
+    Warns: JaxfilterWarning where something was assumed: no CRS, damaged CRS or extra bytes, odd echoes, no points,
+    counts that contradict each other.
     """
-    path = Path(path)
     cut = None if bounds is None else check_bounds(bounds)
     asked = None if units is None else parse_units(units)
     chosen: dict[str, Any] = {
         "returns": returns,
         "ignore_classes": tuple(ignore_classes),
         "keep_withheld": keep_withheld,
-        "anchor": None if anchor is None else tuple(anchor),
+        "drop_invalid": drop_invalid,
+        "anchor": anchor,
     }
+    if is_laspy(path):
+        return _laspy_cloud(path, asked, cut, chosen)
+    path = Path(path)
+    suspect = _refuse if asked is None else None
     if _is_las(path):
         header, reference = _open_las(path)
-        return _las_cloud(header, reference, linear_units(reference, asked, str(path)), cut, chosen)
-    return _text_cloud(path, asked or Units(), cut, {**chosen, "drop_invalid": drop_invalid})
+        return _las_cloud(header, reference, linear_units(reference, asked, str(path)), cut, chosen, suspect)
+    return _text_cloud(path, asked or Units(), cut, chosen, suspect)
 
 
 def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any]:
-    """What is in a file, for people and for JSON; angular coordinates are no error here.
+    """What is in a file, for people and for JSON; angular, geocentric and far-off coordinates are no error here.
 
     Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
     (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``classes`` and ``echoes`` (counts), ``withheld``,
@@ -79,12 +106,13 @@ def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any
     path = Path(path)
     asked = None if units is None else parse_units(units)
     header, reference = _open_las(path) if _is_las(path) else (None, Reference())
-    angular = asked is None and reference.angular
+    angular = asked is None and reference.problem is not None
+    suspect = _warn if asked is None and not angular else None
     if header is not None:
-        scale = Units(1.0, 1.0, "degree") if angular else linear_units(reference, asked, str(path))
-        cloud = _las_cloud(header, reference, scale, None, {})
+        scale = Units(1.0, 1.0, reference.shown) if angular else linear_units(reference, asked, str(path))
+        cloud = _las_cloud(header, reference, scale, None, {"drop_invalid": True}, suspect)
     else:
-        cloud = _text_cloud(path, asked or Units(), None, {"drop_invalid": True})
+        cloud = _text_cloud(path, asked or Units(), None, {"drop_invalid": True}, suspect)
     low = high = None
     if len(cloud):
         corners = np.stack([cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)])
@@ -126,11 +154,42 @@ def _is_las(path: Path) -> bool:
 def _open_las(path: Path) -> tuple[Header, Reference]:
     with reading(path):
         header = read_header(path)
-        return header, reference_of(header)
+        stated = {}
+        with header.open() as file:
+            for record in header.vlrs + header.evlrs:
+                size = record.end - record.payload
+                if record.user == PROJECTION and record.number in (WKT, GEOKEYS) and size <= _LARGEST_CRS:
+                    file.seek(record.payload)
+                    stated[record.number] = file.read(size)
+        for remark in header.remarks():
+            _warn(f"{path}: {remark}")
+        return header, reference_of(stated, str(path))
+
+
+def _refuse(message: str) -> None:
+    raise InputError(message)
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, JaxfilterWarning, stacklevel=5)
+
+
+def _laspy_cloud(las: Any, asked: Units | None, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
+    if cut is not None:
+        las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
+    cloud = PointCloud.from_laspy(las, units=asked, **chosen)
+    if not len(cloud):
+        _warn_empty("LasData", cut)
+    return cloud
 
 
 def _las_cloud(
-    header: Header, reference: Reference, units: Units, cut: Bounds | None, chosen: dict[str, Any]
+    header: Header,
+    reference: Reference,
+    units: Units,
+    cut: Bounds | None,
+    chosen: dict[str, Any],
+    suspect: Callable[[str], None] | None,
 ) -> PointCloud:
     name, number = str(header.path), header.point_format
     fields: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -142,18 +201,25 @@ def _las_cloud(
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
     ticks, n = np.empty((header.count, 3), np.int32), 0
     columns: dict[str, Any] = {key: np.empty(header.count, bool if key == "withheld" else np.uint8) for key in fields}
-    for chunk in read_records(header, cut, every_field=False):
-        rows = slice(n, n + len(chunk))
-        ticks[rows] = records.integers(chunk)
-        for key, get in fields.items():
-            columns[key][rows] = get(chunk)
-        n = rows.stop
+    identity, tally = cast(Identity, header.identity), Tally()
+    with identity.kept(header.path, CHANGED_IN_READING):
+        for chunk in read_records(header, cut, every_field=False):
+            rows = slice(n, n + len(chunk))
+            ticks[rows] = records.integers(chunk)
+            tally.add(ticks[rows])
+            for key, get in fields.items():
+                columns[key][rows] = get(chunk)
+            n = rows.stop
     if n < header.count:
         ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}
     if n == 0:
         _warn_empty(name, cut)
+    if suspect is not None:
+        some = ticks[sampled(n)] * header.scales + header.offsets
+        if reason := not_metric(some, n, reference.units is not None or cut is not None):
+            suspect(f"{name}: {reason}")
     is_ground = columns["classification"] == GROUND_CLASS
-    source = Source.of(header.path, "las", str(header), n, cut)
+    source = Source(header.path.absolute(), "las", str(header), n, cut, identity, tally.checksum)
     return PointCloud.from_integers(
         ticks,
         header.scales,
@@ -168,17 +234,30 @@ def _las_cloud(
     )
 
 
-def _text_cloud(path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
-    layout = text.layout_of(path)
-    chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+def _text_cloud(
+    path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any], suspect: Callable[[str], None] | None
+) -> PointCloud:
+    with reading(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
+        identity, tally = Identity.of(file.fileno()), Tally()
+        with identity.kept(path, CHANGED_IN_READING):
+            layout = text.layout_of(path)
+            chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+    for points, _ in chunks:
+        tally.add(points)
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
     keys = chunks[0][1] if chunks else ()
     columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
     if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
         columns["reference"] = columns["classification"] == GROUND_CLASS
+    if suspect is not None:
+        some = xyz[sampled(len(xyz))]
+        some = some[np.isfinite(some).all(axis=1)]
+        if reason := not_metric(some, len(xyz), cut is not None):
+            suspect(f"{path}: {reason}")
     if not len(xyz):
         _warn_empty(str(path), cut)
-    source = Source.of(path, "text", "text" if layout is None else str(layout), len(xyz), cut)
+    form = "text" if layout is None else str(layout)
+    source = Source(path.absolute(), "text", form, len(xyz), cut, identity, tally.checksum)
     return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
 
 

@@ -19,12 +19,14 @@ class ScaledPlanes:
     Attributes:
         distance: f32[m], metres along the normal, negative below the plane; height: f32[m], metres upward.
         slope: f32[m], degrees.
+        size: f32[m], metres: side of the cell that the plane was accepted for.
         accepted: planes; divided: cells whose plane was not reliable.
     """
 
     distance: np.ndarray
     height: np.ndarray
     slope: np.ndarray
+    size: np.ndarray
     accepted: int
     divided: int
 
@@ -39,6 +41,7 @@ def progressive_planes(
     inlier_distance: float,
     division_distance: float,
     max_slope: float,
+    ignored_share: float = 0.0,
 ) -> ScaledPlanes:
     """Progressive RANSAC plane detection (Cai et al. 2023, Sec. 2.4).
 
@@ -51,11 +54,12 @@ def progressive_planes(
         cell: metres, of the first cells; they start at the cloud's corner or at multiples from its anchor.
         inlier_distance: metres, of interior points from their plane.
         max_slope: degrees, of the planes.
+        ignored_share: of the points of a cell, rounded up, the lowest below its plane do not make it unreliable.
 
     Raises: InputError if the extent needs too many cells.
     """
     xyz = points.xyz
-    distance, height, slope = (np.full(len(xyz), np.nan, np.float32) for _ in range(3))
+    distance, height, slope, side = (np.full(len(xyz), np.nan, np.float32) for _ in range(4))
     rows, accepted, divided = np.arange(len(xyz)), 0, 0
     size = rows_of(len(xyz))
     while True:
@@ -67,7 +71,7 @@ def progressive_planes(
         cells, count = np.unique(owner, return_counts=True)
         enough = count >= min_points
         if not enough.any():
-            return ScaledPlanes(distance, height, slope, accepted, divided)
+            return ScaledPlanes(distance, height, slope, side, accepted, divided)
         members = members[np.repeat(enough, count)]
         cells, start = cells[enough], np.append(0, np.cumsum(count[enough]))
         parts = []
@@ -78,6 +82,8 @@ def progressive_planes(
             parts.append([np.asarray(a)[: len(ends) - 1] for a in found])
         centre, normal, inliers, below = (np.concatenate(a) for a in zip(*parts, strict=True))
         centre = centre + xyz[members[start[:-1]]]
+        if ignored_share > 0:
+            below = _below(xyz[members], start, centre, normal, ignored_share)
         plane = inliers >= min_points
         reliable = plane & (below < division_distance)
         accepted, divided = accepted + int(reliable.sum()), divided + int((plane & ~reliable).sum())
@@ -88,9 +94,23 @@ def progressive_planes(
         distance[i] = np.einsum("ni,ni->n", xyz[i] - centre[own], normal[own])
         height[i] = distance[i] / normal[own, 2]
         slope[i] = np.rad2deg(np.arccos(np.clip(normal[own, 2], 0, 1)))
+        side[i] = cell
         divide = np.zeros(grid.nx * grid.ny, bool)
         divide[cells[plane & ~reliable]] = True
         rows = rows[divide[at]]
         if len(rows) == 0:
-            return ScaledPlanes(distance, height, slope, accepted, divided)
+            return ScaledPlanes(distance, height, slope, side, accepted, divided)
         cell /= 2
+
+
+def _below(xyz: np.ndarray, start: np.ndarray, centre: np.ndarray, normal: np.ndarray, share: float) -> np.ndarray:
+    """f64[cells]: distance of the farthest point below the plane of its cell, after a share of the lowest is left out.
+
+    ``xyz``: f32[n, 3], points sorted by cell; those of cell i are start[i] to start[i + 1]; ``centre``, ``normal``: its plane.
+    """
+    count = np.diff(start)
+    cell = np.repeat(np.arange(len(count)), count)
+    residual = np.einsum("ni,ni->n", xyz - centre[cell], normal[cell]).astype(np.float64)
+    ranked = residual[np.lexsort((residual, cell))]
+    left_out = np.minimum(np.ceil(share * count - 1e-9).astype(np.int64), count - 1)
+    return -np.minimum(ranked[start[:-1] + left_out], 0.0)

@@ -1,0 +1,288 @@
+"""Metres per coordinate unit: what is asked for, what coordinate reference systems say, and what cannot be true."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import struct
+import warnings
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from .errors import InputError, JaxfilterWarning
+
+METRES_PER_UNIT = (1e-3, 1e4)
+"""Least and largest metres per coordinate unit that are believed."""
+
+PROJECTION = "LASF_Projection"
+WKT, GEOKEYS = 2112, 34735
+"""User and numbers of the records of a LAS file that state its CRS, LAS 1.4 R15 section 3."""
+
+_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNITS = 1024, 2048, 3072, 3076, 4096, 4099
+_GEOCENTRIC = 3  # value of the key _MODEL
+_SMALL = 0.5  # units: an extent of degrees or kilometres rather than of metres, if heights exceed it
+_DENSE = 1e8  # points per square unit: one per 100 m2 in degrees, one per 0.1 mm in metres
+_SAMPLE = 5_000  # points that tell the extent
+_TAIL = 0.01  # share of points that does not count at each end of it
+
+
+@dataclasses.dataclass(frozen=True)
+class Units:
+    """Metres per coordinate unit: ``xy`` for X and Y, ``z`` for Z; ``name`` says where that came from.
+
+    Raises: InputError if one is outside of :data:`METRES_PER_UNIT`.
+    """
+
+    xy: float = 1.0
+    z: float = 1.0
+    name: str = "metre"
+
+    def __post_init__(self) -> None:
+        for axis, metres in (("xy", self.xy), ("z", self.z)):
+            if not _believed(metres):
+                low, high = METRES_PER_UNIT
+                raise InputError(
+                    f"units: {axis} = {metres!r} metres per unit ({self.name}): must be {low:g} to {high:g}"
+                )
+
+    def __str__(self) -> str:
+        if self.xy == self.z:
+            return self.name
+        return f"{self.name} (xy x {self.xy:.10g}, z x {self.z:.10g} m)"
+
+
+def _believed(metres: float) -> bool:
+    return METRES_PER_UNIT[0] <= metres <= METRES_PER_UNIT[1]
+
+
+UNITS = {
+    "m": Units(1.0, 1.0, "metre"),
+    "ft": Units(0.3048, 0.3048, "foot"),
+    "us-ft": Units(1200 / 3937, 1200 / 3937, "US survey foot"),
+}
+"""Units that ``read(units=)`` and ``--units`` know; ``"m,ft"`` gives X and Y in metres and Z in feet."""
+
+
+def parse_units(text: str | Units) -> Units:
+    """``"m"``, ``"ft"``, ``"us-ft"``, or a pair such as ``"us-ft,m"`` for XY and Z apart. Raises InputError."""
+    if isinstance(text, Units):
+        return text
+    parts = [p.strip().lower() for p in text.split(",")] if isinstance(text, str) else []
+    if not 1 <= len(parts) <= 2 or any(p not in UNITS for p in parts):
+        raise InputError(
+            f"units {text!r} are not known: use one of {', '.join(UNITS)}, or a pair XY,Z such as 'us-ft,m'"
+        )
+    xy, z = UNITS[parts[0]], UNITS[parts[-1]]
+    return xy if xy == z else Units(xy.xy, z.z, f"{xy.name}, Z in {z.name}")
+
+
+def parse_crs(value: Any) -> pyproj.CRS | None:
+    """What pyproj takes for a CRS (``"EPSG:2154"``, 2154, WKT, a CRS ...) as a pyproj.CRS. Raises InputError."""
+    if value is None or isinstance(value, pyproj.CRS):
+        return value
+    try:
+        return pyproj.CRS.from_user_input(value)
+    except (pyproj.exceptions.CRSError, TypeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"crs={value!r}: no coordinate reference system that PROJ knows: {reason}") from error
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """What a file says of its coordinates.
+
+    Attributes:
+        crs: the CRS, or None.
+        units: None where nothing states them, or where there is a ``problem``.
+        problem: why distances cannot be measured, or None.
+        shown: the unit in words, where there is a ``problem``.
+    """
+
+    crs: pyproj.CRS | None = None
+    units: Units | None = None
+    problem: str | None = None
+    shown: str = ""
+
+    @property
+    def name(self) -> str | None:
+        """Name of the CRS, or None."""
+        return None if self.crs is None else self.crs.name
+
+
+def reference_of(records: dict[int, bytes], name: str) -> Reference:
+    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys.
+
+    Warns about records that cannot be understood; ``name`` is that of the file.
+    """
+    for number, parse in ((WKT, _from_wkt), (GEOKEYS, _from_geokeys)):
+        if not records.get(number, b"").strip(b"\0 "):
+            continue
+        try:
+            return parse(records[number], name)
+        except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
+            kind = "WKT" if number == WKT else "GeoTIFF keys"
+            reason = str(error).splitlines()[0]
+            warnings.warn(
+                f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}",
+                JaxfilterWarning,
+                stacklevel=4,
+            )
+    return Reference()
+
+
+def linear_units(reference: Reference, asked: Units | None, name: str) -> Units:
+    """The units to read coordinates with: those asked for, else those of the CRS, else metres with a warning.
+
+    Raises: InputError if the CRS is geographic or geocentric, or has an absurd unit.
+    """
+    if asked is not None:
+        return asked
+    if reference.problem is not None:
+        raise InputError(f"{name}: {reference.problem}, or pass units= if the CRS record is wrong")
+    if reference.units is None:
+        warnings.warn(
+            f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong",
+            JaxfilterWarning,
+            stacklevel=4,
+        )
+        return Units()
+    return reference.units
+
+
+def sampled(n: int) -> slice:
+    """Which of n points are enough to tell their extent."""
+    return slice(None, None, max(1, n // _SAMPLE))
+
+
+def not_metric(xyz: np.ndarray, count: int, stated: bool) -> str | None:
+    """Why coordinates cannot be the lengths that they are taken for, or None.
+
+    Two rules: X and Y extend over less than half a unit each, and Z over more than either; or X and Y are possible as
+    longitude and latitude, and there are more than 10^8 points per square unit. Extents leave out one per cent of the
+    points at each end, so that stray points do not hide degrees.
+
+    Args:
+        xyz: finite f64[k, 3], file units; some points out of all, see :func:`sampled`.
+        count: number of all points.
+        stated: the CRS states the unit, or the points are only those within given bounds; then the first rule
+            holds for longitudes and latitudes only.
+    """
+    sample = np.sort(xyz, axis=0)
+    cut = int(_TAIL * len(sample))
+    if len(sample) < 2:
+        return None
+    low, high = sample[cut], sample[-1 - cut]
+    with np.errstate(over="ignore", invalid="ignore"):
+        dx, dy, dz = (high - low).tolist()
+    if not (dx > 0 and dy > 0):
+        return None
+    x, y = np.maximum(abs(low), abs(high))[:2].tolist()
+    angles = (x <= 360 and y <= 90) or (x <= 90 and y <= 360)
+    small = dx < _SMALL and dy < _SMALL and dz > max(dx, dy) and (angles or not stated)
+    if not small and not (angles and count > _DENSE * dx * dy):
+        return None
+    return (
+        f"{count} points on {dx:.3g} x {dy:.3g} units, with heights over {dz:.3g}, look like "
+        f"{'degrees' if angles else 'a unit far larger than metres'}, so distances cannot be measured; reproject them "
+        "first, for example into their UTM zone, or pass units= if X and Y are lengths"
+    )
+
+
+def _from_wkt(data: bytes, name: str) -> Reference:
+    return _from_crs(pyproj.CRS.from_wkt(data.split(b"\0")[0].decode("utf-8")), name)
+
+
+def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
+    axes = crs.axis_info
+    if crs.is_geographic or crs.is_geocentric:
+        return _unprojected(crs, bool(crs.is_geocentric))
+    if len(axes) < 2:
+        return Reference(crs)
+    horizontal, vertical = axes[0], axes[2] if len(axes) > 2 else axes[0]
+    xy = (horizontal.unit_conversion_factor, horizontal.unit_name)
+    z = (vertical.unit_conversion_factor, vertical.unit_name)
+    for factor, unit in dict.fromkeys((xy, z)):
+        if not _believed(factor):
+            return Reference(
+                crs,
+                problem=f"its CRS ({crs.name}) has {factor:g} metres in a unit named {unit!r}, which cannot be; correct it",
+                shown=f"{unit} of {factor:g} m",
+            )
+        known = _known_unit(unit)
+        if known is not None and not math.isclose(factor, known, rel_tol=1e-3):
+            warnings.warn(
+                f"{name}: its CRS ({crs.name}) has {factor:g} metres in a {unit}, which has {known:g}: used",
+                JaxfilterWarning,
+                stacklevel=6,
+            )
+    return Reference(crs, _units(xy, z))
+
+
+def _unprojected(crs: pyproj.CRS | None, geocentric: bool) -> Reference:
+    title = "" if crs is None else f" ({crs.name})"
+    unit = crs.axis_info[0].unit_name if crs is not None and crs.axis_info else "metre" if geocentric else "degree"
+    if geocentric:
+        problem = f"coordinates are counted from the centre of the Earth{title}, so Z is not height"
+    else:
+        problem = f"coordinates are not in a projected system{title}, so distances cannot be measured"
+    advice = "reproject the file first, for example into its UTM zone"
+    return Reference(crs, None, f"{problem}; {advice}", f"{unit}, geocentric" if geocentric else unit)
+
+
+def _from_geokeys(data: bytes, name: str) -> Reference:
+    """GeoTIFF keys (OGC 19-008r4): EPSG codes, and the keys of linear units, which take precedence over the EPSG's."""
+    count = struct.unpack_from("<4H", data)[3]
+    entries = [struct.unpack_from("<4H", data, 8 + 8 * i) for i in range(count)]
+    keys = {key: value for key, location, _, value in entries if location == 0}
+    projected, geographic, model = keys.get(_PROJECTED, 0), keys.get(_GEOGRAPHIC, 0), keys.get(_MODEL)
+    found = Reference()
+    if _is_epsg(projected):
+        found = _from_crs(pyproj.CRS.from_epsg(projected), name)
+    elif model in (2, _GEOCENTRIC) or (model is None and _PROJECTED not in keys and _is_epsg(geographic)):
+        crs = pyproj.CRS.from_epsg(geographic) if _is_epsg(geographic) else None
+        return _unprojected(crs, model == _GEOCENTRIC or (crs is not None and bool(crs.is_geocentric)))
+    if found.problem is not None:
+        return found
+    xy = _linear_unit(keys.get(_LINEAR, 0))
+    if xy is None and found.units is not None:
+        xy = found.units.xy, found.units.name
+    z = _linear_unit(keys.get(_VERTICAL_UNITS, 0))
+    if z is None and _is_epsg(keys.get(_VERTICAL, 0)):
+        vertical = pyproj.CRS.from_epsg(keys[_VERTICAL]).axis_info[0]
+        z = (vertical.unit_conversion_factor, vertical.unit_name)
+    if xy is None:
+        return found
+    if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
+        warnings.warn(
+            f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used",
+            JaxfilterWarning,
+            stacklevel=5,
+        )
+    return dataclasses.replace(found, units=_units(xy, z or xy))
+
+
+def _is_epsg(code: int) -> bool:
+    return 1024 <= code <= 32766
+
+
+@functools.cache
+def _epsg_units() -> list[Any]:
+    return list(pyproj.database.get_units_map("EPSG", "linear").values())
+
+
+def _linear_unit(code: int) -> tuple[float, str] | None:
+    units: dict[str, Any] = {u.code: u for u in _epsg_units()}
+    unit = units.get(str(code))
+    return None if unit is None else (unit.conv_factor, unit.name)
+
+
+def _known_unit(name: str) -> float | None:
+    """Metres in a unit of this name, if EPSG has one."""
+    return next((u.conv_factor for u in _epsg_units() if u.name.lower() == name.lower()), None)
+
+
+def _units(xy: tuple[float, str], z: tuple[float, str]) -> Units:
+    return Units(xy[0], z[0], xy[1] if xy[0] == z[0] else f"{xy[1]}, Z in {z[1]}")

@@ -1,0 +1,460 @@
+"""What cannot be true is refused or said: units, scales, extents, degrees, counts; laspy.LasData as a cloud.
+
+Each through the library, and through the command where it has a part in it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import warnings
+
+import laspy
+import numpy as np
+import pyproj
+import pytest
+from click.testing import CliRunner
+from las_files import OFFSETS, make_las, patch
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.core.cloud import Units
+from jaxfilter.core.units import not_metric
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers", "ignore:.*metres are assumed")
+UTM = (
+    'PROJCS["any",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],'
+    'UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],PARAMETER["latitude_of_origin",0],'
+    'PARAMETER["central_meridian",9],PARAMETER["scale_factor",0.9996],PARAMETER["false_easting",500000],'
+    'PARAMETER["false_northing",0],UNIT["metre",{}]]'
+)
+
+
+def command(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def ground(source, *options):
+    return command("ground", "spf", source, source.with_name("out.las"), *options)
+
+
+def assert_error(result, *words):
+    """One line on standard error, exit code 1."""
+    assert result.exit_code == 1, result.output
+    (line,) = (line for line in result.stderr.splitlines() if not line.startswith("warning: "))
+    assert line.startswith("Error: ")
+    for word in words:
+        assert word in line
+
+
+def set_wkt(path, wkt):
+    """Put in a WKT of the same length or shorter."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"LASF_Projection")
+    number, length = struct.unpack_from("<HH", content, at + 16)
+    assert number == 2112 and len(wkt) < length
+    content[at + 52 : at + 52 + length] = wkt.encode().ljust(length, b"\0")
+    path.write_bytes(content)
+
+
+def hills(n=400, size=60.0, seed=0):
+    """f64[n, 3]: gentle ground."""
+    x, y = np.random.default_rng(seed).uniform(0, size, (2, n)).round(2)
+    return np.column_stack([x, y, np.round(3 * np.sin(x / 30), 2)])
+
+
+# scales and units
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_absurd_scale(tmp_path, suffix):
+    make_las(tmp_path / f"in{suffix}")
+    patch(tmp_path / f"in{suffix}", "d", 131 + 16, 1e300)
+    with pytest.raises(
+        jf.InputError, match=rf"in{suffix}: Z scale factor is 1e\+300; it must be above 1e-12 and not above"
+    ):
+        jf.read(tmp_path / f"in{suffix}")
+    assert_error(ground(tmp_path / f"in{suffix}"), f"in{suffix}", "Z scale factor is 1e+300")
+    assert not (tmp_path / "out.las").exists()
+
+
+@pytest.mark.parametrize("metres", ["1e300", "0", "-1", "1e-300", "20000"])
+def test_absurd_unit_in_the_crs(tmp_path, metres):
+    path = tmp_path / "in.las"
+    make_las(path)
+    set_wkt(path, UTM.format(metres))
+    with pytest.raises(
+        jf.InputError, match=r"in.las: its CRS \(any\) has .* metres in a unit named 'metre', which cannot"
+    ):
+        jf.read(path)
+    assert_error(ground(path), "in.las", "its CRS (any) has", "pass --units")
+    assert len(jf.read(path, units="m")) == 200
+    assert ground(path, "--units", "m").exit_code == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = jf.info(path)
+    assert found["metres_per_unit"] is None and found["units"] == f"metre of {float(metres):g} m"
+
+
+def test_unit_of_a_known_name_and_another_length(tmp_path):
+    make_las(tmp_path / "in.las")
+    set_wkt(tmp_path / "in.las", UTM.format(2))
+    with pytest.warns(jf.JaxfilterWarning, match=r"has 2 metres in a metre, which has 1: used"):
+        assert jf.read(tmp_path / "in.las").units.xy == 2
+
+
+@pytest.mark.parametrize("metres", [0.0, -1.0, 1e300, 1e-300, np.nan, np.inf])
+def test_absurd_units_asked_for(metres):
+    with pytest.raises(jf.InputError, match=r"units: z = .* metres per unit \(mine\)"):
+        Units(1.0, metres, "mine")
+
+
+# extent
+
+
+@pytest.mark.parametrize(
+    "axis, far, limit", [(0, 3e7, "1e+07"), (1, -2e7, "1e+07"), (2, 1e300, "100000"), (2, -2e5, "100000")]
+)
+def test_points_far_off(tmp_path, axis, far, limit):
+    xyz = hills()
+    xyz[17, axis] = far
+    with pytest.raises(jf.InputError) as caught:
+        jf.PointCloud.from_arrays(xyz, name="mine")
+    message = str(caught.value)
+    assert message.startswith(f"mine: {'XYZ'[axis]} spans ") and f"more than the {limit} m" in message
+    assert "point 17 of 400" in message and f"{far:.10g}" in message and "drop_invalid=True" in message
+    with pytest.warns(jf.JaxfilterWarning, match="mine: 1 points more than .* are labelled non-ground"):
+        cloud = jf.PointCloud.from_arrays(xyz, name="mine", drop_invalid=True)
+    assert np.flatnonzero(~cloud.valid).tolist() == np.flatnonzero(~cloud.candidate).tolist() == [17]
+    rest = jf.PointCloud.from_arrays(np.delete(xyz, 17, axis=0))
+    assert np.delete(cloud.xyz, 17, axis=0).tobytes() == rest.xyz.tobytes() and not cloud.xyz[17].any()
+    path = tmp_path / "in.txt"
+    path.write_text("".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in xyz.tolist()))
+    with pytest.raises(jf.InputError, match=rf"in.txt: {'XYZ'[axis]} spans"):
+        jf.read(path)
+    assert_error(
+        command("ground", "spf", path, tmp_path / "out.txt"), "in.txt", "point 17 of 400", "pass --drop-invalid to"
+    )
+    result = command("ground", "spf", path, tmp_path / "out.txt", "--drop-invalid", "--json")
+    assert result.exit_code == 0 and json.loads(result.stdout)["candidates"] == 399
+    assert (tmp_path / "out.txt").read_text().splitlines()[17] == path.read_text().splitlines()[17] + " 1"
+
+
+def test_points_far_off_in_las(tmp_path):
+    path = tmp_path / "in.las"
+    las = make_las(path)
+    las.Z = np.where(np.arange(200) == 5, 2**31 - 1, np.arange(200) % 7)
+    las.write(path)
+    patch(path, "d", 131 + 16, 1.0)
+    with pytest.raises(jf.InputError, match=r"in.las: Z spans 2.147e\+09 m, .* point 5 of 200 .* 2147483747\)"):
+        jf.read(path)
+    with pytest.warns(jf.JaxfilterWarning, match=r"in.las: 1 points more than 50000 m from the median of Z"):
+        cloud = jf.read(path, drop_invalid=True)
+    assert np.flatnonzero(~cloud.valid).tolist() == [5] and not cloud.candidate[5]
+    assert cloud.origin[2] == 100 and np.ptp(cloud.xyz[:, 2]) == 6
+    with pytest.warns(jf.JaxfilterWarning, match="from the median of Z"):
+        assert jf.info(path)["z"] == [100, 106]
+
+
+def test_extent_of_all_points_by_a_wrong_scale(tmp_path):
+    make_las(tmp_path / "in.las", n=300)
+    patch(tmp_path / "in.las", "d", 131, 50.0)
+    assert np.ptp(jf.read(tmp_path / "in.las", units="m").xyz[:, 0]) < 1e6  # 10 000 ticks
+    las = laspy.read(tmp_path / "in.las")
+    las.X = np.arange(300) * 1_000_000
+    las.write(tmp_path / "in.las")
+    with pytest.raises(jf.InputError, match=r"in.las: X spans 1.495e\+10 m"):
+        jf.read(tmp_path / "in.las")
+
+
+@pytest.mark.parametrize("offset", [1e300, 1e13, -1e15])
+def test_coordinates_that_float64_does_not_resolve(tmp_path, offset):
+    make_las(tmp_path / "in.las")
+    patch(tmp_path / "in.las", "d", 155 + 8, offset)
+    with pytest.raises(jf.InputError, match=r"in.las: Y reaches .* float64 does not resolve"):
+        jf.read(tmp_path / "in.las")
+    assert_error(ground(tmp_path / "in.las"), "in.las: Y reaches")
+    with pytest.raises(jf.InputError, match="X reaches"):
+        jf.PointCloud.from_arrays(hills() + [offset, 0, 0])
+
+
+@pytest.mark.parametrize("offset", [1e9, -1e9, 1e12])
+def test_large_offsets_are_none_of_these(offset):
+    """Coordinates in quarters stay exact, so nothing but the origin differs."""
+    xyz = np.rint(hills() * 4) / 4
+    cloud = jf.PointCloud.from_arrays(xyz + [offset, -offset, 0])
+    assert cloud.xyz.tobytes() == jf.PointCloud.from_arrays(xyz).xyz.tobytes()
+
+
+@pytest.mark.parametrize("anchor", [3, (1, 2, 3), (np.nan, 0), (1e300, 0), "ab"])
+def test_anchor_that_is_none(anchor):
+    with pytest.raises(jf.InputError, match="anchor="):
+        jf.PointCloud.from_arrays(hills(), anchor=anchor)
+
+
+# degrees
+
+
+def degrees(n=4000, seed=1):
+    """f64[n, 3]: a patch of about 1 km, heights in metres."""
+    rng = np.random.default_rng(seed)
+    lon, lat = 9.1 + 0.013 * rng.random(n), 48.7 + 0.009 * rng.random(n)
+    return np.column_stack([lon, lat, 300 + 40 * rng.random(n)])
+
+
+def write_degrees(path, xyz):
+    if path.suffix == ".txt":
+        np.savetxt(path, xyz, fmt="%.7f %.7f %.2f")
+        return
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = [1e-7, 1e-7, 0.01], [9, 48, 0]
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.T
+    las.return_number = las.number_of_returns = np.ones(len(xyz), np.uint8)
+    las.write(path)
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.txt"])
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("stray", [False, True])
+def test_degrees_that_nothing_states(tmp_path, name, swapped, stray):
+    path, xyz = tmp_path / name, degrees()
+    if swapped:
+        xyz = xyz[:, [1, 0, 2]]
+    if stray:
+        xyz[7] = 0.0
+    write_degrees(path, xyz)
+    with pytest.raises(
+        jf.InputError, match=rf"{name}: 4000 points on .* units, with heights over .*, look like degrees"
+    ):
+        jf.read(path)
+    with pytest.warns(jf.JaxfilterWarning, match="look like degrees"):
+        jf.info(path)
+    assert len(jf.read(path, units="m")) == 4000
+    if not swapped and not stray:
+        assert_error(ground(path), name, "look like degrees", "pass --units if")
+        assert "warning: " in command("info", path).stderr and "look like degrees" in command("info", path).stderr
+        assert ground(path, "--units", "m").exit_code == 0
+
+
+@pytest.mark.parametrize("span, relief, expected", [
+    (0.4, 0.5, True), (0.4, 0.3, False), (0.6, 300.0, False), (400.0, 500.0, False),
+])  # fmt: skip
+@pytest.mark.parametrize("east", [100.0, 440.0, 440000.0])
+def test_small_extent_under_a_relief(span, relief, expected, east):
+    """The first rule as stated; where a unit is stated, or a small part was asked for, for angles only."""
+    xyz = np.random.default_rng(0).random((300, 3)) * [span, span, relief] + [east, 50.0, 7.0]
+    assert bool(not_metric(xyz, len(xyz), stated=False)) == expected
+    assert bool(not_metric(xyz, len(xyz), stated=True)) == (expected and east == 100.0)
+
+
+def test_dense_angles():
+    xyz = np.random.default_rng(0).random((5000, 3)) * [3.0, 3.0, 2.0] + [170.0, 40.0, 0.0]
+    assert not_metric(xyz, 5000, False) is None
+    assert "degrees" in not_metric(xyz, 10**9, False)  # the sample of a large cloud
+    assert not_metric(xyz + [200, 50, 0], 10**9, False) is None
+
+
+def test_local_coordinates_are_no_degrees(tmp_path):
+    np.savetxt(tmp_path / "in.txt", hills(), fmt="%.2f")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(jf.read(tmp_path / "in.txt")) == 400
+        assert len(jf.read(tmp_path / "in.txt", bounds=(0, 0, 30, 30))) > 50
+
+
+def test_geocentric_is_not_shown_as_degree(tmp_path):
+    make_las(tmp_path / "in.las", crs=4978)
+    found = jf.info(tmp_path / "in.las")
+    assert found["units"] == "metre, geocentric" and found["metres_per_unit"] is None and found["spacing"] is None
+    assert "metre, geocentric" in command("info", tmp_path / "in.las").stdout
+    assert_error(ground(tmp_path / "in.las"), "centre of the Earth (WGS 84)", "reproject", "pass --units")
+    make_las(tmp_path / "grad.las", crs=4807)  # NTF (Paris), in grads
+    assert jf.info(tmp_path / "grad.las")["units"] == "grad"
+
+
+def test_units_for_info(tmp_path):
+    make_las(tmp_path / "in.las", crs=None)
+    found = json.loads(command("info", tmp_path / "in.las", "--units", "ft", "--json").stdout)
+    assert found["metres_per_unit"] == [0.3048, 0.3048]
+    result = command("info", tmp_path / "in.las")
+    assert "metres are assumed; pass --units if that is wrong" in result.stderr
+    assert command("info", tmp_path / "in.las", "--units", "yard").exit_code == 2
+
+
+# few points
+
+
+@pytest.mark.parametrize("content, words", [
+    ("0 0 0\n9 0 1\n0 9 2\n", "fewer than four"), ("0 0 0\n1 1 1\n2 2 5\n3 3 1\n", "all on a line"),
+    ("1 2 3\n", "fewer than four"), ("", "holds no points"), ("0 0 0\n9 0 1\n0 9 2\n9 9 1\n", None),
+])  # fmt: skip
+def test_few_points_are_said(tmp_path, content, words):
+    path = tmp_path / "in.txt"
+    path.write_text(content)
+    result = command("ground", "spf", path, tmp_path / "out.txt")
+    assert result.exit_code == 0, result.output
+    assert (words or "") in result.stderr and (words is None) == ("warning: " not in result.stderr)
+    assert len((tmp_path / "out.txt").read_text().splitlines()) == len(content.splitlines())
+
+
+# counts
+
+
+def test_more_points_than_the_header_says(tmp_path):
+    path, target = tmp_path / "in.las", tmp_path / "out.las"
+    make_las(path, 1)
+    patch(path, "I", 107, 150)
+    with pytest.warns(jf.JaxfilterWarning, match="announces 150 points, but 1400 bytes follow .* so 200 in all"):
+        cloud = jf.read(path)
+    assert len(cloud) == 150
+    jf.write(target, cloud, np.zeros(150, bool), reset="none")
+    assert target.read_bytes() == path.read_bytes()  # the others are kept
+    assert "announces 150 points, but 1400 bytes follow" in ground(path, "--overwrite").stderr
+    make_las(path, 6)
+    patch(path, "Q", 247, 0)
+    with pytest.warns(jf.JaxfilterWarning, match="announces 0 points, but 6000 bytes follow"):
+        assert len(jf.read(path)) == 0
+
+
+@pytest.mark.parametrize("point_format, n, held", [(6, 200, 200), (6, 120_000, 120_000), (1, 120_000, 100_001)])
+def test_more_compressed_points_than_the_header_says(tmp_path, point_format, n, held):
+    """Chunks of the older formats do not say how full the last one is."""
+    path = tmp_path / "in.laz"
+    las = make_las(path, point_format, n=n)
+    patch(path, "Q" if point_format == 6 else "I", 247 if point_format == 6 else 107, 150)
+    with pytest.warns(
+        jf.JaxfilterWarning, match=f"announces 150 points, but the compressed chunks hold at least {held}"
+    ):
+        cloud = jf.read(path)
+    np.testing.assert_array_equal(cloud.classification, las.classification[:150])
+    jf.write(tmp_path / "out.laz", cloud, np.zeros(150, bool), reset="none")
+    np.testing.assert_array_equal(laspy.read(tmp_path / "out.laz").Z, las.Z[:150])
+
+
+def test_counts_by_return_above_the_count(tmp_path):
+    """All that tells that points are missing from a LAZ file of an older format with a single chunk."""
+    make_las(tmp_path / "in.laz", 1, n=300)
+    patch(tmp_path / "in.laz", "I", 107, 299)
+    with pytest.warns(jf.JaxfilterWarning, match="announces 299 points, and 300 in its counts by return: 299 are read"):
+        assert len(jf.read(tmp_path / "in.laz")) == 299
+
+
+def test_legacy_count_that_differs(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 1, "1.4")
+    patch(path, "I", 107, 120)
+    with pytest.warns(jf.JaxfilterWarning, match=r"announces 200 points, and 120 in its legacy field: 200 are read"):
+        assert len(jf.read(path)) == 200
+    assert "120 in its legacy field" in ground(path).stderr
+    patch(path, "I", 107, 200)
+    patch(path, "Q", 247, 0)
+    with pytest.warns(jf.JaxfilterWarning, match=r"announces 0 points, and 200 in its legacy field: 200 are read"):
+        assert len(jf.read(path)) == 200
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_cut_of_las_1_3_with_point_format_6(tmp_path, suffix):
+    """LAS 1.3 has no other counts than those of 32 bits."""
+    las = make_las(tmp_path / "in.las", 6, n=500)
+    patch(tmp_path / "in.las", "B", 25, 3)
+    patch(tmp_path / "in.las", "I", 107, 500)
+    box = (*(OFFSETS[:2] + 20), *(OFFSETS[:2] + 60))
+    keep = (las.x >= box[0]) & (las.x < box[2]) & (las.y >= box[1]) & (las.y < box[3])
+    cloud = jf.read(tmp_path / "in.las", bounds=box)
+    assert len(cloud) == keep.sum() > 50
+    jf.write(tmp_path / f"out{suffix}", cloud, np.zeros(len(cloud), bool), reset="none")
+    numbers = np.asarray(las.return_number)[keep]
+    counts = struct.unpack_from("<6I", (tmp_path / f"out{suffix}").read_bytes(), 107)
+    assert counts == (keep.sum(), *((numbers == i).sum() for i in range(1, 6)))
+    assert jf.read(tmp_path / f"out{suffix}").xyz.tobytes() == cloud.xyz.tobytes()
+    assert ground(tmp_path / "in.las", "--bounds", *box, "--overwrite").exit_code == 0
+    assert struct.unpack_from("<I", (tmp_path / "out.las").read_bytes(), 107)[0] == keep.sum()
+
+
+# coordinate reference systems
+
+
+def test_any_crs_that_pyproj_takes():
+    expected = pyproj.CRS.from_epsg(2154)
+    for crs in ("EPSG:2154", 2154, ("EPSG", 2154), expected, expected.to_wkt(), None):
+        cloud = jf.PointCloud.from_arrays(hills(), crs=crs)
+        assert cloud.crs is None if crs is None else cloud.crs == expected
+    for crs in ("nonsense", 3.5, object(), 10**9):
+        with pytest.raises(jf.InputError, match="crs="):
+            jf.PointCloud.from_arrays(hills(), crs=crs)
+
+
+def test_crs_in_words_reaches_raster_and_las(tmp_path):
+    cloud = jf.PointCloud.from_arrays(hills(), crs="EPSG:2154")
+    labels = np.ones(len(cloud), bool)
+    jf.dtm(cloud, labels, 5.0).write(tmp_path / "out.tif")
+    assert jf.Raster.read(tmp_path / "out.tif").crs.to_epsg() == 2154
+    jf.write(tmp_path / "out.las", cloud, labels)
+    assert jf.read(tmp_path / "out.las").crs.to_epsg() == 2154
+
+
+# laspy
+
+
+@pytest.mark.parametrize("point_format", [1, 3, 6, 8])
+@pytest.mark.parametrize(
+    "crs, units", [(32632, None), (2225, None), ("EPSG:32632+8228", None), (None, "ft"), (4326, "m")]
+)
+def test_las_data_is_its_file(tmp_path, point_format, crs, units):
+    if point_format < 6 and crs == "EPSG:32632+8228":
+        pytest.skip("laspy writes no compound CRS as GeoTIFF keys")
+    las = make_las(tmp_path / "in.las", point_format, crs=crs)
+    box = (*(OFFSETS[:2] + 20), *(OFFSETS[:2] + 60))
+    for data in (las, laspy.read(tmp_path / "in.las")):
+        for bounds in (None, box):
+            expected, cloud = (jf.read(source, units=units, bounds=bounds) for source in (tmp_path / "in.las", data))
+            assert cloud.xyz.tobytes() == expected.xyz.tobytes() and cloud.origin.tolist() == expected.origin.tolist()
+            for name in ("return_number", "number_of_returns", "classification", "withheld", "candidate", "reference"):
+                np.testing.assert_array_equal(getattr(cloud, name), getattr(expected, name), err_msg=name)
+            assert (cloud.units, cloud.crs, cloud.source) == (expected.units, expected.crs, None)
+    assert data.X.tolist() == las.X.tolist()  # not used up
+
+
+def test_las_data_everywhere(tmp_path):
+    xyz = hills(900)
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = [0.01] * 3, [0.0] * 3
+    header.add_crs(pyproj.CRS.from_epsg(32632))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.T
+    las.return_number = las.number_of_returns = np.ones(900, np.uint8)
+    filter_ = jf.SPF()
+    expected = filter_(xyz)
+    result = filter_(las)
+    np.testing.assert_array_equal(result.ground, expected.ground)
+    assert jf.SPF.for_cloud(las) == jf.SPF.for_cloud(xyz)
+    las.classification[result.ground] = 2
+    las.classification[~result.ground] = 1
+    assert jf.evaluate(result, las).total == 0
+    raster = jf.dtm(las, cell=5.0)
+    np.testing.assert_array_equal(raster.values, jf.dtm(jf.read(las), result, cell=5.0).values)
+    assert raster.crs.to_epsg() == 32632 and jf.dtm_rmse(las, result, cell=5.0).rmse == 0
+    jf.write(tmp_path / "out.las", jf.read(las), result)
+    again = laspy.read(tmp_path / "out.las")
+    np.testing.assert_allclose(again.xyz, xyz, atol=1e-9)
+    np.testing.assert_array_equal(again.classification, las.classification)
+
+
+def test_las_data_is_checked_as_files_are():
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = degrees(500).T
+    with (
+        pytest.warns(jf.JaxfilterWarning, match="LasData: no CRS"),
+        pytest.raises(jf.InputError, match=r"LasData: .*degrees"),
+    ):
+        jf.SPF()(las)
+    header.add_crs(pyproj.CRS.from_epsg(4326))
+    with pytest.raises(jf.InputError, match=r"LasData: coordinates are not in a projected system \(WGS 84\)"):
+        jf.SPF()(las)
+    las.header.scales[0] = 1e300
+    with pytest.raises(jf.InputError, match="LasData: X scale factor"):
+        jf.read(las, units="m")
+    with pytest.warns(jf.JaxfilterWarning, match="LasData: holds no points"):
+        assert len(jf.read(laspy.LasData(laspy.LasHeader()), units="m")) == 0
