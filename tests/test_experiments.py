@@ -5,6 +5,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021, paper, ppdf2023, stin2024  # noqa: E402
+from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
@@ -564,3 +565,93 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
     assert min(row["seconds"], row["singly"], row["pool"]) > 0
     assert "SMRF" in sweep_speed.report([row], [], "command", 1)
+
+
+def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):
+    import xarray
+
+    angles, elevations = [2.0, 22.0, 42.0], [0.6, 1.2, 1.4]
+    kappa = np.array([[10, 11, 12], [60, 80, 70], [50, 95, 75]], np.float32)
+    flat = dict.fromkeys(("type1", "type2", "total"), (("max_angle", "max_elevation"), 100 - kappa))
+    grid = xarray.Dataset(
+        {"kappa": (("max_angle", "max_elevation"), kappa), **flat},
+        coords={"max_angle": angles, "max_elevation": elevations},
+    )
+    grids = {run: grid.expand_dims(cloud=["samp71"]) for run in li2021.THRESHOLD_RUNS}
+    study = paper.Report("FPTD", "Li et al.", paper.arguments("li2021", "", ["--out", str(tmp_path)]))
+    li2021.thresholds(study, grids)
+    study.write()
+    row = report.read_csv(tmp_path / "thresholds.csv")[0]
+    assert (row["angle"], row["printed_angle"]) == (42, 22)  # at 1.4 m
+    assert (row["elevation"], row["printed_elevation"]) == (1.2, 1.2)  # at the printed angle
+    assert (row["kappa"], row["best_kappa"], row["best_angle"], row["best_elevation"]) == (80, 95, 42, 1.2)
+    assert (row["printed_kappa"], row["least_total"]) == (90.06, 5)
+    assert len(report.read_csv(tmp_path / "thresholds_sets.csv")) == 27
+    assert (tmp_path / "fig5.png").exists() and (tmp_path / "fig6.png").exists()
+
+
+def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does():
+    from jaxfilter import scenes
+
+    scene = scenes.make("hills", size=(190, 70), density=0.3, seed=1)
+    cloud = jf.PointCloud.from_arrays(scene.xyz, reference=scene.truth)
+    grids = li2021.sweep_thresholds({"samp52": cloud}, (6, 38), (1.4,))
+    here = {"cloud": "samp52", "max_angle": 6, "max_elevation": 1.4}
+    found = {run: float(grids[run].kappa.sel(here)) for run in ("global", "independent")}
+    alone = jf.evaluate(jf.FPTD(max_angle=6, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
+    assert found["independent"] == pytest.approx(alone.kappa)
+    assert found["global"] != pytest.approx(alone.kappa)
+
+
+def test_type_1_errors_are_counted_by_the_slope_of_the_reference_ground():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(0, 60, (4000, 2))
+    truth = np.arange(4000) % 4 > 0
+    z = np.tan(np.radians(25)) * xy[:, 1] + np.where(truth, 0.0, 8.0)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, z]), reference=truth)
+    slope = spf2023.terrain_slope(cloud)
+    inner = (np.abs(xy - 30) < 22).all(axis=1)
+    assert slope[inner] == pytest.approx(25, abs=0.5)
+
+    steep = np.where(np.arange(4000) < 1000, 25.0, 3.0)
+    found = truth.copy()
+    found[:40] = ~truth[:40]  # 30 ground points lost and 10 objects accepted, all on the slope
+    result = SimpleNamespace(ground=found)
+    rows = {row["low"]: row for row in spf2023.slope_rows("samp11", "spf", cloud, result, steep)}
+    assert [rows[20.0][key] for key in ("ground", "lost", "objects", "accepted")] == [750, 30, 250, 10]
+    assert [rows[0.0][key] for key in ("ground", "lost", "objects", "accepted")] == [2250, 0, 750, 0]
+    assert rows[45.0]["ground"] == 0
+
+
+def test_trial_and_error_of_agptd_is_set_against_table_1():
+    import xarray
+
+    total = np.array([[4.0, 3.0, 5.0], [2.0, 1.0, 1.05], [6.0, 7.0, 8.0]])
+    axes = {"max_angle": [15.0, 35.0, 55.0], "max_distance": [0.4, 0.8, 1.2]}
+    dims = ("cloud", *axes)
+    scores = {"total": (dims, np.stack([total, total[::-1]])), "kappa": (dims, 100 - np.stack([total, total[::-1]]))}
+    grid = xarray.Dataset(scores, coords=axes | {"cloud": ["samp11", "samp54"]})
+    rows = [
+        agptd2024.trial_row("table1", name, grid.sel(cloud=name), given, at)
+        for name, given, at in (("samp11", (39.0, 0.8), 1.5), ("samp54", (15.0, 0.6), 1.0))
+    ]
+    assert [rows[0][key] for key in ("angle", "distance", "total", "kappa", "cost", "close")] == [
+        35,
+        0.8,
+        1,
+        99,
+        0.5,
+        2,
+    ]
+    assert (rows[0]["printed_total"], rows[1]["cost"]) == (4.6, 0)
+    summary = agptd2024.trial_summary("table1", grid, rows)
+    assert (summary["common"], summary["common_angle"], summary["common_distance"]) == (1, 35, 0.8)
+    assert (summary["oracle"], summary["near"], summary["angle_off"], summary["worst"]) == (1, 1, 12, 0.5)
+
+
+def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two_samples):
+    cloud = jf.read(samples.sample_path(two_samples, "53"))
+    axes = {"max_angle": [29.0], "max_distance": [1.4]}
+    swept = agptd2024.sweep_trial("research", {"samp53": cloud}, axes)
+    alone = jf.evaluate(agptd2024.filters("samp53")["research"](cloud), cloud.reference)
+    assert float(swept.total.squeeze()) == pytest.approx(alone.total)
