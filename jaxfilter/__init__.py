@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from . import plots, scenes
     from .citing import citation
     from .core.cloud import PointCloud
-    from .core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
+    from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
     from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "citing": ("citation",),
     "core.cloud": ("PointCloud",),
-    "core.errors": ("InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
+    "core.errors": ("ForkError", "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
     "filters": (
@@ -56,8 +56,8 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Decision", "Filter", "FilterResult", "GroundFilter", "InputError", "JaxfilterError", "JaxfilterWarning",
-    "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
+    "Calibration", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError", "JaxfilterError",
+    "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
     "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "sweep", "write",
 ]  # fmt: skip
 

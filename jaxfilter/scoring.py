@@ -12,6 +12,7 @@ import numpy as np
 from .core.cloud import QUANTUM, PointCloud, is_laspy
 from .core.compilation import bucket
 from .core.errors import InputError
+from .core.forks import need_threads
 from .core.result import Decision, FilterResult
 from .ops.metrics import confusion_counts
 
@@ -98,7 +99,7 @@ def _two(value: float) -> str:
 
 def evaluate(
     result: FilterResult | np.ndarray,
-    reference: PointCloud | np.ndarray,
+    reference: PointCloud | np.ndarray | None,
     *,
     ignore: np.ndarray | None = None,
     classes: np.ndarray | None = None,
@@ -215,6 +216,7 @@ def _describe(values: np.ndarray) -> str:
 
 def _count(ground: np.ndarray, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """Confusion matrix i64[2, 2], counted on the device in bucketed arrays."""
+    need_threads()
     padded = np.zeros((3, bucket(len(ground))), bool)
     padded[:, : len(ground)] = ground, truth, counted
     return np.asarray(confusion_counts(*padded)).astype(np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 from .core.cloud import QUANTUM, PointCloud, as_cloud
 from .core.errors import InputError, JaxfilterWarning, ParameterError
 from .core.grid import MAX_CELLS
-from .core.points import canonical_points
+from .core.points import canonical_points, check_extent
 from .core.result import FilterResult, Progress
 from .host.files import check_bounds
 from .host.interpolation import METHODS, inside_hull, interpolator, nearest_point
@@ -63,8 +63,9 @@ def dtm(
 
     Returns: Raster with the CRS of the cloud; of a cloud without points, one without heights, and a warning.
     Raises: ParameterError for settings out of range; InputError if there are fewer than three distinct ground positions or
-    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, or if more than
-    400 million cells would be needed; ImportError if a library is missing.
+    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, if points lie more
+    than 131 km from the corner of the cloud, unless ``bounds`` are given, or if more than 400 million cells would be needed;
+    ImportError if a library is missing.
     """
     check_settings(cell, method, max_gap, neighbours, power)
     cloud = as_cloud(cloud)
@@ -191,6 +192,7 @@ def _extent(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> t
         xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
         if len(xy) == 0:
             raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
+        check_extent(cloud, xy)
         ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
         edges = np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy
     slack = QUANTUM / cloud.units.xy / cell  # coordinates are known to a quantum: an edge needs no further cell

@@ -246,8 +246,9 @@ def test_high_outliers_change_nothing(method, small):
 
 
 def test_a_stray_point_far_away_is_an_error_with_a_size(method, small):
-    with pytest.raises(jf.InputError, match=r"cells.*stray points"):
-        method()(np.concatenate([small[0], [[4.0e6, 4.0e6, 0.0]]]))
+    for far in (4.0e6, -1.0e6):
+        with pytest.raises(jf.InputError, match=r"extend over \d.* x \d.* km.*: 1 of 6,001 lie.*stray points"):
+            method()(np.concatenate([small[0], [[far, 0.0, 0.0]]]))
 
 
 def test_single_building_and_two_levels(method, rng):

@@ -1,6 +1,7 @@
 """Outliers: neighbour tests against all pairs, depressions against flooding, clusters against scenes of known truth."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.distance import cdist
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
+from jaxfilter.host.cells import Cells
 from jaxfilter.host.depressions import depressions
 from jaxfilter.host.trend import low_trend
 from jaxfilter.scenes import Kind
@@ -90,9 +92,10 @@ def flooded(z, depth, max_cells):
     return found
 
 
-def pits_of(z, depth, max_points):
+def pits_of(z, depth, max_points, points=None):
     """Depressions of a grid that has one point in each cell."""
-    return depressions(z, np.ones(z.size, np.int64), depth, max_points)
+    around = Cells(np.arange(z.size), z.shape).around()
+    return depressions(z.ravel(), around, np.ones(z.size, np.int64) if points is None else points, depth, max_points)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -130,8 +133,8 @@ def test_depression_behind_walls_has_no_spill_level():
 def test_the_largest_depression_that_holds_few_enough_points_is_taken():
     z = np.array([[9, 9, 9, 9, 9, 9], [9, 0, 3, 1, 5, 4], [9, 9, 9, 9, 9, 9]], np.float32)
     points = np.arange(18)
-    assert depressions(z, points, 2.0, 7 + 8 + 9).cell.tolist() == [7, 8, 9]
-    inner = depressions(z, points, 2.0, 9)
+    assert pits_of(z, 2.0, 7 + 8 + 9, points).cell.tolist() == [7, 8, 9]
+    inner = pits_of(z, 2.0, 9, points)
     assert inner.cell.tolist() == [7, 9] and inner.spill.tolist() == [3, 3] and inner.points.tolist() == [7, 9]
 
 
@@ -143,6 +146,52 @@ def test_low_trend_follows_a_plane_and_ignores_a_pit(rng):
     assert np.ptp((xyz[:, 2] - trend)[inner]) < 1.5  # the plane rises by 140; lowest points vary in their cells
     xyz[np.hypot(*(xy - 152).T) < 5, 2] -= 30
     assert np.abs(low_trend(xyz, 0, 0, 15.0) - trend).max() < 0.45 * 15  # the rise over one cell
+
+
+def dense_trend(xyz, x0, y0, size):
+    """The same by SciPy's image filters on the whole grid."""
+    column, row = (((xyz[:, axis] - start) / np.float32(size)) for axis, start in ((0, x0), (1, y0)))
+    low = np.full((int(row.max()) + 1, int(column.max()) + 1), np.inf, np.float32)
+    np.minimum.at(low, (row.astype(int), column.astype(int)), xyz[:, 2])
+    nearest = ndimage.distance_transform_edt(~np.isfinite(low), return_distances=False, return_indices=True)
+    low = ndimage.uniform_filter(ndimage.median_filter(low[tuple(nearest)], 3, mode="nearest"), 3, mode="nearest")
+    return ndimage.map_coordinates(low.astype(float), (row - 0.5, column - 0.5), order=1, mode="nearest")
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.05])
+def test_low_trend_equals_image_filters(rng, share):
+    xyz = np.column_stack([rng.uniform(0, 400, (8000, 2)), rng.normal(0, 5, 8000)]).astype(np.float32)
+    block = (xyz[:, :2] // 15).astype(int)
+    xyz = xyz[(rng.random((27, 27)) < share)[block[:, 0], block[:, 1]]]
+    x0, y0 = xyz[:, :2].min(axis=0) - np.float32(2)
+    np.testing.assert_allclose(low_trend(xyz, x0, y0, 15.0), dense_trend(xyz, x0, y0, 15.0), atol=1e-4)
+
+
+def test_cells_are_found_with_and_without_a_table(rng, monkeypatch):
+    inside = rng.random((40, 30)) < 0.1
+    row, column = (i.ravel() for i in np.mgrid[-3:43, -3:33])
+    wide = np.pad(ndimage.binary_dilation(inside, np.ones((5, 5))), 3)
+    number = np.where(wide, np.cumsum(wide).reshape(wide.shape) - 1, wide.sum()).ravel()
+    for table in (1000, 0):
+        monkeypatch.setattr("jaxfilter.host.cells._TABLE", table)
+        cells, member = Cells.of(*np.nonzero(inside), inside.shape)
+        assert member.tolist() == list(range(inside.sum()))
+        np.testing.assert_array_equal(cells.grown(2).find(row, column), number)
+
+
+def test_memory_of_low_clusters_does_not_grow_with_the_extent(rng):
+    xyz = hillside(rng, 0.0)
+    low = np.argsort(np.hypot(*(xyz[:, :2] - 80).T))[:20]
+    xyz[low, 2] -= 6
+    near = low_clusters(points_of(xyz))
+    tracemalloc.start()
+    points = points_of(np.concatenate([xyz, [[90_000.0, 120_000.0, 0.0]]]))
+    far = low_clusters(points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert near.clusters == far.clusters == 1
+    assert np.flatnonzero(far.barred[points.member]).tolist() == sorted(low)
+    assert peak < 100e6
 
 
 def hillside(rng, slope, size=160.0, density=1.0):

@@ -13,7 +13,7 @@ import pytest
 from jaxfilter.citing import citation
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.params import check_fields, filter_params, param, static
-from jaxfilter.filters import FILTERS
+from jaxfilter.filters import FILTERS, SMRF
 
 METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
 
@@ -22,11 +22,11 @@ METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FIL
 class Toy:
     """A parameter set of every kind; without ``classify`` it stays out of the registry."""
 
-    angle: float = param(20.0, doc="steepest angle", symbol="a", unit="degrees", gt=0, le=90)
-    floor: float = param(0.0, doc="noise floor", unit="m", ge=0)
-    window: float | None = static(18.0, doc="window", unit="m", gt=0, optional=True)
-    rounds: int = static(10, doc="rounds", ge=1, lt=1000)
-    mode: str = static("global", doc="mode", choices=("global", "blocks"))
+    angle: float = param(default=20.0, doc="steepest angle", symbol="a", unit="degrees", gt=0, le=90)
+    floor: float = param(default=0.0, doc="noise floor", unit="m", ge=0)
+    window: float | None = static(default=18.0, doc="window", unit="m", gt=0, optional=True)
+    rounds: int = static(default=10, doc="rounds", ge=1, lt=1000)
+    mode: str = static(default="global", doc="mode", choices=("global", "blocks"))
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -79,9 +79,52 @@ def test_a_threshold_does_not_compile_anew_and_a_static_field_does():
     assert traces == [18.0, 19.0]
 
 
+@pytest.mark.parametrize("scalar", [np.float32, np.float64, np.array, jnp.float32, jnp.asarray])
+def test_scalars_of_numpy_and_jax_are_numbers(scalar):
+    assert type(SMRF(slope=scalar(0.25)).slope) is float and SMRF(slope=scalar(0.25)) == SMRF(slope=0.25)
+    assert hash(jax.tree_util.tree_structure(SMRF(window=scalar(12.0)))) is not None
+    for value in (-3, math.nan):
+        with pytest.raises(ParameterError, match=rf"SMRF\(slope={value}.*\): must be > 0 rise/run"):
+            SMRF(slope=scalar(value))
+    with pytest.raises(ParameterError, match=r"SMRF\(window=-3"):
+        SMRF(window=scalar(-3))
+
+
+@pytest.mark.parametrize("value", [np.array([0.1, 0.2]), jnp.array([[0.1]]), [0.1, 0.2], np.zeros(0)])
+def test_arrays_of_values_are_refused_by_name(value):
+    for name in ("slope", "window"):
+        with pytest.raises(ParameterError, match=rf"SMRF\({name}=.*\): a single value.*jaxfilter.sweep"):
+            SMRF(**{name: value})
+    with pytest.raises(ParameterError, match=r"CSF\(rigidness=.*single value"):
+        FILTERS["csf"](rigidness=np.array([1, 2]))
+
+
+def test_what_is_no_number_is_refused():
+    for value in (object(), 1j, "0.1", None, True):
+        with pytest.raises(ParameterError, match=r"SMRF\(slope=.*a number is needed"):
+            SMRF(slope=value)
+
+
 def test_thresholds_can_be_swept_by_vmap():
-    sweep = dataclasses.replace(Toy(), angle=jnp.array([10.0, 20.0]), floor=jnp.zeros(2))
-    np.testing.assert_allclose(jax.vmap(lambda toy: toy.angle + toy.floor)(sweep), [10, 20])
+    angles = jnp.array([10.0, 20.0])
+    np.testing.assert_allclose(jax.vmap(lambda angle: dataclasses.replace(Toy(), angle=angle).angle)(angles), angles)
+    stacked = jax.tree_util.tree_map(lambda *leaves: jnp.stack(leaves), Toy(angle=10.0), Toy(angle=20.0, floor=1.0))
+    np.testing.assert_allclose(jax.vmap(lambda toy: toy.angle + toy.floor)(stacked), [10, 21])
+
+
+def test_trees_are_rebuilt_with_any_leaf():
+    leaves, structure = jax.tree_util.tree_flatten(SMRF())
+    for leaf in (object(), None, -1.0, np.zeros(3), jax.ShapeDtypeStruct((), np.float32)):
+        assert jax.tree_util.tree_unflatten(structure, [leaf] * len(leaves)).slope is leaf
+    shapes = jax.eval_shape(lambda one: one.replace(slope=2 * one.slope), SMRF())
+    assert shapes.slope.shape == ()
+    assert jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(SMRF())[0][0][0]) == ".slope"
+
+
+def test_a_stack_of_sets_is_no_filter():
+    stacked = jax.tree_util.tree_map(lambda leaf: np.full(2, leaf), SMRF())
+    with pytest.raises(ParameterError, match=r"SMRF\(slope=.*single value"):
+        stacked(np.zeros((9, 3)))
 
 
 def test_parameters_are_immutable():

@@ -27,7 +27,7 @@ def bucket(n: int, smallest: int = 1024) -> int:
 
 def on_same_device(function: Callable[[T], R]) -> Callable[[T], R]:
     """The function for another thread, with the default device that the caller has set for its own (it is not inherited)."""
-    device = jax.config.values["jax_default_device"]
+    device = jax.config.jax_default_device  # type: ignore[attr-defined]
     if device is None:
         return function
 
@@ -69,7 +69,7 @@ def use_persistent_cache() -> Path | None:
     A cache directory that JAX has already been given is left in place. Returns the directory, or None if it cannot
     be made (a read-only home, say), in which case compilation simply is not cached.
     """
-    configured = jax.config.values.get("jax_compilation_cache_dir")
+    configured = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     directory = Path(configured) if configured else cache_directory()
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -17,5 +17,9 @@ class OutputError(JaxfilterError, OSError):
     """An output cannot be written: it exists, cannot hold the values, or the disk refused."""
 
 
+class ForkError(JaxfilterError, RuntimeError):
+    """The process was forked after threads had been started that it needs."""
+
+
 class JaxfilterWarning(UserWarning):
     """Something unusual was met and handled as the message says."""

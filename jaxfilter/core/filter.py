@@ -16,8 +16,9 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
-from .params import Preset, check_fields, declared
-from .points import Points, canonical_points, plain_points
+from .forks import need_threads
+from .params import Preset, check_fields, declared, plain_fields
+from .points import Points, canonical_points, check_extent, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
 _BYTES = 1000
@@ -62,6 +63,7 @@ class Filter:
     LAST: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
+        plain_fields(self)
         self.check()
 
     def check(self) -> None:
@@ -98,6 +100,14 @@ class Filter:
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed."""
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+    def points_of(self, cloud: PointCloud) -> Points:
+        """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is
+        beyond measure, ForkError in a forked process without the threads of JAX."""
+        need_threads()
+        points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
+        check_extent(cloud, points.xyz)
+        return points
 
     def halo(self) -> float:
         """Metres beyond a region that can change labels inside it."""
@@ -169,12 +179,12 @@ class Filter:
             trace: keep the labels after every round in ``result.trace``.
 
         Returns: FilterResult of length n, in input order.
-        Raises: ParameterError, InputError.
+        Raises: ParameterError, InputError, ForkError.
         """
         self.check()
         check_resources(workers)
         cloud = as_cloud(cloud)
-        points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
+        points = self.points_of(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
             labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)

@@ -10,6 +10,7 @@ import numpy as np
 from .errors import InputError
 
 MAX_CELLS = 400_000_000
+_PER_POINT, _AT_LEAST = 64, 4_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,28 +28,49 @@ class Grid:
         """(rows, columns) = (ny, nx); row 0 is the southern edge."""
         return self.ny, self.nx
 
-    def flat(self, xy: np.ndarray) -> np.ndarray:
-        """i32[n] row-major cell index of local points [n, >=2]; points outside go to the nearest cell."""
+    def places(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """i32[n], i32[n] row and column of local points [n, >=2]; points outside go to the nearest cell."""
         ix = np.clip(np.floor((xy[:, 0] - self.x0) / self.cell), 0, self.nx - 1).astype(np.int32)
         iy = np.clip(np.floor((xy[:, 1] - self.y0) / self.cell), 0, self.ny - 1).astype(np.int32)
-        return iy * self.nx + ix
+        return iy, ix
+
+    def flat(self, xy: np.ndarray) -> np.ndarray:
+        """i32[n] row-major cell index of local points [n, >=2]; points outside go to the nearest cell."""
+        row, column = self.places(xy)
+        return row * self.nx + column
+
+
+def most_cells(points: int, limit: int = MAX_CELLS) -> int:
+    """How many cells a grid over so many points may have: 64 for each point, or 4 million, but at most ``limit``.
+
+    More are mostly empty: the cell is too fine, or a stray point far away makes the extent.
+    """
+    return min(limit, max(_PER_POINT * points, _AT_LEAST))
+
+
+def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0)) -> Grid:
+    """The smallest grid of ``cell`` metres, aligned to ``offset``, that holds local points [n, >=2], of any size.
+
+    A point on the upper edge of the extent belongs to the last cell.
+    """
+    low, high = (np.array([pick(xy[:, axis]) for axis in range(2)]) for pick in (np.min, np.max))
+    x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
+    nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
+    return Grid(x0, y0, cell, nx, ny)
 
 
 def grid_over(
     xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0), name: str = "cell", limit: int = MAX_CELLS
 ) -> Grid:
-    """The smallest grid of ``cell`` metres, aligned to ``offset``, that holds local points [n, >=2].
+    """:func:`lattice_over`, for arrays that hold every cell.
 
-    A point on the upper edge of the extent belongs to the last cell. Raises InputError, before anything is allocated,
-    when more than ``limit`` cells would be needed: the cell is too fine, or a stray point lies far away.
+    Raises InputError, before anything is allocated, when more cells than :func:`most_cells` would be needed.
     """
-    low, high = (np.array([pick(xy[:, axis]) for axis in range(2)]) for pick in (np.min, np.max))
-    x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
-    nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
-    if nx * ny > limit:
-        spread = ", ".join(f"{float(v):.6g}" for v in high - low)
+    grid = lattice_over(xy, cell, offset)
+    if grid.nx * grid.ny > most_cells(len(xy), limit):
+        spread = " x ".join(f"{float(np.ptp(xy[:, axis])):.6g}" for axis in range(2))
         raise InputError(
-            f"{name}={cell:g} m over an extent of {spread} m needs {nx * ny:.3g} cells ({nx * ny * 4 / 2**30:.1f} GiB a "
-            "layer): use larger cells, or remove stray points far from the rest"
+            f"{name}={cell:g} m over an extent of {spread} m needs {grid.nx * grid.ny:.3g} cells for {len(xy):,} points "
+            f"({grid.nx * grid.ny * 4 / 2**30:.1f} GiB a layer): use larger cells, or remove stray points far from the rest"
         )
-    return Grid(x0, y0, cell, nx, ny)
+    return grid

@@ -11,10 +11,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Iterator, Mapping
+import operator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
+import numpy as np
 
 from .errors import ParameterError
 
@@ -26,8 +28,8 @@ def _field(default: Any, is_static: bool, meta: dict[str, Any]) -> Any:
 
 
 def param(
-    default: float,
     *,
+    default: float,
     doc: str,
     symbol: str = "",
     unit: str = "",
@@ -36,13 +38,16 @@ def param(
     lt: float | None = None,
     le: float | None = None,
 ) -> Any:
-    """Declare a traced threshold with its documentation and admissible range."""
+    """Declare a traced threshold with its documentation and admissible range.
+
+    ``default`` is a keyword, since type checkers see a default in no other place (PEP 681).
+    """
     return _field(default, False, {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le})
 
 
 def static(
-    default: Any,
     *,
+    default: Any,
     doc: str,
     symbol: str = "",
     unit: str = "",
@@ -53,7 +58,10 @@ def static(
     choices: tuple[Any, ...] | None = None,
     optional: bool = False,
 ) -> Any:
-    """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off")."""
+    """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off").
+
+    ``default`` is a keyword, as in :func:`param`.
+    """
     meta = {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le}
     return _field(default, True, {**meta, "choices": choices, "optional": optional})
 
@@ -99,6 +107,9 @@ FILTERS = _Registry()
 """Every filter class by name, for example ``FILTERS["fptd"]``."""
 
 
+_LIMITS = (("gt", ">", operator.gt), ("ge", ">=", operator.ge), ("lt", "<", operator.lt), ("le", "<=", operator.le))
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
@@ -108,17 +119,33 @@ def declared(params: Any) -> list[dataclasses.Field[Any]]:
     return sorted(dataclasses.fields(params), key=lambda field: bool(field.kw_only))
 
 
-def check_fields(params: Any) -> None:
-    """Validate every field of ``params`` against its declaration.
+def plain_fields(params: Any) -> None:
+    """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place."""
+    for f in dataclasses.fields(params):
+        value = getattr(params, f.name)
+        if isinstance(value, np.generic | np.ndarray | jax.Array) and not _traced(value) and np.ndim(value) == 0:
+            object.__setattr__(params, f.name, value.item())
 
-    Leaves that are not plain numbers (tracers, batched arrays, the placeholders of tree transformations) are left
-    alone, since ``__post_init__`` also runs when a tree is rebuilt inside ``jit`` or ``vmap``.
+
+def _traced(value: Any) -> bool:
+    return isinstance(value, jax.core.Tracer)
+
+
+def check_fields(params: Any) -> None:
+    """Validate every field of ``params`` against its declaration. Tracers, whose values nobody knows yet, are left alone.
 
     Raises: ParameterError naming class, field, value and range.
     """
     name = type(params).__name__
     for f in dataclasses.fields(params):
         value, meta = getattr(params, f.name), f.metadata
+        if _traced(value):
+            continue
+        if np.ndim(value) > 0:
+            raise ParameterError(
+                f"{name}({f.name}=...): a single value is needed, not an array of shape {np.shape(value)}; "
+                "jaxfilter.sweep takes several values, and jax.vmap maps a function of one"
+            )
         choices = meta.get("choices")
         if choices is not None:
             if value not in choices:
@@ -126,34 +153,41 @@ def check_fields(params: Any) -> None:
             continue
         if value is None and meta.get("optional"):
             continue
+        limits = [(sign, meta[key], ok) for key, sign, ok in _LIMITS if meta.get(key) is not None]
         if not _is_number(value):
-            wants_number = any(meta.get(k) is not None for k in ("gt", "ge", "lt", "le"))
-            if wants_number and (value is None or isinstance(value, (str, bytes, bool))):
+            if limits or meta.get("static") is False:
                 raise ParameterError(f"{name}({f.name}={value!r}): a number is needed")
             continue
-        limits = [
-            ("gt", ">", lambda v, b: v > b),
-            ("ge", ">=", lambda v, b: v >= b),
-            ("lt", "<", lambda v, b: v < b),
-            ("le", "<=", lambda v, b: v <= b),
-        ]
-        active = [(sign, meta[key], ok) for key, sign, ok in limits if meta.get(key) is not None]
-        if math.isnan(value) or not all(ok(value, bound) for _, bound, ok in active):
-            wanted = " and ".join(f"{sign} {bound:g}" for sign, bound, _ in active) or "a number"
+        if math.isnan(value) or not all(ok(value, bound) for _, bound, ok in limits):
+            wanted = " and ".join(f"{sign} {bound:g}" for sign, bound, _ in limits) or "a number"
             unit = f" {meta['unit']}" if meta.get("unit") else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=False, field_specifiers=(param, static))
 def filter_params(cls: type[T]) -> type[T]:
-    """Class decorator: frozen dataclass, registered as a pytree and, if it is a filter, in :data:`FILTERS`."""
+    """Class decorator: frozen dataclass, registered as a pytree and, if it is a filter, in :data:`FILTERS`.
+
+    JAX rebuilds trees with leaves that no user may give (stacked arrays, placeholders); so a tree is rebuilt without
+    ``__post_init__``.
+    """
     out = dataclasses.dataclass(frozen=True)(cls)
-    names = dataclasses.fields(out)  # type: ignore[arg-type]
-    jax.tree_util.register_dataclass(
-        out,
-        data_fields=[f.name for f in names if not f.metadata.get("static")],
-        meta_fields=[f.name for f in names if f.metadata.get("static")],
-    )
+    fields = dataclasses.fields(out)  # type: ignore[arg-type]
+    leaves = [f.name for f in fields if not f.metadata.get("static")]
+    structure = [f.name for f in fields if f.metadata.get("static")]
+    keys = [jax.tree_util.GetAttrKey(name) for name in leaves]
+
+    def flatten(params: T) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+        values = (getattr(params, name) for name in leaves)
+        return list(zip(keys, values, strict=True)), tuple(getattr(params, name) for name in structure)
+
+    def unflatten(fixed: tuple[Any, ...], values: Iterable[Any]) -> T:
+        params = object.__new__(out)
+        for field, value in zip((*structure, *leaves), (*fixed, *values), strict=True):
+            object.__setattr__(params, field, value)
+        return params
+
+    jax.tree_util.register_pytree_with_keys(out, flatten, unflatten)
     if callable(getattr(out, "classify", None)):
         FILTERS.add(out)
     return out

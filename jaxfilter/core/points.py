@@ -8,6 +8,10 @@ import functools
 import numpy as np
 
 from .cloud import QUANTUM, PointCloud
+from .errors import InputError
+
+EXTENT = 2.0**17
+"""Metres in x and y from the corner of a cloud up to which its points are filtered; there float32 resolves 8 mm."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,6 +71,24 @@ class Points:
             if abs(spacing - before) < 0.01 * before:
                 break
         return spacing
+
+
+def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
+    """Raises: InputError if any of the local points [n, >=2] of the cloud is farther than :data:`EXTENT` from its corner.
+
+    Such an extent comes from stray points. The others would lose their last digits, and grids most of their cells.
+    """
+    if len(xy) == 0 or not (xy[:, :2].max(axis=0) > EXTENT).any():
+        return
+    every = (cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid])[:, :2].astype(np.float64)
+    middle, (width, height) = np.median(every, axis=0), np.ptp(every, axis=0) / 1000
+    stray = int((np.abs(every - middle) > EXTENT / 2).any(axis=1).sum())
+    at = ", ".join(f"{v:.10g}" for v in cloud.origin[:2] + middle / cloud.units.xy)
+    raise InputError(
+        f"the points extend over {width:.6g} x {height:.6g} km, and clouds are filtered up to {EXTENT / 1000:.0f} km: "
+        f"{stray:,} of {len(every):,} lie more than {EXTENT / 2000:.0f} km from the median position ({at}); remove these "
+        "stray points, or read the rest with bounds="
+    )
 
 
 def _spread_across(xy: np.ndarray) -> float:

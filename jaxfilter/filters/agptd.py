@@ -76,43 +76,59 @@ class AGPTD(TinFilter):
     objects, as the paper's Table 3 reports of its outlier removal. Its result has ``info["uses_labels"]`` True.
     """
 
-    max_angle: float = param(15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    seed_cell: float = static(
-        60.0, symbol="s_pri", unit="m", gt=0, doc="cell of the first grid level; larger than any building"
+    max_angle: float = param(
+        default=15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
-    levels: int = static(2, ge=1, le=8, doc="grid levels; each halves the cells that it divides")
-    least_points: int = static(5, symbol="n_pp", ge=2, doc="a cell with fewer points is not divided")
+    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    seed_cell: float = static(
+        default=60.0, symbol="s_pri", unit="m", gt=0, doc="cell of the first grid level; larger than any building"
+    )
+    levels: int = static(default=2, ge=1, le=8, doc="grid levels; each halves the cells that it divides")
+    least_points: int = static(default=5, symbol="n_pp", ge=2, doc="a cell with fewer points is not divided")
     relative_slope: float = param(
-        0.06, symbol="s_r", ge=0, doc="divide cells whose mean slope less the least exceeds this (rise over run)"
+        default=0.06,
+        symbol="s_r",
+        ge=0,
+        doc="divide cells whose mean slope less the least exceeds this (rise over run)",
     )
     remainder: str = static(
-        "absorbed", choices=REMAINDERS, doc="what lies beyond the last whole cell joins it, or makes smaller cells"
+        default="absorbed",
+        choices=REMAINDERS,
+        doc="what lies beyond the last whole cell joins it, or makes smaller cells",
     )
-    mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
+    mirror: str = static(
+        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
+    )
     mirror_mode: str = static(
-        "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
+        default="replace",
+        choices=("replace", "or"),
+        doc="test the mirror image instead of the point, or as a second chance",
     )
     terrain_angle: str = static(
-        "constant",
+        default="constant",
         choices=("constant", "steepest_cell"),
         doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell",
     )
     max_terrain_angle: float = static(
-        88.0, unit="degrees", gt=0, le=90, doc="mirror over steeper facets; the upper limit of steepest_cell"
+        default=88.0, unit="degrees", gt=0, le=90, doc="mirror over steeper facets; the upper limit of steepest_cell"
     )
-    refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
+    refresh_border: bool = static(
+        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
+    )
     neighbours: int = static(
-        0, symbol="k", ge=0, doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off"
+        default=0,
+        symbol="k",
+        ge=0,
+        doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off",
     )
-    deviations: float = param(3.0, gt=0, doc="standard deviations at which the elevation of a point is odd")
+    deviations: float = param(default=3.0, gt=0, doc="standard deviations at which the elevation of a point is odd")
     oracle_removal: float = static(
-        0.0, ge=0, le=1, doc="research only, uses labels: share of the reference objects to take away first"
+        default=0.0, ge=0, le=1, doc="research only, uses labels: share of the reference objects to take away first"
     )
     _: dataclasses.KW_ONLY
-    radius: float = static(6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(
-        4, symbol="num", ge=1, doc="a point with fewer neighbours within the radius is no seed"
+        default=4, symbol="num", ge=1, doc="a point with fewer neighbours within the radius is no seed"
     )
 
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ("oracle_removal",)

@@ -59,31 +59,35 @@ class ATIN(TinFilter):
     """
 
     max_angle: float = param(
-        25.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="upper limit of the angle: facet to point"
+        default=25.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="upper limit of the angle: facet to point"
     )
     max_distance: float = param(
-        1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"
+        default=1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"
     )
-    deviations: float = param(15.0, ge=0, doc="limits are this many standard deviations above the median")
+    deviations: float = param(default=15.0, ge=0, doc="limits are this many standard deviations above the median")
     thresholds: str = static(
-        "constant",
+        default="constant",
         choices=("constant", "adaptive"),
         doc="keep the limits, or derive them from each round's triangulation",
     )
-    seed_cell: float = static(60.0, unit="m", gt=0, doc="cell with one seed; larger than any building")
-    max_terrain_slope: float = static(10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static("off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about")
+    seed_cell: float = static(default=60.0, unit="m", gt=0, doc="cell with one seed; larger than any building")
+    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
+    mirror: str = static(
+        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
+    )
     mirror_mode: str = static(
-        "or",
+        default="or",
         choices=("or", "replace", "and"),
         doc="mirror image as a second chance, in place of the point, or both must pass",
     )
     border: str = static(
-        "perimeter",
+        default="perimeter",
         choices=("perimeter", "corners"),
         doc="simulated points at the nodes of the cells all round, or four",
     )
-    refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
+    refresh_border: bool = static(
+        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
+    )
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

@@ -55,28 +55,32 @@ class CSF(Filter):
     falls onto the lowest of its points instead of the nearest.
     """
 
-    resolution: float = static(1.0, doc="distance between particles of the cloth", symbol="GR", unit="m", gt=0)
+    resolution: float = static(default=1.0, doc="distance between particles of the cloth", symbol="GR", unit="m", gt=0)
     rigidness: int = static(
-        2, doc="1 for steep, 2 for gently sloped, 3 for flat terrain", symbol="RI", choices=(1, 2, 3)
+        default=2, doc="1 for steep, 2 for gently sloped, 3 for flat terrain", symbol="RI", choices=(1, 2, 3)
     )
-    threshold: float = param(0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
-    iterations: int = param(500, doc="limit of steps of the simulation", ge=1)
-    time_step: float = param(0.65, doc="time between steps of the simulation", symbol="dT", gt=0)
+    threshold: float = param(default=0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
+    iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1)
+    time_step: float = param(default=0.65, doc="time between steps of the simulation", symbol="dT", gt=0)
     gravity: str = static(
-        "equation", doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)", choices=("equation", "program")
+        default="equation",
+        doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)",
+        choices=("equation", "program"),
     )
     smooth: bool = static(
-        True, doc="put free particles on ground that adjoins without a step", symbol="ST", choices=(True, False)
+        default=True, doc="put free particles on ground that adjoins without a step", symbol="ST", choices=(True, False)
     )
-    max_step: float = param(0.3, doc="smallest difference in elevation that is a step", symbol="hcp", unit="m", gt=0)
+    max_step: float = param(
+        default=0.3, doc="smallest difference in elevation that is a step", symbol="hcp", unit="m", gt=0
+    )
     surface: str = static(
-        "lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
+        default="lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
     )
-    radius: float = static(0.0, doc="radius of the outlier test; 0 = off", symbol="r", unit="m", ge=0)
+    radius: float = static(default=0.0, doc="radius of the outlier test; 0 = off", symbol="r", unit="m", ge=0)
     min_neighbours: int = static(
-        1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1
+        default=1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1
     )
-    low_clusters: bool = static(True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
+    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
 
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)
     PRESETS: ClassVar[dict[str, Preset]] = {

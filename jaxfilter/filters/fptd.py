@@ -45,24 +45,26 @@ class FPTD(TinFilter):
     Both would make the errors of Table IV impossible.
     """
 
-    max_angle: float = param(22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
+    max_angle: float = param(default=22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
     max_elevation: float = param(
-        1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex"
+        default=1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex"
     )
-    window: float = static(60.0, symbol="w", unit="m", gt=0, doc="seed window and block size; larger than any building")
-    stride: float = static(10.0, symbol="s", unit="m", gt=0, doc="step of the sliding window")
+    window: float = static(
+        default=60.0, symbol="w", unit="m", gt=0, doc="seed window and block size; larger than any building"
+    )
+    stride: float = static(default=10.0, symbol="s", unit="m", gt=0, doc="step of the sliding window")
     blocks: str = static(
-        "global",
+        default="global",
         choices=("global", "independent"),
         doc="one triangulation of all points, or blocks that grow on their own",
     )
-    overlap: float = static(10.0, unit="m", ge=0, doc="how far independent blocks reach into their neighbours")
+    overlap: float = static(default=10.0, unit="m", ge=0, doc="how far independent blocks reach into their neighbours")
     block_limit: str = static(
-        "following",
+        default="following",
         choices=("following", "fixed"),
         doc="no point is tested that is higher than e above the highest ground of its block, now or at the start",
     )
-    max_below: float = param(math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
+    max_below: float = param(default=math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: one triangulation, clusters of low points barred from the seeds"),

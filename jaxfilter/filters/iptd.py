@@ -60,23 +60,35 @@ class IPTD(TinFilter):
     Departures (docs/fidelity.md): the planes are not moved down by default.
     """
 
-    cell: float = static(2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    window: float = static(60.0, symbol="w", unit="m", gt=0, doc="size of the largest object")
-    tolerance: float = param(1.0, unit="m", ge=0, doc="potential seeds: largest drop of their cell in the opening")
-    k: int = static(100, symbol="k", ge=3, le=4096, doc="potential seeds that a translation plane is fitted to")
-    plane_error: float = param(0.8, symbol="r", unit="m", ge=0, doc="largest distance of a seed over its plane")
+    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
+    window: float = static(default=60.0, symbol="w", unit="m", gt=0, doc="size of the largest object")
+    tolerance: float = param(
+        default=1.0, unit="m", ge=0, doc="potential seeds: largest drop of their cell in the opening"
+    )
+    k: int = static(default=100, symbol="k", ge=3, le=4096, doc="potential seeds that a translation plane is fitted to")
+    plane_error: float = param(default=0.8, symbol="r", unit="m", ge=0, doc="largest distance of a seed over its plane")
     translation: str = static(
-        "none", choices=TRANSLATIONS, doc="planes are moved down to the lowest of their seeds, or stay as fitted"
+        default="none",
+        choices=TRANSLATIONS,
+        doc="planes are moved down to the lowest of their seeds, or stay as fitted",
     )
-    max_below: float = param(math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
-    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_terrain_angle: float = static(88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets")
-    mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
+    max_below: float = param(default=math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
+    max_angle: float = param(
+        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+    )
+    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_terrain_angle: float = static(
+        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
+    )
+    mirror: str = static(
+        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
+    )
     mirror_mode: str = static(
-        "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
+        default="replace",
+        choices=("replace", "or"),
+        doc="test the mirror image instead of the point, or as a second chance",
     )
-    border_spacing: float = static(10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
+    border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

@@ -55,15 +55,19 @@ class MSF(Filter):
     ``distance`` is "points"; one constant slope instead of a function learned from a training area.
     """
 
-    cell: float = static(1.0, unit="m", gt=0, doc="side of a grid cell")
-    window: float = static(10.0, symbol="d_max", unit="m", gt=0, doc="radius in which lower points are looked for")
-    slope: float = param(0.577, unit="rise/run", gt=0, doc="largest slope of terrain; 0.577 is 30 degrees")
-    max_height: float = param(6.0, unit="m", gt=0, doc="largest rise of terrain within the window")
-    initial_distance: float = param(0.3, unit="m", ge=0, doc="tolerance for noise, at no distance")
-    distance: str = static(
-        "cells", choices=("cells", "points"), doc="from cell to cell, or from the point to the lowest point of the cell"
+    cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")
+    window: float = static(
+        default=10.0, symbol="d_max", unit="m", gt=0, doc="radius in which lower points are looked for"
     )
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the minima")
+    slope: float = param(default=0.577, unit="rise/run", gt=0, doc="largest slope of terrain; 0.577 is 30 degrees")
+    max_height: float = param(default=6.0, unit="m", gt=0, doc="largest rise of terrain within the window")
+    initial_distance: float = param(default=0.3, unit="m", ge=0, doc="tolerance for noise, at no distance")
+    distance: str = static(
+        default="cells",
+        choices=("cells", "points"),
+        doc="from cell to cell, or from the point to the lowest point of the cell",
+    )
+    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the minima")
 
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {

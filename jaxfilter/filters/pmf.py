@@ -69,24 +69,40 @@ class PMF(Filter):
     Departures: docs/fidelity.md.
     """
 
-    cell: float = static(1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    max_window: float = static(60.0, symbol="w", unit="m", gt=0, doc="side of the largest window: the largest building")
-    slope: float = param(0.268, symbol="s", unit="rise/run", gt=0, doc="largest slope of terrain; 0.268 is 15 degrees")
-    initial_distance: float = param(0.5, symbol="dh0", unit="m", ge=0, doc="threshold of the first window")
-    max_distance: float = param(3.0, symbol="dhmax", unit="m", gt=0, doc="largest threshold: the lowest building")
-    exponential: bool = static(True, choices=(True, False), doc="windows double, instead of growing by four cells")
+    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
+    max_window: float = static(
+        default=60.0, symbol="w", unit="m", gt=0, doc="side of the largest window: the largest building"
+    )
+    slope: float = param(
+        default=0.268, symbol="s", unit="rise/run", gt=0, doc="largest slope of terrain; 0.268 is 15 degrees"
+    )
+    initial_distance: float = param(default=0.5, symbol="dh0", unit="m", ge=0, doc="threshold of the first window")
+    max_distance: float = param(
+        default=3.0, symbol="dhmax", unit="m", gt=0, doc="largest threshold: the lowest building"
+    )
+    exponential: bool = static(
+        default=True, choices=(True, False), doc="windows double, instead of growing by four cells"
+    )
     last_window: str = static(
-        "exact",
+        default="exact",
         choices=("exact", "within", "beyond"),
         doc="whether the last window meets, keeps to or passes max_window",
     )
-    reading: str = static("grid", choices=("grid", "points"), doc="windows on a grid of minima, or around every point")
-    compare: str = static(
-        "surfaces", choices=("surfaces", "points"), doc="what is held against an opening: the surface before, or points"
+    reading: str = static(
+        default="grid", choices=("grid", "points"), doc="windows on a grid of minima, or around every point"
     )
-    element: str = static("disk", choices=("disk", "square", "diamond"), doc="shape of a window on the grid")
-    cell_twice: bool = static(False, choices=(True, False), doc="multiply the rise by the cell twice, as programs do")
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the surface")
+    compare: str = static(
+        default="surfaces",
+        choices=("surfaces", "points"),
+        doc="what is held against an opening: the surface before, or points",
+    )
+    element: str = static(default="disk", choices=("disk", "square", "diamond"), doc="shape of a window on the grid")
+    cell_twice: bool = static(
+        default=False, choices=(True, False), doc="multiply the rise by the cell twice, as programs do"
+    )
+    low_clusters: bool = static(
+        default=True, choices=(True, False), doc="bar clusters of low outliers from the surface"
+    )
 
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {

@@ -51,45 +51,61 @@ class PPDF(Filter):
     numbers, so labels depend on the points alone; references farther than ``reach`` do not count.
     """
 
-    canopy_cell: float = static(2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")
-    canopy_height: float = param(5.0, symbol="T_h", unit="m", gt=0, doc="height over it below which points are kept")
-    cell: float = static(10.0, unit="m", gt=0, doc="initial size of the planes")
-    min_points: int = static(20, symbol="N_i", ge=3, doc="interior points that make a plane")
-    inlier_distance: float = param(0.5, unit="m", gt=0, doc="distance of interior points from their plane")
-    hypotheses: int = static(128, ge=1, doc="planes tried per cell")
-    max_slope: float = param(75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
+    canopy_cell: float = static(default=2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")
+    canopy_height: float = param(
+        default=5.0, symbol="T_h", unit="m", gt=0, doc="height over it below which points are kept"
+    )
+    cell: float = static(default=10.0, unit="m", gt=0, doc="initial size of the planes")
+    min_points: int = static(default=20, symbol="N_i", ge=3, doc="interior points that make a plane")
+    inlier_distance: float = param(default=0.5, unit="m", gt=0, doc="distance of interior points from their plane")
+    hypotheses: int = static(default=128, ge=1, doc="planes tried per cell")
+    max_slope: float = param(default=75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
     division_distance: float = param(
-        1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
+        default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
     )
     ignored_share: float = param(
-        0.0, ge=0, lt=1, doc="share of a cell's points, the lowest below its plane, that do not divide it; rounded up"
+        default=0.0,
+        ge=0,
+        lt=1,
+        doc="share of a cell's points, the lowest below its plane, that do not divide it; rounded up",
     )
-    buffer: float = param(0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
+    buffer: float = param(default=0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
     window: float = static(
-        18.0,
+        default=18.0,
         unit="m",
         ge=0,
         doc="radius of the largest disk that opens the seeds: half the width of buildings; 0 = off",
     )
-    slope: float = param(0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius")
+    slope: float = param(
+        default=0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius"
+    )
     max_step: float = param(
-        2.5, unit="m", gt=0, doc="largest drop in an opening, and height above the lowest point of the cell, of a seed"
+        default=2.5,
+        unit="m",
+        gt=0,
+        doc="largest drop in an opening, and height above the lowest point of the cell, of a seed",
     )
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the planes")
-    reach: float = static(30.0, unit="m", gt=0, doc="distance to the farthest reference point; inf = any distance")
+    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the planes")
+    reach: float = static(
+        default=30.0, unit="m", gt=0, doc="distance to the farthest reference point; inf = any distance"
+    )
     reference_cell: float = static(
-        1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
+        default=1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
     )
-    reference_distance: float = param(0.5, unit="m", ge=0, doc="distance to the local plane that makes a reference")
-    max_distance: float = param(0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
-    max_rounds: int = static(100, ge=1, doc="limit of rounds")
+    reference_distance: float = param(
+        default=0.5, unit="m", ge=0, doc="distance to the local plane that makes a reference"
+    )
+    max_distance: float = param(default=0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
+    max_rounds: int = static(default=100, ge=1, doc="limit of rounds")
     seeds: str = static(
-        "planes",
+        default="planes",
         choices=("planes", "lowest"),
         doc="seeds: points near the planes, or the lowest point of each cell",
     )
     references: str = static(
-        "quadrants", choices=("quadrants", "nearest"), doc="references: one in each quadrant, or the nearest four"
+        default="quadrants",
+        choices=("quadrants", "nearest"),
+        doc="references: one in each quadrant, or the nearest four",
     )
 
     LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
@@ -158,7 +174,7 @@ class PPDF(Filter):
         under = ~barred & _under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (self.hypotheses, 3))
+        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (self.hypotheses, 3), np.float32)
         planes = progressive_planes(
             points,
             under if self.seeds == "planes" else np.zeros_like(under),

@@ -34,16 +34,30 @@ class PTD(TinFilter):
     All points that pass in a round are added together; ``insertion`` has the other ways (docs/fidelity.md).
     """
 
-    max_angle: float = param(15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    seed_cell: float = static(60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building")
-    max_terrain_angle: float = static(88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets")
-    mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
-    mirror_mode: str = static(
-        "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
+    max_angle: float = param(
+        default=15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
-    signed: bool = static(False, choices=(False, True), doc="points below their facet pass at any angle and distance")
-    refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
+    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    seed_cell: float = static(
+        default=60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building"
+    )
+    max_terrain_angle: float = static(
+        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
+    )
+    mirror: str = static(
+        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
+    )
+    mirror_mode: str = static(
+        default="replace",
+        choices=("replace", "or"),
+        doc="test the mirror image instead of the point, or as a second chance",
+    )
+    signed: bool = static(
+        default=False, choices=(False, True), doc="points below their facet pass at any angle and distance"
+    )
+    refresh_border: bool = static(
+        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
+    )
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

@@ -27,10 +27,10 @@ class PTDF(PTD):
     Departure (docs/fidelity.md): how far below the surface a point may lie is not printed; 0.1 m is ours.
     """
 
-    max_distance: float = param(1.5, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_below: float = param(0.1, unit="m", gt=0, doc="reject points further below their facet than this")
+    max_distance: float = param(default=1.5, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_below: float = param(default=0.1, unit="m", gt=0, doc="reject points further below their facet than this")
     _: dataclasses.KW_ONLY
-    max_rounds: int = static(200, ge=1, doc="limit of densification rounds")
+    max_rounds: int = static(default=200, ge=1, doc="limit of densification rounds")
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

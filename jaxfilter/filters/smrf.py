@@ -67,14 +67,18 @@ class SMRF(Filter):
     count from zero of the coordinate system (a cloud with anchor (0, 0) is gridded in their way).
     """
 
-    cell: float = static(1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)
-    slope: float = param(0.15, doc="largest slope of terrain between cells", symbol="s", unit="rise/run", gt=0)
+    cell: float = static(default=1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)
+    slope: float = param(default=0.15, doc="largest slope of terrain between cells", symbol="s", unit="rise/run", gt=0)
     window: float = static(
-        18.0, doc="radius of the largest disk: half the width of the largest building", symbol="w", unit="m", gt=0
+        default=18.0,
+        doc="radius of the largest disk: half the width of the largest building",
+        symbol="w",
+        unit="m",
+        gt=0,
     )
-    threshold: float = param(0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
-    scaling: float = param(1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
-    cut: float = static(0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0)
+    threshold: float = param(default=0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
+    scaling: float = param(default=1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
+    cut: float = static(default=0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0)
 
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {

@@ -52,35 +52,59 @@ class SPF(TinFilter):
     stand beside the data, not a buffer's width away.
     """
 
-    cell: float = static(2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    initial_window: int = static(1, symbol="w0", unit="cells", ge=1, doc="half the growth of the linear windows")
-    window: float = static(60.0, symbol="W", unit="m", gt=0, doc="size of the largest building")
-    growth: str = static("linear", choices=GROWTHS, doc="windows 2 k w0 + 1 (eq. 1), or each twice the last (eq. 2)")
-    slope: float = param(0.5, symbol="s", unit="rise/run", ge=0, doc="terrain slope in the height thresholds")
-    initial_distance: float = param(0.3, symbol="h0", unit="m", gt=0, doc="height threshold of the smallest window")
-    max_height: float = param(2.5, symbol="hmax", unit="m", gt=0, doc="largest height threshold; lowest building")
-    fill: str = static("neighbours", choices=FILLS, doc="empty cells: filled from their neighbours, or at elevation 0")
-    seed_filter: bool = static(True, choices=(True, False), doc="remove noise from the seeds on their triangulation")
-    long_edge: float | None = static(
-        None, unit="m", gt=0, optional=True, doc="longest edge of a sound facet; None = window and two cells"
+    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
+    initial_window: int = static(
+        default=1, symbol="w0", unit="cells", ge=1, doc="half the growth of the linear windows"
     )
-    narrow_angle: float = param(30.0, unit="degrees", gt=0, le=60, doc="smallest angle of facets that may separate")
-    steep_angle: float = param(60.0, unit="degrees", gt=0, le=90, doc="slope above which narrow facets separate")
-    clusters: str = static("not_raised", choices=CLUSTERS, doc="seed clusters that are kept")
-    max_angle: float = param(25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_terrain_angle: float = static(88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets")
-    mirror: str = static("highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about")
+    window: float = static(default=60.0, symbol="W", unit="m", gt=0, doc="size of the largest building")
+    growth: str = static(
+        default="linear", choices=GROWTHS, doc="windows 2 k w0 + 1 (eq. 1), or each twice the last (eq. 2)"
+    )
+    slope: float = param(default=0.5, symbol="s", unit="rise/run", ge=0, doc="terrain slope in the height thresholds")
+    initial_distance: float = param(
+        default=0.3, symbol="h0", unit="m", gt=0, doc="height threshold of the smallest window"
+    )
+    max_height: float = param(
+        default=2.5, symbol="hmax", unit="m", gt=0, doc="largest height threshold; lowest building"
+    )
+    fill: str = static(
+        default="neighbours", choices=FILLS, doc="empty cells: filled from their neighbours, or at elevation 0"
+    )
+    seed_filter: bool = static(
+        default=True, choices=(True, False), doc="remove noise from the seeds on their triangulation"
+    )
+    long_edge: float | None = static(
+        default=None, unit="m", gt=0, optional=True, doc="longest edge of a sound facet; None = window and two cells"
+    )
+    narrow_angle: float = param(
+        default=30.0, unit="degrees", gt=0, le=60, doc="smallest angle of facets that may separate"
+    )
+    steep_angle: float = param(
+        default=60.0, unit="degrees", gt=0, le=90, doc="slope above which narrow facets separate"
+    )
+    clusters: str = static(default="not_raised", choices=CLUSTERS, doc="seed clusters that are kept")
+    max_angle: float = param(
+        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+    )
+    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_terrain_angle: float = static(
+        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
+    )
+    mirror: str = static(
+        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
+    )
     mirror_mode: str = static(
-        "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
+        default="replace",
+        choices=("replace", "or"),
+        doc="test the mirror image instead of the point, or as a second chance",
     )
     histogram_margin: float = static(
-        0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.1 or 99.9 % quantile of elevations; 0 = off"
+        default=0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.1 or 99.9 % quantile of elevations; 0 = off"
     )
     isolated_depth: float = static(
-        0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"
+        default=0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"
     )
-    border_spacing: float = static(10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
+    border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

@@ -63,35 +63,47 @@ class STIN(TinFilter):
     Departures (docs/fidelity.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
     """
 
-    max_angle: float = param(30.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
-    max_distance: float = param(1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    seed_cell: float = static(60.0, unit="m", gt=0, doc="initial grid: cell with one seed; larger than any building")
-    final_cell: float = static(2.0, unit="m", gt=0, doc="final grid: cells are halved down to this size")
-    stop_ratio: float = param(
-        0.001, gt=0, le=1, doc="halve the cells when a round adds less than this share of all points"
+    max_angle: float = param(
+        default=30.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
-    passes: str = static("until_settled", choices=("until_settled", "one"), doc="rounds for each size of the cells")
+    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    seed_cell: float = static(
+        default=60.0, unit="m", gt=0, doc="initial grid: cell with one seed; larger than any building"
+    )
+    final_cell: float = static(default=2.0, unit="m", gt=0, doc="final grid: cells are halved down to this size")
+    stop_ratio: float = param(
+        default=0.001, gt=0, le=1, doc="halve the cells when a round adds less than this share of all points"
+    )
+    passes: str = static(
+        default="until_settled", choices=("until_settled", "one"), doc="rounds for each size of the cells"
+    )
     thresholds: str = static(
-        "constant", choices=("constant", "quantile"), doc="keep the limits, or lower them as the cells get smaller"
+        default="constant",
+        choices=("constant", "quantile"),
+        doc="keep the limits, or lower them as the cells get smaller",
     )
     quantile: float = param(
-        0.97, gt=0, le=1, doc="share of the ground points that stays within the limits when they are lowered"
+        default=0.97, gt=0, le=1, doc="share of the ground points that stays within the limits when they are lowered"
     )
-    max_terrain_slope: float = static(10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static("off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about")
+    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
+    mirror: str = static(
+        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
+    )
     mirror_mode: str = static(
-        "or",
+        default="or",
         choices=("or", "replace", "and"),
         doc="mirror image as a second chance, in place of the point, or both must pass",
     )
     outlier_surface: str = static(
-        "local",
+        default="local",
         choices=("quadratic", "local", "off"),
         doc="outliers: far from one quadratic surface, or below the low terrain",
     )
-    outlier_cell: float = static(10.0, unit="m", gt=0, doc="cells that the surface is made from")
-    outlier_distance: float = param(5.0, unit="m", gt=0, doc="points further from that surface are outliers")
-    retest: bool = static(False, choices=(True, False), doc="at the end test all labels on the final triangulation")
+    outlier_cell: float = static(default=10.0, unit="m", gt=0, doc="cells that the surface is made from")
+    outlier_distance: float = param(default=5.0, unit="m", gt=0, doc="points further from that surface are outliers")
+    retest: bool = static(
+        default=False, choices=(True, False), doc="at the end test all labels on the final triangulation"
+    )
 
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

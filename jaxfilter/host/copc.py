@@ -15,6 +15,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterWarning
+from ..core.forks import need_threads
 from .files import Bounds
 from .header import Header
 
@@ -110,6 +111,7 @@ def node_chunks(header: Header, file: BinaryIO, nodes: list[Node], selection: in
             file.seek(node.offset)
             packed += file.read(node.size)
         records = np.zeros((points, header.record_length), np.uint8)
+        need_threads()
         lazrs.decompress_points_with_chunk_table(
             packed, header.decoder, records.reshape(-1), [(n.points, n.size) for n in part],
             lazrs.DecompressionSelection(selection),

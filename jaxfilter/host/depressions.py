@@ -8,13 +8,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-_FORWARD = (
-    (np.s_[:, :-1], np.s_[:, 1:]),
-    (np.s_[:-1, :], np.s_[1:, :]),
-    (np.s_[:-1, :-1], np.s_[1:, 1:]),
-    (np.s_[:-1, 1:], np.s_[1:, :-1]),
-)
-"""Pairs of views of a grid that meet each pair of touching cells once."""
+_FORWARD = (5, 7, 8, 6)
+"""The neighbours, of the nine cells around one, that meet each pair of touching cells once."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,7 +17,7 @@ class Depressions:
     """Cells in depressions, grouped by depression.
 
     Attributes:
-        cell: i64[c], row-major cell indices, ascending within a depression.
+        cell: i64[c], cell numbers, ascending within a depression.
         owner: i64[c], the depression of each, ascending.
         spill: f32[k], the level at which each overflows, +inf where walls surround it; all its cells are lower.
         points: i64[k], what the cells of each count for.
@@ -37,27 +32,28 @@ class Depressions:
         return len(self.spill)
 
 
-def depressions(z: np.ndarray, points: np.ndarray, depth: float, max_points: int) -> Depressions:
+def depressions(z: np.ndarray, around: np.ndarray, points: np.ndarray, depth: float, max_points: int) -> Depressions:
     """The largest depressions that are at least ``depth`` deep and hold at most ``max_points``.
 
     Args:
-        z: f32[ny, nx], the surface; +inf cells and the outside are walls.
-        points: i64[ny * nx], how many points each cell counts for.
+        z: f32[n], the surface in the cells that there are; others, and those at +inf, are walls.
+        around: i[9, n], each cell among its neighbours, as from :meth:`jaxfilter.host.cells.Cells.around`.
+        points: i64[n], how many points each cell counts for.
 
     A depression is a maximal 8-connected set of cells below its spill level, the lowest pass that leads out of it. They
     form a tree, since two merge at their pass into another one. Those returned are disjoint: the outermost that
     qualify, so that a small pit at the bottom of a qualifying one is not listed apart. The tree is that of single
     linkage of the basins of steepest descent, and comes from the minimum spanning tree of the passes between them.
     """
-    label, low = _basins(z)
-    spill, count, basin = _mergers(low, *_passes(z, label, len(low)), depth, max_points)
+    label, low = _basins(z, around)
+    spill, count, basin = _mergers(low, *_passes(z, around, label, len(low)), depth, max_points)
     order = np.argsort(label, kind="stable")  # cells, basin by basin; walls first
     start = np.searchsorted(label[order], np.arange(len(low) + 1))
     cells = start[basin + 1] - start[basin]
     within = np.arange(int(cells.sum())) - np.repeat(np.cumsum(cells) - cells, cells)
     cell = order[np.repeat(start[basin], cells) + within]
     owner = np.repeat(np.repeat(np.arange(len(spill)), count), cells)
-    below = z.ravel()[cell] < spill[owner]
+    below = z[cell] < spill[owner]
     cell, owner = cell[below], owner[below]
     held = np.bincount(owner, weights=points[cell], minlength=len(spill)).astype(np.int64)
     fits = held <= max_points
@@ -70,41 +66,38 @@ def depressions(z: np.ndarray, points: np.ndarray, depth: float, max_points: int
     return Depressions(cell[order], owner[order], spill[kept], held[kept])
 
 
-def _basins(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[ny * nx], the basin that steepest descent leads each cell to (-1: wall), and the minimum of each basin, f32[k].
+def _basins(z: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[n], the basin that steepest descent leads each cell to (-1: wall), and the minimum of each basin, f32[k].
 
-    Descent goes to the lowest of eight neighbours, of equal ones to that with the lowest index.
+    Descent goes to the lowest of eight neighbours, of equal ones to that with the lowest number.
     """
-    ny, nx = z.shape
-    padded = np.pad(z, 1, constant_values=np.inf)
-    index = np.arange(z.size).reshape(z.shape)
-    lowest = np.full_like(z, np.inf)
-    to = index.copy()
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            neighbour = padded[1 + dy : 1 + dy + ny, 1 + dx : 1 + dx + nx]
-            lower = neighbour < lowest
-            np.copyto(lowest, neighbour, where=lower)
-            np.copyto(to, index + (dy * nx + dx), where=lower)
-    down = to.ravel()
+    walled = np.append(z, np.float32(np.inf))
+    lowest, down = np.full_like(z, np.inf), np.arange(len(z))
+    for neighbour in around:
+        level = walled[neighbour]
+        lower = level < lowest
+        np.copyto(lowest, level, where=lower)
+        np.copyto(down, neighbour, where=lower)
     while not np.array_equal(further := down[down], down):
         down = further
-    bottom = np.flatnonzero((down == index.ravel()) & np.isfinite(z.ravel()))
-    number = np.full(z.size, -1)
+    bottom = np.flatnonzero((down == np.arange(len(z))) & np.isfinite(z))
+    number = np.full(len(z), -1)
     number[bottom] = np.arange(len(bottom))
-    return np.where(np.isfinite(z.ravel()), number[down], -1), z.ravel()[bottom]
+    return np.where(np.isfinite(z), number[down], -1), z[bottom]
 
 
-def _passes(z: np.ndarray, label: np.ndarray, basins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _passes(
+    z: np.ndarray, around: np.ndarray, label: np.ndarray, basins: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The passes that connect all basins at the lowest level: i64[p], i64[p] basins and f32[p] levels, ascending."""
-    grid = label.reshape(z.shape)
+    walled, labels = np.append(z, np.float32(np.inf)), np.append(label, -1)
     pairs, levels = [], []
-    for one, other in _FORWARD:
-        a, b = grid[one], grid[other]
-        meet = (a != b) & (a >= 0) & (b >= 0)
-        a, b = a[meet], b[meet]
+    for neighbour in around[_FORWARD, :]:
+        b = labels[neighbour]
+        meet = np.flatnonzero((label != b) & (label >= 0) & (b >= 0))
+        a, b = label[meet], b[meet]
         pairs.append(np.minimum(a, b) * basins + np.maximum(a, b))
-        levels.append(np.maximum(z[one][meet], z[other][meet]))
+        levels.append(np.maximum(z[meet], walled[neighbour[meet]]))
     pair, level = np.concatenate(pairs), np.concatenate(levels)
     order = np.lexsort((pair, level))
     pair, first = np.unique(pair[order], return_index=True)

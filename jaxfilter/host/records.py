@@ -13,6 +13,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
+from ..core.forks import need_threads
 from . import copc
 from .files import Bounds
 from .header import Header
@@ -71,6 +72,7 @@ def _file_chunks(header: Header, file: BinaryIO, wanted: int) -> Iterator[np.nda
     decoder = None
     file.seek(len(header.head))
     if header.compressed and header.count:
+        need_threads()
         decoder = lazrs.ParLasZipDecompressor(file, header.decoder, lazrs.DecompressionSelection(wanted))
     for start in range(0, header.count, CHUNK):
         chunk = np.empty((min(CHUNK, header.count - start), header.record_length), np.uint8)
@@ -172,6 +174,7 @@ class Writer:
         self.encoded = _Recording(file)
         self.encoder = None
         if header.compressed:
+            need_threads()
             with self.encoded.heard():
                 self.encoder = lazrs.ParLasZipCompressor(self.encoded, lazrs.LazVlr(header.laszip))
 

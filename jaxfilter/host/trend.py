@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+
+from .cells import Cells
+
+_MARGIN = 3  # cells around those with points: one each for interpolation, mean and median
 
 
 def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
@@ -14,24 +17,61 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
     """
     x = (xyz[:, 0] - np.float32(x0)) / np.float32(size)
     y = (xyz[:, 1] - np.float32(y0)) / np.float32(size)
-    nx, ny = int(x.max()) + 1, int(y.max()) + 1
-    low = np.full((ny, nx), np.inf, np.float32)
-    np.minimum.at(low, (y.astype(np.int32), x.astype(np.int32)), xyz[:, 2])
-    empty = ~np.isfinite(low)
-    if empty.any():
-        row, column = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
-        low = low[row, column]
-    low = ndimage.uniform_filter(ndimage.median_filter(low, 3, mode="nearest"), 3, mode="nearest")
-    node = np.pad(low, 1, mode="edge").ravel()
+    row, column = y.astype(np.int64), x.astype(np.int64)
+    occupied, at = Cells.of(row, column, (int(row.max()) + 1, int(column.max()) + 1))
+    low = np.full(len(occupied) + 1, np.inf, np.float32)
+    np.minimum.at(low, at, xyz[:, 2])
+    smooth, level = _smoothed(occupied, low)
     x += np.float32(0.5)
     y += np.float32(0.5)
-    column, row = x.astype(np.int32), y.astype(np.int32)
-    x -= column
-    y -= row
-    corner = row * (nx + 2) + column
-    south = node[corner] * (1 - x) + node[corner + 1] * x
-    north = node[corner + nx + 2] * (1 - x) + node[corner + nx + 3] * x
+    row, column = y.astype(np.int64), x.astype(np.int64)
+    x -= column.astype(np.float32)
+    y -= row.astype(np.float32)
+
+    def node(dy: int, dx: int) -> np.ndarray:
+        return level[_clamped(smooth, row + (dy - 1), column + (dx - 1))]
+
+    south = node(0, 0) * (1 - x) + node(0, 1) * x
+    north = node(1, 0) * (1 - x) + node(1, 1) * x
     return south * (1 - y) + north * y
+
+
+def _smoothed(occupied: Cells, low: np.ndarray) -> tuple[Cells, np.ndarray]:
+    """The cells with points and those beside them, and f32[n], the smooth level of each; ``low``: f32[cells + 1].
+
+    Cells without points have the value of the nearest with points, of equally near ones the westernmost, then the
+    southernmost. What is beyond the border of the grid is as its nearest cell inside.
+    """
+    wide = occupied.grown(_MARGIN)
+    filled = np.full(len(wide), np.inf, np.float32)
+    missing = np.arange(len(wide))
+    for dy, dx in _OFFSETS:
+        filled[missing] = low[occupied.find(wide.row[missing] + dy, wide.column[missing] + dx)]
+        missing = missing[np.isinf(filled[missing])]
+    middle = occupied.grown(_MARGIN - 1)
+    nine = [filled[_clamped(wide, middle.row + dy, middle.column + dx)] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    median = np.sort(np.stack(nine), axis=0)[4]
+    smooth = occupied.grown(_MARGIN - 2)
+    columns = []
+    for dx in (-1, 0, 1):
+        three = [median[_clamped(middle, smooth.row + dy, smooth.column + dx)].astype(np.float64) for dy in (-1, 0, 1)]
+        columns.append(((three[0] + three[1] + three[2]) / 3).astype(np.float32).astype(np.float64))
+    return smooth, ((columns[0] + columns[1] + columns[2]) / 3).astype(np.float32)
+
+
+def _clamped(cells: Cells, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    return cells.find(np.clip(row, 0, cells.shape[0] - 1), np.clip(column, 0, cells.shape[1] - 1))
+
+
+def _near_first(reach: int) -> list[tuple[int, int]]:
+    """Offsets (rows, columns) to all cells that may be nearest to one with another at most ``reach`` rows and columns away."""
+    far = 2 * reach**2
+    steps = range(-int(far**0.5), int(far**0.5) + 1)
+    offsets = [(dy, dx) for dy in steps for dx in steps if dy * dy + dx * dx <= far]
+    return sorted(offsets, key=lambda s: (s[0] ** 2 + s[1] ** 2, s[1], s[0]))
+
+
+_OFFSETS = _near_first(_MARGIN)
 
 
 def quadratic_trend(xyz: np.ndarray, size: float) -> np.ndarray:

@@ -60,7 +60,7 @@ def box_minima(values: jax.Array, bins: Bins, half: jax.Array, shape: tuple[int,
     column, row = bin_of(xy[:, 0], 0), bin_of(xy[:, 1], 1)
     run = jnp.floor(2 * half / frame[2] - 1e-3).astype(jnp.int32) - 1  # bins inside every box, at least
     index = jnp.where(true, row * columns + column, rows * columns)
-    lowest = jnp.full(rows * columns, jnp.inf).at[index].min(values, mode="drop").reshape(shape)
+    lowest = jnp.full(rows * columns, jnp.inf, values.dtype).at[index].min(values, mode="drop").reshape(shape)
     windows = run_minima(run_minima(lowest, run, longest, 1), run, longest, 0).reshape(-1)
     along = jnp.column_stack((xy, values))
     both = jnp.concatenate((along, along[bins.across]))
@@ -71,7 +71,7 @@ def box_minima(values: jax.Array, bins: Bins, half: jax.Array, shape: tuple[int,
             jnp.where(known, bin_of(v, axis), 0)
             for v, axis in ((x - half, 0), (x + half, 0), (y - half, 1), (y + half, 1))
         )
-        low = jnp.full(x.shape, jnp.inf)
+        low = jnp.full(x.shape, jnp.inf, x.dtype)
         for r in (south + 1, north - run):
             for c in (west + 1, east - run):
                 low = jnp.minimum(low, windows[jnp.clip(r, 0, rows - 1) * columns + jnp.clip(c, 0, columns - 1)])

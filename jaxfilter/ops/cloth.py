@@ -111,7 +111,7 @@ def _unfold(
 ) -> tuple[_State, jax.Array]:
     """The cloth before the first step, and the surface as planes f32[planes, length]."""
     rows, columns, pitch = geometry
-    n = _PLANES * jnp.arange(length) + jnp.arange(_PLANES)[:, None]
+    n = _PLANES * jnp.arange(length, dtype=jnp.int32) + jnp.arange(_PLANES, dtype=jnp.int32)[:, None]
     y, x = n // pitch, n % pitch
     live = (y < rows) & (x < columns)
     surface = limit[jnp.minimum(y, limit.shape[0] - 1), jnp.minimum(x, limit.shape[1] - 1)]
@@ -177,7 +177,9 @@ def _simulate(
             return jnp.maximum(most, jnp.where(finished & free, jnp.abs(z - old), 0)), lax.select_n(row, *values)
 
         # A scan writes its results beside what it reads, so that no plane has to be copied.
-        most, ended = lax.scan(end_and_begin, lax.dynamic_slice(moved, (first,), (chunk,)), jnp.arange(3))
+        most, ended = lax.scan(
+            end_and_begin, lax.dynamic_slice(moved, (first,), (chunk,)), jnp.arange(3, dtype=jnp.int32)
+        )
         moved = lax.dynamic_update_slice(moved, most, (first,))
         height, spring = with_part(height, ended[0], i, first), with_part(spring, ended[1], i, first)
         before = lax.dynamic_update_slice(before, ended[2][None], (i, first))
@@ -219,13 +221,13 @@ def _simulate(
             state = lax.fori_loop(*chunks, lambda c, s: pull_all(i, c * chunk, now, s), carry[0])
             return state, carry[1]
 
-        state, moved = lax.fori_loop(0, _PLANES, both, (state, jnp.zeros(length)))
+        state, moved = lax.fori_loop(jnp.int32(0), jnp.int32(_PLANES), both, (state, jnp.zeros(length, jnp.float32)))
         farthest = farthest.at[(now - delay) % length].max(moved)
         complete = (now - last) % length
         most = farthest[complete]
         return state, now + 1, farthest.at[complete].set(0), (most > 0) & (most < tolerance)
 
-    carry = (start, jnp.int32(-1), jnp.zeros(length), jnp.bool_(False))
+    carry = (start, jnp.int32(-1), jnp.zeros(length, jnp.float32), jnp.bool_(False))
     state, now, _, resting = lax.while_loop(unfinished, advance, carry)
     return state, (now - last, resting)
 

@@ -101,4 +101,4 @@ def cone_limits(
         limit = low[cell] + jnp.minimum(largest, base + slope * distance)
         return jnp.where(there & (distance <= radius), jnp.minimum(out, limit), out)
 
-    return lax.fori_loop(0, len(offsets), step, jnp.full(len(xy), jnp.inf))
+    return lax.fori_loop(0, len(offsets), step, jnp.full(len(xy), jnp.inf, jnp.float32))

@@ -49,13 +49,18 @@ def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> 
                         out = jnp.minimum(out, lax.dynamic_slice(minima, (i, j), z.shape))
             return out
 
-        out = lax.fori_loop(0, (last - first + _ROWS_AT_ONCE) // _ROWS_AT_ONCE, rows, out)
+        out = lax.fori_loop(jnp.int32(0), (last - first + _ROWS_AT_ONCE) // _ROWS_AT_ONCE, rows, out)
         wide = jnp.pad(minima, ((0, 0), (0, spare)), constant_values=jnp.inf)
-        minima = jnp.minimum(minima, lax.dynamic_slice(wide, (0, run), minima.shape))
+        minima = jnp.minimum(minima, lax.dynamic_slice(wide, (jnp.int32(0), run), minima.shape))
         return 2 * run, minima, out
 
     start = (jnp.int32(1), border, z)
     return lax.while_loop(lambda state: state[0] <= 2 * radius + 1, rows_of_one_level, start)[2]
+
+
+def _along(axis: int, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Where a slice begins that is shifted along one axis."""
+    return (step, jnp.int32(0)) if axis == 0 else (jnp.int32(0), step)
 
 
 def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.Array:
@@ -68,7 +73,7 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
 
     def ahead(array: jax.Array, step: jax.Array) -> jax.Array:
         wide = jnp.pad(array, widths, constant_values=jnp.inf)
-        return lax.dynamic_slice(wide, (step, 0) if axis == 0 else (0, step), array.shape)
+        return lax.dynamic_slice(wide, _along(axis, step), array.shape)
 
     def double(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         run, minima = state
@@ -83,7 +88,7 @@ def _erode_run(z: jax.Array, radius: jax.Array, reach: int, axis: int) -> jax.Ar
     widths = [(0, 0), (0, 0)]
     widths[axis] = (reach, reach)
     minima = run_minima(jnp.pad(z, widths, constant_values=jnp.inf), 2 * radius + 1, 2 * reach + 1, axis)
-    return lax.dynamic_slice(minima, (reach - radius, 0) if axis == 0 else (0, reach - radius), z.shape)
+    return lax.dynamic_slice(minima, _along(axis, reach - radius), z.shape)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))

@@ -96,7 +96,7 @@ def nearest_in_quadrants(buckets: Buckets, query: jax.Array, home: jax.Array, kn
                     jnp.where(dx < 0, 2, jnp.where(dy < 0, 3, 0)),
                 )
                 square = dx * dx + dy * dy
-                nearer = (k < count) & (quadrant == jnp.arange(4)) & (square < best.square)
+                nearer = (k < count) & (quadrant == jnp.arange(4, dtype=jnp.int32)) & (square < best.square)
                 return k + 1, Nearest(jnp.where(nearer, row[i], best.row), jnp.where(nearer, square, best.square))
 
             return n + 1, lax.while_loop(lambda s: s[0] < count.max(), look, (jnp.int32(0), best))[1]

@@ -132,8 +132,8 @@ def consensus_planes(
         kept = jnp.where(better[:, None], jnp.stack([a, normal]), jnp.stack(best[1:]))
         return (jnp.maximum(score, best[0]), kept[0], kept[1]), None
 
-    up = jnp.zeros((size, 3)).at[:, 2].set(1)
-    start = (jnp.zeros(size, jnp.int32), jnp.zeros((size, 3)), up)
+    up = jnp.zeros((size, 3), jnp.float32).at[:, 2].set(1)
+    start = (jnp.zeros(size, jnp.int32), jnp.zeros((size, 3), jnp.float32), up)
     (score, centre, normal), _ = lax.scan(hypothesis, start, draws)
 
     near = near_plane(centre, normal)

@@ -79,7 +79,7 @@ def _slide(z: jax.Array, index: jax.Array, count: jax.Array, width: int, stride:
         pair = _lower(pair, ahead(pair, run))
         run *= 2
     pair = _lower(pair, ahead(pair, width - run))
-    begin = jnp.arange(length)[:, None]
+    begin = jnp.arange(length, dtype=jnp.int32)[:, None]
     in_last = begin >= (count - 1) * stride
     last_z = jnp.min(jnp.where(in_last, z, jnp.inf), axis=0)
     last_index = jnp.min(jnp.where(in_last & (z == last_z), index, none), axis=0)

@@ -38,36 +38,48 @@ class Layout:
     bridges every 220 m along it, so every scene of about that size has them, and a larger one has more.
     """
 
-    relief: float = param(10.0, unit="m", ge=0, le=3000, doc="height range of the landforms: four standard deviations")
-    landform: float = param(256.0, unit="m", ge=16, le=8192, doc="size of the largest landforms, to a power of two")
-    hurst: float = param(1.0, ge=0.3, le=2, doc="Hurst exponent: detail shrinks by 2**-hurst from scale to scale")
-    ridges: float = param(0.0, ge=0, le=1, doc="how far landforms are folded into sharp ridges")
-    tilt: float = param(0.0, ge=0, le=1.5, doc="general slope, rise over run")
-    scarp: float = param(0.0, unit="m", ge=0, le=60, doc="height of scarps")
-    terraces: float = param(0.0, unit="m", ge=0, le=20, doc="height of terrace steps on open land")
-    pit: float = param(0.0, unit="m", ge=0, le=100, doc="depth of open pits, worked in benches")
-    river: float = param(0.0, unit="m", ge=0, le=60, doc="width of rivers; water returns no echo")
-    ditches: float = param(0.0, unit="m", ge=0, le=3, doc="depth of ditches on open land")
-    embankment: float = param(0.0, unit="m", ge=0, le=12, doc="height of embankments")
-    cutting: float = param(0.0, unit="m", ge=0, le=12, doc="depth of road cuttings")
+    relief: float = param(
+        default=10.0, unit="m", ge=0, le=3000, doc="height range of the landforms: four standard deviations"
+    )
+    landform: float = param(
+        default=256.0, unit="m", ge=16, le=8192, doc="size of the largest landforms, to a power of two"
+    )
+    hurst: float = param(
+        default=1.0, ge=0.3, le=2, doc="Hurst exponent: detail shrinks by 2**-hurst from scale to scale"
+    )
+    ridges: float = param(default=0.0, ge=0, le=1, doc="how far landforms are folded into sharp ridges")
+    tilt: float = param(default=0.0, ge=0, le=1.5, doc="general slope, rise over run")
+    scarp: float = param(default=0.0, unit="m", ge=0, le=60, doc="height of scarps")
+    terraces: float = param(default=0.0, unit="m", ge=0, le=20, doc="height of terrace steps on open land")
+    pit: float = param(default=0.0, unit="m", ge=0, le=100, doc="depth of open pits, worked in benches")
+    river: float = param(default=0.0, unit="m", ge=0, le=60, doc="width of rivers; water returns no echo")
+    ditches: float = param(default=0.0, unit="m", ge=0, le=3, doc="depth of ditches on open land")
+    embankment: float = param(default=0.0, unit="m", ge=0, le=12, doc="height of embankments")
+    cutting: float = param(default=0.0, unit="m", ge=0, le=12, doc="depth of road cuttings")
     bridges: bool = dataclasses.field(default=True, metadata={"doc": "whether bridges cross the cuttings and rivers"})
-    settlement: float = param(0.0, ge=0, le=1, doc="share of the area that is built up")
-    houses: float = param(1.0, ge=0, doc="weight of quarters with detached houses, 7 to 15 m")
-    rows: float = param(1.0, ge=0, doc="weight of quarters with rows of houses, 25 to 42 m")
-    blocks: float = param(0.0, ge=0, doc="weight of quarters with blocks around courtyards, 32 to 44 m")
-    towers: float = param(0.0, ge=0, doc="weight of quarters with towers, 16 to 26 m, up to 60 m high")
-    halls: float = param(0.5, ge=0, doc="weight of quarters with one hall, 45 to 80 m")
-    parks: float = param(0.5, ge=0, doc="weight of quarters left to trees")
-    cars: float = param(0.25, ge=0, le=1, doc="share of the kerbside parking places that are taken")
-    walls: float = param(0.3, ge=0, le=1, doc="share of house plots with walls")
-    forest: float = param(0.1, ge=0, le=1, doc="share of the open land under forest")
-    trees: float = param(0.02, ge=0, le=1, doc="share of 5 m cells with a tree outside forests")
-    conifers: float = param(0.3, ge=0, le=1, doc="share of trees that are conifers")
-    penetration: float = param(0.35, ge=0, le=1, doc="probability of an echo below a crown that was hit")
-    low_vegetation: float = param(0.1, ge=0, le=1, doc="share of the open land under shrubs and tall grass")
-    low_clusters: float = param(0.0, unit="1/km2", ge=0, le=200, doc="clusters of low outliers, 3 to about 120 points")
-    low_outliers: float = param(0.0, ge=0, le=0.1, doc="share of pulses with an isolated echo 2 to 30 m too low")
-    high_outliers: float = param(0.0, ge=0, le=0.1, doc="share of pulses with an echo 20 to 1000 m above the surface")
+    settlement: float = param(default=0.0, ge=0, le=1, doc="share of the area that is built up")
+    houses: float = param(default=1.0, ge=0, doc="weight of quarters with detached houses, 7 to 15 m")
+    rows: float = param(default=1.0, ge=0, doc="weight of quarters with rows of houses, 25 to 42 m")
+    blocks: float = param(default=0.0, ge=0, doc="weight of quarters with blocks around courtyards, 32 to 44 m")
+    towers: float = param(default=0.0, ge=0, doc="weight of quarters with towers, 16 to 26 m, up to 60 m high")
+    halls: float = param(default=0.5, ge=0, doc="weight of quarters with one hall, 45 to 80 m")
+    parks: float = param(default=0.5, ge=0, doc="weight of quarters left to trees")
+    cars: float = param(default=0.25, ge=0, le=1, doc="share of the kerbside parking places that are taken")
+    walls: float = param(default=0.3, ge=0, le=1, doc="share of house plots with walls")
+    forest: float = param(default=0.1, ge=0, le=1, doc="share of the open land under forest")
+    trees: float = param(default=0.02, ge=0, le=1, doc="share of 5 m cells with a tree outside forests")
+    conifers: float = param(default=0.3, ge=0, le=1, doc="share of trees that are conifers")
+    penetration: float = param(default=0.35, ge=0, le=1, doc="probability of an echo below a crown that was hit")
+    low_vegetation: float = param(default=0.1, ge=0, le=1, doc="share of the open land under shrubs and tall grass")
+    low_clusters: float = param(
+        default=0.0, unit="1/km2", ge=0, le=200, doc="clusters of low outliers, 3 to about 120 points"
+    )
+    low_outliers: float = param(
+        default=0.0, ge=0, le=0.1, doc="share of pulses with an isolated echo 2 to 30 m too low"
+    )
+    high_outliers: float = param(
+        default=0.0, ge=0, le=0.1, doc="share of pulses with an echo 20 to 1000 m above the surface"
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -7,8 +7,9 @@ import dataclasses
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.grid import Grid, grid_over
+from ..core.grid import lattice_over
 from ..core.points import Points
+from ..host.cells import Cells
 from ..host.depressions import depressions
 from ..host.neighbours import few_neighbours, groups, nearest, tree_of
 from ..host.trend import low_trend
@@ -122,7 +123,7 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
             ``depth`` than the lowest in their cell.
         reach: metres; at least eight point spacings are used.
 
-    Raises: ParameterError; InputError if the extent needs too many cells.
+    Only cells with points and those beside them are held, so that memory does not grow with the extent. Raises: ParameterError.
     """
     for name, value in (("depth", depth), ("max_points", max_points), ("reach", reach)):
         if not value > 0:
@@ -130,42 +131,47 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
     spacing = points.spacing()
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
-    grid = grid_over(points.xyz, cell, points.offset(cell), name="cell of low_clusters")
-    at = grid.flat(points.xyz)
+    grid = lattice_over(points.xyz, cell, points.offset(cell))
+    occupied, at = Cells.of(*grid.places(points.xyz), grid.shape)
     z = points.xyz[:, 2] - low_trend(points.xyz, grid.x0, grid.y0, max(15.0, 4.0 * cell))
-    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    cells = occupied.grown()
+    at = cells.find(occupied.row, occupied.column)[at]
+    around = cells.around()
+    lowest = np.full(len(cells), np.inf, np.float32)  # +inf in cells that are only beside one with points
     np.minimum.at(lowest, at, z)
-    low_points = np.bincount(at[z < lowest[at] + depth / 2], minlength=lowest.size)
-    pits = depressions(_close_gaps(lowest.reshape(grid.shape)), low_points, depth, max_points)
+    low_points = np.bincount(at[z < lowest[at] + depth / 2], minlength=len(cells))
+    pits = depressions(_close_gaps(lowest, around), around, low_points, depth, max_points)
     if len(pits) == 0:
         return LowClusters(np.zeros(len(points), bool), 0)
     deepest = np.lexsort((pits.cell, lowest[pits.cell], pits.owner))
     bottom = pits.cell[deepest[np.searchsorted(pits.owner, np.arange(len(pits)))]]
-    alone = _alone(grid, bottom, lowest[bottom], pits.points, reach, max_points)
+    alone = _alone(cells, cell, bottom, lowest[bottom], pits.points, reach, max_points)
     over = np.full(len(pits), -np.inf)
-    over[alone] = _surroundings(lowest, grid, pits.cell[alone[pits.owner]], bottom[alone], reach)
+    steps = int(np.ceil(reach / cell))
+    over[alone] = _surroundings(lowest, cells, pits.cell[alone[pits.owner]], bottom[alone], steps)
     rim = np.minimum(over, pits.spill) - depth / 2
     deep = lowest[pits.cell] < rim[pits.owner]
-    cut_off = _climb(points.xyz[:, 2], at, grid, pits.cell[deep], pits.owner[deep], len(pits)) >= depth / 4
+    cut_off = _climb(points.xyz[:, 2], at, around, pits.cell[deep], pits.owner[deep], len(pits)) >= depth / 4
     found = (over - lowest[bottom] >= depth) & cut_off
-    level = np.full(lowest.size, -np.inf, np.float32)
+    level = np.full(len(cells), -np.inf, np.float32)
     level[pits.cell] = np.where(found, rim, -np.inf)[pits.owner]
     return LowClusters(z < level[at], int(found.sum()))
 
 
-def _close_gaps(lowest: np.ndarray) -> np.ndarray:
-    """f32[ny, nx] with empty (+inf) cells set to the lowest of their eight neighbours; wider voids stay walls."""
-    around = np.pad(lowest, 1, constant_values=np.inf)
-    around = np.minimum(np.minimum(around[:-2], around[1:-1]), around[2:])
-    around = np.minimum(np.minimum(around[:, :-2], around[:, 1:-1]), around[:, 2:])
-    return np.where(np.isfinite(lowest), lowest, around)
+def _close_gaps(lowest: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """f32[c] with empty (+inf) cells set to the lowest of their eight neighbours; wider voids stay walls."""
+    beside = np.append(lowest, np.float32(np.inf))
+    empty = np.flatnonzero(np.isinf(lowest))
+    closed = lowest.copy()
+    closed[empty] = beside[around[:, empty]].min(axis=0)
+    return closed
 
 
 def _alone(
-    grid: Grid, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
+    cells: Cells, side: float, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
 ) -> np.ndarray:
     """bool[k]: depressions that, with those of about their level around them, hold at most ``max_points`` points."""
-    xy = np.stack((bottom % grid.nx, bottom // grid.nx), axis=1) * grid.cell
+    xy = np.stack((cells.column[bottom], cells.row[bottom]), axis=1) * side
     distance, other = nearest(tree_of(xy), xy, min(9, len(xy)), reach, workers=1)
     one, column = np.nonzero(np.isfinite(distance))
     distance, other = distance[one, column], other[one, column]
@@ -174,43 +180,39 @@ def _alone(
     return np.bincount(group, weights=size)[group] <= max_points
 
 
-def _climb(z: np.ndarray, at: np.ndarray, grid: Grid, cell: np.ndarray, owner: np.ndarray, groups: int) -> np.ndarray:
+def _climb(
+    z: np.ndarray, at: np.ndarray, around: np.ndarray, cell: np.ndarray, owner: np.ndarray, groups: int
+) -> np.ndarray:
     """f32[groups]: how far the lowest cell that touches a group of cells is above the lowest in it.
 
-    ``z``: f32[m], elevations of the points; ``at``: i32[m], their cells. +inf for groups that no cell touches, or empty.
+    ``z``: f32[m], elevations of the points; ``at``: i[m], their cells. +inf for groups that no cell touches, or empty.
     """
-    low = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    low = np.full(around.shape[1] + 1, np.inf, np.float32)
     np.minimum.at(low, at, z)
-    group = np.full(grid.nx * grid.ny, -1)
+    group = np.full(len(low), -1)
     group[cell] = owner
     own = np.full(groups, np.inf, np.float32)
     np.minimum.at(own, owner, low[cell])
-    low = np.pad(low.reshape(grid.shape), 1, constant_values=np.inf)
-    group = np.pad(group.reshape(grid.shape), 1, constant_values=-1)
-    y, x = np.divmod(cell, grid.nx)
     touching = np.full(groups, np.inf, np.float32)
-    for dy in range(3):
-        for dx in range(3):
-            beyond = group[y + dy, x + dx] != owner
-            np.minimum.at(touching, owner[beyond], low[y + dy, x + dx][beyond])
+    for neighbour in around[:, cell]:
+        beyond = group[neighbour] != owner
+        np.minimum.at(touching, owner[beyond], low[neighbour[beyond]])
     return np.subtract(touching, own, out=np.full_like(own, np.inf), where=np.isfinite(touching))
 
 
-def _surroundings(lowest: np.ndarray, grid: Grid, suspect: np.ndarray, bottom: np.ndarray, reach: float) -> np.ndarray:
+def _surroundings(lowest: np.ndarray, cells: Cells, suspect: np.ndarray, bottom: np.ndarray, steps: int) -> np.ndarray:
     """f64[s]: the level over each bottom of the lowest line between cells on opposite sides that are not suspect."""
-    steps = int(np.ceil(reach / grid.cell))
-    outside = lowest.copy()
+    outside = np.append(lowest, np.float32(np.inf)).astype(np.float64)
     outside[suspect] = np.inf
-    outside = np.pad(outside.reshape(grid.shape), steps, constant_values=np.inf)
-    y, x = (i[:, None] + steps for i in np.divmod(bottom, grid.nx))
+    y, x = (i[bottom][:, None] for i in (cells.row, cells.column))
     line = np.full(len(bottom), np.inf)
     least = np.full(len(bottom), np.inf)
     for angle in np.arange(8) * (np.pi / 8):
         dx = np.rint(np.arange(1, steps + 1) * np.cos(angle)).astype(np.int64)
         dy = np.rint(np.arange(1, steps + 1) * np.sin(angle)).astype(np.int64)
         distance = np.hypot(dx, dy)
-        ahead = outside[y + dy, x + dx].astype(np.float64)
-        behind = outside[y - dy, x - dx].astype(np.float64)
+        ahead = outside[cells.find(y + dy, x + dx)]
+        behind = outside[cells.find(y - dy, x - dx)]
         least = np.minimum(least, np.minimum(ahead, behind).min(axis=1))
         for i in range(steps):
             over = (ahead[:, i, None] * distance + behind * distance[i]) / (distance[i] + distance)

@@ -7,7 +7,7 @@ import dataclasses
 import jax
 import numpy as np
 
-from ..core.grid import MAX_CELLS, grid_over
+from ..core.grid import grid_over
 from ..core.points import Points
 from ..ops.ransac import batches, cells_of, consensus_planes, rows_of
 
@@ -63,7 +63,7 @@ def progressive_planes(
     rows, accepted, divided = np.arange(len(xyz)), 0, 0
     size = rows_of(len(xyz))
     while True:
-        grid = grid_over(xyz, cell, points.offset(cell), "cell of the planes", MAX_CELLS)
+        grid = grid_over(xyz, cell, points.offset(cell), "cell of the planes")
         at = grid.flat(xyz[rows])
         fitted = counted[rows]
         order = np.argsort(at[fitted], kind="stable")

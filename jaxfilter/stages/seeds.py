@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.compilation import bucket
 from ..core.errors import InputError
-from ..core.grid import MAX_CELLS, Grid
+from ..core.grid import Grid, most_cells
 from ..core.points import Points
 from ..ops.grid import block_minima, cell_index, padded_shape
 from ..ops.windows import window_layout, window_minima
@@ -32,7 +32,7 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
         offset = np.array(points.offset(stride))
         corner = np.floor((corner - offset) / stride + 1e-9) * stride + offset
     layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride)
-    if layout.blocks[0] * layout.blocks[1] > MAX_CELLS:
+    if layout.blocks[0] * layout.blocks[1] > most_cells(len(points)):
         raise InputError(
             f"window={window:g} and stride={stride:g} m divide into {layout.block:g} m, which makes "
             f"{layout.blocks[0]} x {layout.blocks[1]} cells over this extent: let the stride divide the window, or remove "

@@ -14,9 +14,9 @@ from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
 from ..ops.facets import Rule
-from .densify import INSERTIONS, Adaptive, Mirror, Vertices, densify
+from .densify import INSERTIONS, Adaptive, Mirror, Network, Vertices, densify
 from .lanes import densify_each
-from .network import Network, border_positions, labels_of, one_network
+from .network import border_positions, labels_of, one_network
 from .outliers import bar_outliers
 
 FATES = ("barred", "removed")
@@ -54,23 +54,27 @@ class TinFilter(Filter):
     fields that are named as those of :class:`jaxfilter.ops.facets.Rule` may decide the limits, and they nothing else.
     """
 
-    radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
-    min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
-    low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
-    outlier_fate: str = static("barred", choices=FATES, doc="outliers are no seeds, or never ground")
-    noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
+    radius: float = static(default=0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    min_neighbours: int = static(
+        default=10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed"
+    )
+    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
+    outlier_fate: str = static(default="barred", choices=FATES, doc="outliers are no seeds, or never ground")
+    noise_floor: float = param(
+        default=0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off"
+    )
     vertex_spacing: float = static(
-        0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
+        default=0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
     )
     insertion: str = static(
-        "batch",
+        default="batch",
         choices=INSERTIONS,
         doc="add all points that pass in a round, the lowest over each facet, or one by one",
     )
     border_in_tests: bool = static(
-        True, choices=(True, False), doc="simulated border points count as nearest and as highest vertex"
+        default=True, choices=(True, False), doc="simulated border points count as nearest and as highest vertex"
     )
-    max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
+    max_rounds: int = static(default=100, ge=1, doc="limit of densification rounds")
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, JaxfilterWarning, ParameterError
 from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
-from ..core.points import canonical_points, plain_points
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import word
@@ -123,7 +122,7 @@ class Study:
             raise InputError(
                 "labels: all labelled points are set aside before filtering (they are no last echoes, or noise)"
             )
-        self.points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
+        self.points = filter_.points_of(cloud)
         self.same = degenerate(cloud, self.points)
         if self.same is not None:
             warnings.warn(f"{type(filter_).__name__}: {self.same.status.message}", JaxfilterWarning, stacklevel=2)

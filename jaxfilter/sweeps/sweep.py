@@ -19,7 +19,7 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
-from ..core.points import Points, canonical_points, plain_points
+from ..core.points import Points
 from ..core.result import Progress, silent
 from ..host.files import existing, new_file
 from ..scoring import Scores, reference_labels
@@ -138,7 +138,7 @@ class _Scene:
     """A cloud in the shape that sets are computed and scored in."""
 
     def __init__(self, filter_: Filter, cloud: PointCloud) -> None:
-        self.points: Points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
+        self.points = filter_.points_of(cloud)
         self.same = degenerate(cloud, self.points)
         self.weights: np.ndarray | None = None
         if cloud.reference is not None:

@@ -1,0 +1,68 @@
+"""Those cells of a grid that matter, in row-major order: memory for these, whatever the extent of the grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_TABLE = 16  # a grid of so many cells per cell in use is looked up in a table
+
+
+class Cells:
+    """A set of cells of a grid of ``shape`` (rows, columns), numbered in row-major order.
+
+    Attributes:
+        row, column: i64[c], where they are.
+    """
+
+    def __init__(self, key: np.ndarray, shape: tuple[int, int]) -> None:
+        """``key``: i64[c], row x columns + column, ascending and distinct."""
+        self.shape = shape
+        self._key = key
+        self.row, self.column = np.divmod(key, shape[1])
+        self._table: np.ndarray | None = None
+        if shape[0] * shape[1] <= _TABLE * len(key) + 1000:
+            self._table = np.full(shape[0] * shape[1], len(key), np.int32)
+            self._table[key] = np.arange(len(key), dtype=np.int32)
+
+    def __len__(self) -> int:
+        return len(self._key)
+
+    @classmethod
+    def of(cls, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> tuple[Cells, np.ndarray]:
+        """The cells that points are in, and i[m], which one each point is in; ``row`` and ``column``: i[m]."""
+        key = row.astype(np.int64) * shape[1] + column
+        if shape[0] * shape[1] <= _TABLE * len(key):
+            seen = np.zeros(shape[0] * shape[1], bool)
+            seen[key] = True
+            cells = cls(np.flatnonzero(seen), shape)
+            return cells, cells.find(row, column)
+        distinct, member = np.unique(key, return_inverse=True)
+        return cls(distinct, shape), member
+
+    def grown(self, steps: int = 1) -> Cells:
+        """With the cells of the grid that are at most so many rows and columns away."""
+        key = self._key
+        for _ in range(steps):
+            column = key % self.shape[1]
+            key = _merged(key[column > 0] - 1, key, key[column < self.shape[1] - 1] + 1)
+            key = _merged(key - self.shape[1], key, key + self.shape[1])
+            key = key[(key >= 0) & (key < self.shape[0] * self.shape[1])]
+        return Cells(key, self.shape)
+
+    def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """i[...]: the number of each cell; the number of cells for those that are not in the set."""
+        inside = (row >= 0) & (row < self.shape[0]) & (column >= 0) & (column < self.shape[1])
+        key = np.where(inside, row * self.shape[1] + column, 0)
+        if self._table is not None:
+            return np.where(inside, self._table[key], len(self))
+        number = np.minimum(np.searchsorted(self._key, key), len(self) - 1)
+        return np.where(inside & (self._key[number] == key), number, len(self))
+
+    def around(self) -> np.ndarray:
+        """i[9, c]: the number of each cell and of its neighbours, row by row, the cell itself being the fifth."""
+        return np.stack([self.find(self.row + dy, self.column + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+
+
+def _merged(*sorted_keys: np.ndarray) -> np.ndarray:
+    key = np.sort(np.concatenate(sorted_keys), kind="stable")  # merges what is sorted
+    return key[np.append(True, key[1:] != key[:-1])]

@@ -1,0 +1,70 @@
+"""What users write, for type checkers: `mypy --strict` and pyright must find nothing in it. It is not run."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxfilter as jf
+
+
+def classify(source: Path, target: Path) -> jf.Scores:
+    cloud: jf.PointCloud = jf.read(source, returns="last,only")
+    result: jf.FilterResult = jf.SMRF(slope=0.3, window=12.0)(cloud)
+    jf.write(target, cloud, result, overwrite=True)
+    if result.status is not jf.Status.CONVERGED:
+        print(result.status.message)
+    return jf.evaluate(result, cloud.reference, candidates_only=True)
+
+
+def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:
+    filters: list[jf.Filter] = [
+        jf.AGPTD(relative_slope=0.1),
+        jf.ATIN(max_angle=20.0),
+        jf.CSF(rigidness=2, threshold=0.4),
+        jf.FPTD(max_angle=30, noise_floor=0.1, low_clusters=False),
+        jf.IPTD(max_angle=15.0),
+        jf.MSF(),
+        jf.PMF(slope=0.2, max_window=30.0),
+        jf.PPDF(max_step=1.0),
+        jf.PTD(max_angle=8.0),
+        jf.PTDF(),
+        jf.SMRF(0.5, 0.2, threshold=0.3, scaling=1.0),
+        jf.SPF(long_edge=None),
+        jf.STIN(stop_ratio=0.05),
+    ]
+    return {type(one).__name__: one(xyz, workers=1, key=jax.random.key(0)).ground for one in filters}
+
+
+def presets(cloud: jf.PointCloud) -> jf.FPTD:
+    one = jf.FPTD.preset("paper", max_angle=20.0)
+    other = jf.FPTD.for_cloud(cloud, largest_building=40.0)
+    slope: float = jf.SMRF().replace(slope=0.2).slope
+    return one if one.max_angle < slope else other.replace(max_rounds=50)
+
+
+def by_name(name: str, xyz: np.ndarray) -> np.ndarray:
+    one = jf.FILTERS[name]()
+    ground: np.ndarray = one(xyz).ground
+    return ground
+
+
+def terrain(cloud: jf.PointCloud, result: jf.FilterResult) -> float:
+    raster: jf.Raster = jf.dtm(cloud, result, cell=1.0, method="idw", max_gap=20.0)
+    return float(np.nanmax(raster.values))
+
+
+def protected(xyz: np.ndarray, one: jf.GroundFilter) -> np.ndarray | None:
+    try:
+        return one(xyz).ground
+    except (jf.InputError, jf.ParameterError) as error:
+        print(error)
+        return None
+
+
+def many_sets(cloud: jf.PointCloud, labels: np.ndarray) -> jf.Filter:
+    data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.05, 0.15, 0.3], "threshold": [0.3, 0.5]}, votes=True)
+    print(data)
+    found: jf.Calibration = jf.calibrate(jf.SMRF(), cloud, labels)
+    print(found)
+    return jf.SMRF()
