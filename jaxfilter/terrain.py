@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from .core.cloud import QUANTUM, PointCloud, as_cloud
-from .core.errors import InputError, ParameterError
+from .core.errors import InputError, JaxfilterWarning, ParameterError
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points
 from .core.result import FilterResult, Progress
@@ -60,10 +61,10 @@ def dtm(
         workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
 
-    Returns: Raster with the CRS of the cloud.
+    Returns: Raster with the CRS of the cloud; of a cloud without points, one without heights, and a warning.
     Raises: ParameterError for settings out of range; InputError if there are fewer than three distinct ground positions or
-    all lie on a line, if labels have the wrong length or dtype, or if more than 400 million cells would be needed;
-    ImportError if a library is missing.
+    all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, or if more than
+    400 million cells would be needed; ImportError if a library is missing.
     """
     check_settings(cell, method, max_gap, neighbours, power)
     cloud = as_cloud(cloud)
@@ -72,6 +73,11 @@ def dtm(
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
+    north = (corner[1] + shape[0]) * cell
+    transform = (cell, 0.0, corner[0] * cell, 0.0, -cell, north)
+    if not len(cloud):
+        warnings.warn("dtm: the cloud has no points, so no cell has a height", JaxfilterWarning, stacklevel=2)
+        return Raster(np.full(shape, np.nan, np.float32), transform, cloud.crs)
     if not points.has_area():
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
@@ -98,8 +104,7 @@ def dtm(
             if max_gap is not None:
                 z[distance > max_gap * cloud.units.xy] = np.nan
         values[top : top + step] = (cloud.origin[2] + z / cloud.units.z).reshape(len(rows), -1)
-    north = (corner[1] + shape[0]) * cell
-    return Raster(values, (cell, 0.0, corner[0] * cell, 0.0, -cell, north), cloud.crs)
+    return Raster(values, transform, cloud.crs)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,7 +190,7 @@ def _extent(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> t
     else:
         xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
         if len(xy) == 0:
-            raise InputError("dtm: the cloud has no points")
+            raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
         ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
         edges = np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy
     slack = QUANTUM / cloud.units.xy / cell  # coordinates are known to a quantum: an edge needs no further cell

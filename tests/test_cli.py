@@ -180,7 +180,9 @@ def test_a_damaged_file_is_one_line_and_exit_code_1(folder):
     assert not (folder / "out.laz").exists()
 
 
-@pytest.mark.parametrize("error, code", [(MemoryError("no room"), 1), (KeyboardInterrupt(), 1), (ValueError("odd"), 1)])
+@pytest.mark.parametrize(
+    "error, code", [(MemoryError("no room"), 1), (KeyboardInterrupt(), 130), (ValueError("odd"), 1)]
+)
 def test_a_run_that_fails_leaves_nothing(folder, monkeypatch, error, code):
     def fails(*_, **__):
         raise error

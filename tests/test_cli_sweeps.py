@@ -243,8 +243,8 @@ def test_an_interrupted_sweep_resumes_without_computing_again(folder, monkeypatc
     with monkeypatch.context() as patch:
         counted = Counted(patch, stop=8)
         stopped = sweep(folder, axes=axes)
-    assert stopped.exit_code == 1 and counted.sets == 8
-    assert "interrupted" in stopped.stderr and "Traceback" not in stopped.output
+    assert stopped.exit_code == 130 and counted.sets == 8
+    assert "stopped by SIGINT; finished sets are kept" in stopped.stderr and "Traceback" not in stopped.output
     assert [p.name for p in (folder / "out").iterdir()] == ["checkpoint.npz"]
     assert_one_line(sweep(folder, axes=AXES), 2, "checkpoint.npz", "other sets", "--fresh")
     with monkeypatch.context() as patch:

@@ -264,8 +264,12 @@ def test_points_on_a_line_and_empty_clouds_are_errors():
     line = jf.PointCloud.from_arrays(np.column_stack([np.arange(9.0), 2 * np.arange(9.0), np.zeros(9)]))
     with pytest.raises(jf.InputError, match="9 distinct ground points; three that do not lie on one line"):
         model(line)
-    with pytest.raises(jf.InputError, match="no points"):
-        model(jf.PointCloud.from_arrays(np.zeros((0, 3))))
+    empty = jf.PointCloud.from_arrays(np.zeros((0, 3)), reference=np.zeros(0, bool))
+    with pytest.raises(jf.InputError, match=r"no points.*pass bounds="):
+        jf.dtm(empty)
+    with pytest.warns(jf.JaxfilterWarning, match="no points"):
+        raster = jf.dtm(empty, bounds=(0, 0, 4, 3))
+    assert raster.values.shape == (3, 4) and np.isnan(raster.values).all()
 
 
 @pytest.mark.parametrize("library, call", [("startinpy", {"method": "natural"}), ("rasterio", None)])

@@ -19,7 +19,7 @@ import click
 from rich.console import Console
 
 from ..core.errors import JaxfilterError
-from .session import BadUsage, Session, session_options
+from .session import BadUsage, Session, session_options, stoppable
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -30,7 +30,16 @@ if TYPE_CHECKING:
 DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Program(click.Group):
+    """The command as a whole: it can be stopped, see ``stoppable``."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the subcommand."""
+        with stoppable():
+            return super().invoke(ctx)
+
+
+@click.group(cls=Program, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="jaxfilter")
 def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
@@ -179,6 +188,8 @@ def _ground(
     report = _report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
+        "units": str(cloud.units),
+        "metres_per_unit": [cloud.units.xy, cloud.units.z],
         "ground_class": options["ground_class"],
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
@@ -197,17 +208,28 @@ def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place
         if not in_place:
             raise BadUsage("OUT is missing: name a file to write, or pass --in-place")
         return source
-    if target.exists() and os.path.samefile(source, target):
-        if not in_place:
-            raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
-    elif target.exists() and not overwrite:
-        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    if check_target(target, overwrite, source) and not in_place:
+        raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
     suffixes = writing.LAS_SUFFIXES + text.SUFFIXES
     if target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     return target
+
+
+def check_target(target: Path, overwrite: bool, source: Path | None = None) -> bool:
+    """Whether ``target`` is ``source``. Raises BadUsage if it exists otherwise and not ``overwrite``, or cannot be written."""
+    from ..host.files import existing
+
+    try:
+        status = existing(target)
+    except JaxfilterError as error:
+        raise BadUsage(str(error)) from error
+    same = status is not None and source is not None and os.path.samefile(source, target)
+    if status is not None and not same and not overwrite:
+        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
+    if not target.absolute().parent.is_dir():
+        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    return same
 
 
 def check_reading(units: str | None, returns: str) -> None:
@@ -251,6 +273,9 @@ def _print_report(report: dict[str, Any]) -> None:
     if kept:
         name, all_ = report["ground_class"], report["of_ground_class"]
         click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
+    xy, z = report.get("metres_per_unit", (1.0, 1.0))
+    if (xy, z) != (1.0, 1.0):
+        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     if report["barred"]:
         click.echo(
             f"{report['barred']:,} points were barred from the seeds as outliers, of which "
@@ -396,8 +421,11 @@ def demo(
     from .. import evaluate as score
     from .. import read, scenes, write
     from ..filters import FILTERS
+    from ..host.files import remove_dead
 
     with Session(quiet=quiet, debug=debug) as session:
+        if directory.is_dir():
+            remove_dead(directory)
         others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
         if others and not overwrite:
             raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
@@ -440,6 +468,7 @@ def _write_scene(directory: Path, scene: Scene) -> None:
 
 def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
     from .. import plots
+    from ..host.files import new_file
 
     cloud, truth = scene.cloud, scene.truth
     terrain = scene.terrain_grid(1.0)
@@ -451,7 +480,8 @@ def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
         "panel.png": plots.panel(cloud, result, truth),
     }
     for name, figure in pictures.items():
-        figure.savefig(directory / name)
+        with new_file(directory / name, overwrite=True) as part:
+            figure.savefig(part, format="png")
 
 
 demo.params += session_options()

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Iterator
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Self
 
 import click
@@ -22,6 +25,48 @@ class BadUsage(click.ClickException):
     """Wrong usage that is found before anything is read: one line, exit code 2."""
 
     exit_code = 2
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the command to stop; clean-up runs as it does for Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+_STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """A block that SIGINT (Ctrl-C), SIGTERM and SIGHUP end in order: what is unfinished is removed, one line is printed,
+    and the exit code is 128 and the number of the signal. A signal that was ignored before stays so, as nohup wants it."""
+    old = {}
+    if threading.current_thread() is threading.main_thread():
+        heard = [number for number in _STOPS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+        old = {number: signal.signal(number, _stop) for number in heard}
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        number = getattr(error, "number", signal.SIGINT)
+        notes = getattr(error, "__notes__", [])
+        click.echo("; ".join([f"stopped by {signal.Signals(number).name}", *notes]), err=True)
+        raise SystemExit(128 + number) from None
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    if not Session.running:  # nothing to clean up yet, and JAX aborts when its import is interrupted by an exception
+        os.write(2, f"stopped by {signal.Signals(number).name}\n".encode())
+        os._exit(128 + number)
+    Session.stopped_by = number
+    for other in _STOPS:
+        if other != signal.SIGINT:  # Ctrl-C can end a clean-up that hangs, the others come in pairs
+            signal.signal(other, signal.SIG_IGN)
+    raise Stopped(number)
 
 
 def session_options() -> list[click.Parameter]:
@@ -55,6 +100,11 @@ class Session:
     code: 2 for parameters, 1 for the rest. Compilations are counted and kept for the next process.
     """
 
+    running = 0
+    """How many there are now."""
+    stopped_by: int | None = None
+    """The signal that ``stoppable`` has received in them."""
+
     def __init__(self, *, quiet: bool, debug: bool, remaining: bool = False) -> None:
         """``remaining`` shows the time left in a step as well, by its mean rate so far."""
         self.debug = debug
@@ -86,10 +136,16 @@ class Session:
         warnings.simplefilter("always", JaxfilterWarning)
         warnings.showwarning = self._warn
         self._stack.enter_context(self._bar)
+        Session.running, Session.stopped_by = Session.running + 1, None
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._stack.close()
+        try:
+            self._stack.close()
+        finally:
+            Session.running -= 1
+        if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
+            raise Stopped(Session.stopped_by)  # finalisers and decoders had swallowed it
         if error is None or self.debug or not isinstance(error, Exception) or isinstance(error, click.ClickException):
             return
         if isinstance(error, ParameterError):
@@ -116,6 +172,8 @@ class Session:
         self._bar.update(self._task, description=step, completed=fraction)
 
     def _next(self, step: str) -> None:
+        if Session.stopped_by is not None:  # see __exit__
+            raise Stopped(Session.stopped_by)
         now = time.perf_counter()
         running, since = self._mark
         if running:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .commands import check_reading, json_text, main, print_json
+from .commands import check_reading, check_target, json_text, main, print_json
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:
@@ -297,10 +297,8 @@ def calibrate(
             bounds: list[Bounds] = [check_bounds(patch) for patch in patches]
         except InputError as error:
             raise BadUsage(str(error)) from error
-        if out is not None and out.exists() and not overwrite:
-            raise BadUsage(f"{out} exists: name another file, or pass --overwrite")
-        if out is not None and not out.absolute().parent.is_dir():
-            raise BadUsage(f"{out.absolute().parent} is not a folder: make it first")
+        if out is not None:
+            check_target(out, overwrite)
         with session.step("read"):
             cloud = read(source, units=units)
             if labels_file is None:
@@ -448,10 +446,8 @@ def _explained(checkpoint: Path) -> Iterator[None]:
         if str(checkpoint) in str(error):
             raise BadUsage(f"{error}; --fresh replaces it") from error
         raise
-    except KeyboardInterrupt:
-        click.echo(
-            f"interrupted; finished sets are kept in {checkpoint.parent}, the same command goes on from there", err=True
-        )
+    except KeyboardInterrupt as error:
+        error.add_note(f"finished sets are kept in {checkpoint.parent}, the same command goes on from there")
         raise
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .commands import check_reading, main, print_json
+from .commands import check_reading, check_target, main, print_json
 from .session import BadUsage, Session, session_options
 
 
@@ -96,9 +96,11 @@ def dtm(
                 ground &= ~cloud.withheld
         elif cloud.reference is not None:
             ground = cloud.reference
+        elif not len(cloud):
+            ground = cloud.candidate
         else:
             raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-        if not ground.any():
+        if len(cloud) and not ground.any():
             raise InputError(f"{source}: no point is ground; classify it first, or find the ground with --filter")
         with session.step("interpolate"):
             raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
@@ -127,8 +129,5 @@ def _check_target(target: Path, overwrite: bool) -> None:
 
     if target.suffix.lower() not in raster.SUFFIXES:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(raster.SUFFIXES)}")
-    if target.exists() and not overwrite:
-        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    check_target(target, overwrite)
     raster.check_library()

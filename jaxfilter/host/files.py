@@ -4,16 +4,88 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import os
+import platform
+import re
 import secrets
 import shutil
+import stat
+import sys
+import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ..core.errors import InputError, OutputError
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 Bounds = tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax in file units; half open: xmin <= x < xmax, ymin <= y < ymax."""
+
+CHANGED_IN_READING = "the file changed while it was read; read it again when it is complete"
+CHANGED_SINCE = "the file has changed since the cloud was read; read it again"
+
+
+@dataclasses.dataclass(frozen=True)
+class Identity:
+    """What tells a file from another that takes its name, and from itself after a change.
+
+    Attributes:
+        device, inode: which file it is.
+        size, modified: bytes and time (ns) of the last change.
+    """
+
+    device: int
+    inode: int
+    size: int
+    modified: int
+
+    @classmethod
+    def of(cls, place: int | Path) -> Identity:
+        """Of an open file, by its descriptor, or of the file that has a name now. Raises OSError."""
+        status = os.stat(place)
+        return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+    @contextlib.contextmanager
+    def kept(self, path: Path, message: str) -> Iterator[None]:
+        """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
+        not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
+        try:
+            yield
+        except Exception as error:
+            if not self._holds(path):
+                raise InputError(f"{path}: {message}") from error
+            raise
+        if not self._holds(path):
+            raise InputError(f"{path}: {message}")
+
+    def _holds(self, path: Path) -> bool:
+        try:
+            return Identity.of(path) == self
+        except OSError:
+            return False
+
+
+class Tally:
+    """Number and checksum (CRC-32) of points, in order.
+
+    Points of LAS are counted by their integers X, Y, Z, points of text by their float64 coordinates.
+    """
+
+    def __init__(self) -> None:
+        self.points = self.checksum = 0
+
+    def add(self, coordinates: np.ndarray) -> None:
+        """Append i32[k, 3] or f64[k, 3], or the bytes of as many points."""
+        self.points += len(coordinates)
+        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +98,9 @@ class Source:
         format: in words, for messages.
         points: number of points taken from the file, the length of the cloud.
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
-        size, modified: bytes and time (ns) of the file when it was read, to notice that it has changed since.
+        identity: of the file when it was read.
+        checksum: of the coordinates of the points, see :class:`Tally`: labels can so never get to other points, even if
+            a file is changed and its time set back.
     """
 
     path: Path
@@ -34,23 +108,47 @@ class Source:
     format: str
     points: int
     bounds: Bounds | None
-    size: int
-    modified: int
-
-    @classmethod
-    def of(cls, path: Path, kind: str, description: str, points: int, bounds: Bounds | None) -> Source:
-        """The handle of a file as it is now."""
-        status = path.stat()
-        return cls(path.absolute(), kind, description, points, bounds, status.st_size, status.st_mtime_ns)
+    identity: Identity
+    checksum: int
 
     def check_unchanged(self) -> None:
         """Raises InputError when the file is gone, or is not the one that was read."""
         try:
-            status = self.path.stat()
+            found = Identity.of(self.path)
         except OSError as error:
             raise InputError(f"{self.path}: the source of the cloud cannot be read again: {error.strerror}") from error
-        if (status.st_size, status.st_mtime_ns) != (self.size, self.modified):
-            raise InputError(f"{self.path}: the file has changed since the cloud was read; read it again")
+        if found != self.identity:
+            raise InputError(f"{self.path}: {CHANGED_SINCE}")
+
+    @contextlib.contextmanager
+    def again(self) -> Iterator[Replay]:
+        """A block in which the points are read once more, and added to what it is given.
+
+        Raises: InputError when it ends, if the file or its points are not those that were read.
+        """
+        replay = Replay(self)
+        with self.identity.kept(self.path, CHANGED_SINCE):
+            yield replay
+            replay.finish()
+
+
+class Replay(Tally):
+    """The points of a source that are read again. Raises InputError where they are not those of the first time."""
+
+    def __init__(self, source: Source | None) -> None:
+        super().__init__()
+        self.source = source
+
+    def add(self, coordinates: np.ndarray) -> None:
+        """Append a run, before anything is done with it."""
+        super().add(coordinates)
+        if self.source is not None and self.points > self.source.points:
+            raise InputError(f"{self.source.path}: {CHANGED_SINCE}")
+
+    def finish(self) -> None:
+        """All points were added."""
+        if self.source is not None and (self.points, self.checksum) != (self.source.points, self.source.checksum):
+            raise InputError(f"{self.source.path}: {CHANGED_SINCE}")
 
 
 def check_bounds(bounds: object) -> Bounds:
@@ -64,30 +162,196 @@ def check_bounds(bounds: object) -> Bounds:
     return x0, y0, x1, y1
 
 
+def existing(path: Path) -> os.stat_result | None:
+    """Status of the regular file that an output of this name would replace, also through a symbolic link; None if there
+    is none.
+
+    Raises: OutputError if the name stands for something else (folder, pipe, device, socket) or cannot be used.
+    """
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((name for name, test in _KINDS.items() if test(status.st_mode)), "special file")
+        raise OutputError(f"{path}: is a {kind}, and only regular files are replaced; name another file")
+    return status
+
+
+_KINDS = {
+    "folder": stat.S_ISDIR,
+    "pipe": stat.S_ISFIFO,
+    "socket": stat.S_ISSOCK,
+    "device": lambda mode: stat.S_ISCHR(mode) or stat.S_ISBLK(mode),
+}
+
+
 @contextlib.contextmanager
 def new_file(
     path: Path, *, overwrite: bool = False, in_place: bool = False, source: Path | None = None
 ) -> Iterator[Path]:
-    """A name in the folder of ``path`` to write to; it becomes ``path`` when the block ends, and vanishes if it fails.
+    """A name to write to; the file gets the name ``path`` when the block ends, and vanishes if it fails.
 
-    Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, or if
-    the operating system refuses (folder missing, disk full, no permission).
+    The file is written in a hidden folder beside ``path``, which is locked as long as its writer lives; folders that
+    killed runs have left there are removed. It has reached the disk before it gets its name. What ``path`` replaces
+    gives it its permissions. A symbolic link stays, and the file that it names is written; that may be a new one.
+    Without ``overwrite``, of two writers of one name the second fails.
+
+    Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
+    not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
     """
-    mine = source is not None and path.exists() and path.samefile(source)
-    if mine and not in_place:
-        raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-    if path.exists() and not mine and not overwrite:
-        raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
-    final = path.resolve() if path.is_symlink() else path
-    temporary = final.with_name(f".{final.name}.{secrets.token_hex(4)}.part")
+    final = Path(os.path.realpath(path)) if os.path.islink(path) else path
     try:
-        yield temporary
-        if final.exists():
-            shutil.copymode(final, temporary)
-        os.replace(temporary, final)
+        status = existing(path)
+        mine = status is not None and source is not None and os.path.samestat(status, os.stat(source))
+        if mine and not in_place:
+            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+        if status is not None and not mine and not overwrite:
+            raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
+        remove_dead(final.parent)
+        with _workplace(final.parent) as folder:
+            part = folder / "part"
+            yield part
+            _sync(part)
+            if mine or overwrite:
+                if existing(final) is not None:
+                    shutil.copymode(final, part)
+                os.replace(part, final)
+            else:
+                _name_exclusively(part, final)
+            with contextlib.suppress(OSError):  # not every system can
+                _sync(final.parent)
     except OSError as error:
         if isinstance(error, OutputError):
             raise
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        reason = error.strerror or str(error)
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            reason = f"the disk is full ({reason})"
+        elif error.errno == errno.EFBIG:
+            reason = f"the disk is full, or the file too large for it ({reason})"
+        raise OutputError(f"{path}: cannot be written: {reason}") from error
+
+
+def _name_exclusively(part: Path, final: Path) -> None:
+    """Rename, unless the name was taken since it was looked at."""
+    try:
+        if sys.platform == "win32":
+            os.rename(part, final)  # which replaces nothing there
+            return
+        try:
+            os.link(part, final)
+        except FileExistsError:
+            raise
+        except OSError:  # no hard links on this disk: claim the name, then replace the claim
+            os.close(os.open(final, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+            try:
+                os.replace(part, final)
+            except BaseException:
+                final.unlink()
+                raise
+    except FileExistsError as error:
+        raise OutputError(
+            f"{final}: another program made this file meanwhile; pass overwrite=True to replace it, or name another"
+        ) from error
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file or folder has reached the disk."""
+    descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # a file system that knows no such order
+            raise
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+# Unfinished files lie in a folder of their own, because some libraries remove and recreate what they write: a lock on
+# the file itself would be lost. The lock file is made first and removed last, so a folder without one is empty.
+
+_PREFIX, _LOCK = ".jaxfilter-", "lock"
+_NAME = re.compile(r"\.jaxfilter-[0-9a-f]{8}-[0-9a-f]{8}")
+_FOREIGN_AGE = 86_400.0  # seconds
+"""Locks may not be seen across machines; what another one left is removed when it has not been written to for a day."""
+
+
+@contextlib.contextmanager
+def _workplace(parent: Path) -> Iterator[Path]:
+    """A new folder that is locked as long as this process lives, and removed with all that is in it."""
+    while True:
+        folder = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}"
+        folder.mkdir(mode=0o700)
+        try:
+            lock = os.open(folder / _LOCK, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+        except FileNotFoundError:
+            continue  # another process took the empty folder for a dead one
+        except OSError:
+            folder.rmdir()
+            raise
+        if _locked(lock) is not False and os.fstat(lock).st_nlink:
+            break
+        os.close(lock)
+    try:
+        yield folder
+    finally:
+        _remove(folder, lock)
+
+
+def remove_dead(parent: Path) -> None:
+    """Remove the folders of writers that live no more."""
+    with os.scandir(parent) as entries:
+        found = [Path(entry.path) for entry in entries if _NAME.fullmatch(entry.name)]
+    for folder in found:
+        with contextlib.suppress(OSError):  # removed by another, or not ours to remove
+            if not folder.name.startswith(f"{_PREFIX}{_host()}-") and _age(folder) < _FOREIGN_AGE:
+                continue
+            try:
+                lock = os.open(folder / _LOCK, os.O_RDWR)
+            except FileNotFoundError:
+                folder.rmdir()
+                continue
+            if _locked(lock):
+                _remove(folder, lock)
+            else:
+                os.close(lock)
+
+
+def _remove(folder: Path, lock: int) -> None:
+    """Remove a folder whose lock is held, and let go of the lock."""
+    try:
+        for entry in os.scandir(folder):
+            if entry.name != _LOCK:
+                shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+        if sys.platform == "win32":  # where nothing that is open can be removed
+            os.close(lock)
+            lock = -1
+        os.unlink(folder / _LOCK)
+        os.rmdir(folder)
+    except OSError:  # the next writer tries again
+        pass
+    finally:
+        if lock >= 0:
+            os.close(lock)
+
+
+def _locked(descriptor: int) -> bool | None:
+    """Take the lock: whether that succeeded, or None where there are no locks."""
+    try:
+        if sys.platform == "win32":
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK) else None
+    return True
+
+
+def _host() -> str:
+    return f"{zlib.crc32(platform.node().encode()):08x}"
+
+
+def _age(folder: Path) -> float:
+    return time.time() - max(place.stat().st_mtime for place in (folder, *folder.iterdir()))

@@ -7,9 +7,11 @@ and 24 (extra bytes).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import struct
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +20,7 @@ import numpy as np
 
 from ..core.cloud import check_scales
 from ..core.errors import InputError, JaxfilterWarning, OutputError
+from .files import CHANGED_IN_READING, Identity
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point record by point format, 0 to 10."""
@@ -62,15 +65,25 @@ class ExtraDimension:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes, ``unread`` the
-    number of compressed points, as far as it is known, that are in the file and not in its count."""
+    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes; ``identity`` is
+    that of the file it was read from, None for the header of a new file; ``unread`` is the number of compressed points, as
+    far as it is known, that are in the file and not in its count."""
 
     path: Path
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...]
+    identity: Identity | None = None
     unread: int = 0
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[BinaryIO]:
+        """The file that the header is of. Raises InputError if the name is another file's by now, OSError."""
+        with open(self.path, "rb") as file:
+            if Identity.of(file.fileno()) != self.identity:
+                raise InputError(f"{self.path}: {CHANGED_IN_READING}")
+            yield file
 
     def _get(self, layout: str, at: int) -> tuple:
         return struct.unpack_from("<" + layout, self.head, at)
@@ -249,6 +262,7 @@ def read_header(path: Path) -> Header:
     point counts that the file cannot hold, scales that are not positive numbers.
     """
     with open(path, "rb") as file:
+        identity = Identity.of(file.fileno())
         size = file.seek(0, 2)
         file.seek(0)
         block = file.read(HEADER_LENGTHS[4])
@@ -275,7 +289,7 @@ def read_header(path: Path) -> Header:
             )
         file.seek(0)
         head = file.read(offset)
-        header = _parse(path, head, size)
+        header = dataclasses.replace(_parse(path, head, size), identity=identity)
         _check_points(header)
         if header.compressed and (header.count or any(record.key == _LASZIP for record in header.vlrs)):
             header = dataclasses.replace(header, unread=_check_chunk_table(header, file))

@@ -6,7 +6,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from ..core.units import (
     sampled,
 )
 from . import records, text
-from .files import Bounds, Source, check_bounds
+from .files import CHANGED_IN_READING, Bounds, Identity, Source, Tally, check_bounds
 from .header import Header, read_header
 from .records import inside, read_records, reading
 from .writing import LAS_SUFFIXES, class_changes, write
@@ -155,7 +155,7 @@ def _open_las(path: Path) -> tuple[Header, Reference]:
     with reading(path):
         header = read_header(path)
         stated = {}
-        with open(path, "rb") as file:
+        with header.open() as file:
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
                 if record.user == PROJECTION and record.number in (WKT, GEOKEYS) and size <= _LARGEST_CRS:
@@ -201,12 +201,15 @@ def _las_cloud(
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
     ticks, n = np.empty((header.count, 3), np.int32), 0
     columns: dict[str, Any] = {key: np.empty(header.count, bool if key == "withheld" else np.uint8) for key in fields}
-    for chunk in read_records(header, cut, every_field=False):
-        rows = slice(n, n + len(chunk))
-        ticks[rows] = records.integers(chunk)
-        for key, get in fields.items():
-            columns[key][rows] = get(chunk)
-        n = rows.stop
+    identity, tally = cast(Identity, header.identity), Tally()
+    with identity.kept(header.path, CHANGED_IN_READING):
+        for chunk in read_records(header, cut, every_field=False):
+            rows = slice(n, n + len(chunk))
+            ticks[rows] = records.integers(chunk)
+            tally.add(ticks[rows])
+            for key, get in fields.items():
+                columns[key][rows] = get(chunk)
+            n = rows.stop
     if n < header.count:
         ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}
     if n == 0:
@@ -216,7 +219,7 @@ def _las_cloud(
         if reason := not_metric(some, n, reference.units is not None or cut is not None):
             suspect(f"{name}: {reason}")
     is_ground = columns["classification"] == GROUND_CLASS
-    source = Source.of(header.path, "las", str(header), n, cut)
+    source = Source(header.path.absolute(), "las", str(header), n, cut, identity, tally.checksum)
     return PointCloud.from_integers(
         ticks,
         header.scales,
@@ -234,8 +237,13 @@ def _las_cloud(
 def _text_cloud(
     path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any], suspect: Callable[[str], None] | None
 ) -> PointCloud:
-    layout = text.layout_of(path)
-    chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+    with reading(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
+        identity, tally = Identity.of(file.fileno()), Tally()
+        with identity.kept(path, CHANGED_IN_READING):
+            layout = text.layout_of(path)
+            chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+    for points, _ in chunks:
+        tally.add(points)
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
     keys = chunks[0][1] if chunks else ()
     columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
@@ -248,7 +256,8 @@ def _text_cloud(
             suspect(f"{path}: {reason}")
     if not len(xyz):
         _warn_empty(str(path), cut)
-    source = Source.of(path, "text", "text" if layout is None else str(layout), len(xyz), cut)
+    form = "text" if layout is None else str(layout)
+    source = Source(path.absolute(), "text", form, len(xyz), cut, identity, tally.checksum)
     return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
 
 

@@ -70,8 +70,11 @@ class Raster:
             "nodata": self.nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK,
             "compress": "deflate", "predictor": 3, "bigtiff": "if_safer",
         }  # fmt: skip
-        with new_file(path, overwrite=overwrite) as temporary, rasterio.open(temporary, "w", **profile) as file:
-            file.write(np.where(np.isnan(self.values), np.float32(self.nodata), self.values), 1)
+        with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
+            with memory.open(**profile) as file:
+                file.write(np.where(np.isnan(self.values), np.float32(self.nodata), self.values), 1)
+            with new_file(path, overwrite=overwrite) as temporary:
+                temporary.write_bytes(memory.getbuffer())
         return path
 
     @classmethod
@@ -107,6 +110,7 @@ def _rasterio() -> Any:
         import rasterio
         import rasterio.crs
         import rasterio.errors
+        import rasterio.io
     except ImportError as error:
         raise ImportError("GeoTIFF files need rasterio: pip install 'jaxfilter[dtm]'") from error
     return rasterio

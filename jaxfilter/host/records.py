@@ -7,7 +7,7 @@ import shutil
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lazrs
 import numpy as np
@@ -58,7 +58,7 @@ def read_records(header: Header, bounds: Bounds | None = None, every_field: bool
     Raises: InputError if the points are damaged.
     """
     wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else _NEEDED
-    with reading(header.path), open(header.path, "rb") as file:
+    with reading(header.path), header.open() as file:
         if header.is_copc and bounds is not None:
             chunks = copc.node_chunks(header, file, copc.nodes_within(header, file, bounds), wanted, CHUNK)
         else:
@@ -126,13 +126,32 @@ def channels(records: np.ndarray) -> int:
     return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))
 
 
-@contextlib.contextmanager
-def _writing() -> Iterator[None]:
-    """Give what the LAZ encoder says of a full disk or the like the type that other writing errors have."""
-    try:
-        yield
-    except lazrs.LazrsError as error:
-        raise OSError(str(error)) from error
+class _Recording:
+    """A file that keeps what was raised when the LAZ encoder used it, of which the encoder passes on only a few words."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.error: BaseException | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self.file, name)
+
+        def call(*arguments: Any) -> Any:
+            try:
+                return method(*arguments)
+            except BaseException as error:  # a full disk, or a signal
+                self.error = error
+                raise
+
+        return call
+
+    @contextlib.contextmanager
+    def heard(self) -> Iterator[None]:
+        """A block that encodes: raises what the file raised."""
+        try:
+            yield
+        except lazrs.LazrsError as error:
+            raise self.error or OSError(str(error)) from error
 
 
 class Writer:
@@ -150,7 +169,11 @@ class Writer:
         self.count, self.by_return = 0, np.zeros(16, np.int64)
         self.low, self.high = np.full(3, 2**31, np.int64), np.full(3, -(2**31), np.int64)
         file.write(header.head)
-        self.encoder = lazrs.ParLasZipCompressor(file, lazrs.LazVlr(header.laszip)) if header.compressed else None
+        self.encoded = _Recording(file)
+        self.encoder = None
+        if header.compressed:
+            with self.encoded.heard():
+                self.encoder = lazrs.ParLasZipCompressor(self.encoded, lazrs.LazVlr(header.laszip))
 
     def write(self, records: np.ndarray) -> None:
         """Append u8[k, record_length]."""
@@ -163,7 +186,7 @@ class Writer:
             ticks = integers(records)
             self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))
         if self.encoder is not None:
-            with _writing():
+            with self.encoded.heard():
                 self.encoder.compress_many(records.reshape(-1))
         else:
             self.file.write(records.data)
@@ -171,7 +194,7 @@ class Writer:
     def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
         """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
         if self.encoder is not None:
-            with _writing():
+            with self.encoded.heard():
                 self.encoder.done()
         self.file.seek(0, 2)
         if source is not None:
@@ -184,7 +207,7 @@ class Writer:
     def _copy_tail(self, source: Header, drop: tuple[str, ...]) -> None:
         at = self.file.tell()
         kept = [r for r in source.evlrs if r.user not in drop]
-        with open(source.path, "rb") as file:
+        with source.open() as file:
             if len(kept) == len(source.evlrs):
                 file.seek(source.tail)
                 shutil.copyfileobj(file, self.file, 2**20)

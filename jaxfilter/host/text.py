@@ -12,7 +12,7 @@ from typing import TextIO
 import numpy as np
 
 from ..core.errors import InputError
-from .files import Bounds
+from .files import Bounds, Replay
 from .records import inside, reading
 
 SUFFIXES = (".txt", ".xyz", ".csv")
@@ -113,11 +113,12 @@ def rewrite_text(
     bounds: Bounds | None,
     labels: Callable[[slice], np.ndarray],
     classes: Callable[[np.ndarray, slice], np.ndarray],
+    replay: Replay,
 ) -> None:
     """Copy a text file with its own number formats, and with the results in its label column, or else in its class
     column, or else in a new last column of labels.
 
-    ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points.
+    ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points, which ``replay`` counts.
     """
     names = list(layout.columns)
     replace = {name: layout.columns[name] for name in ("label", "classification") if name in layout.columns}
@@ -126,7 +127,8 @@ def rewrite_text(
         keep = np.ones(len(values), bool)
         if bounds is not None:
             keep = inside(values[:, [names.index("x"), names.index("y")]], bounds)
-        rows = slice(start, start + int(keep.sum()))
+        replay.add(values[keep][:, [names.index(axis) for axis in "xyz"]])
+        rows = slice(start, replay.points)
         start = rows.stop
         texts = {"label": map(str, labels(rows).tolist())}
         if "classification" in replace:

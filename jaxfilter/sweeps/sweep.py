@@ -21,6 +21,7 @@ from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.points import Points, canonical_points, plain_points
 from ..core.result import Progress, silent
+from ..host.files import existing, new_file
 from ..scoring import Scores, reference_labels
 from .best import SCORES
 from .design import Design, make_design
@@ -193,7 +194,7 @@ class _State:
             "random key": str(key),
             "version of jaxfilter": version("jaxfilter"),
         }
-        if path.exists():
+        if existing(path) is not None:
             self._load()
 
     def _load(self) -> None:
@@ -234,20 +235,15 @@ class _State:
             counts[...] = 0
 
     def save(self) -> None:
-        """Write the checkpoint, under a temporary name first."""
+        """Write the checkpoint. Raises OutputError."""
         if self.votes is not None:
             self._spread()
         if self.path is None or not self.dirty:
             return
         data: dict[str, Any] = {"done": self.done, "confusion": self.confusion, "ground": self.ground}
         data |= {f"votes_{i}": votes for i, votes in enumerate(self.votes or [])}
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.npz")
-        try:
-            with open(temporary, "wb") as file:
-                np.savez(file, facts=np.array(json.dumps(self.facts)), **data)
-            os.replace(temporary, self.path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with new_file(self.path, overwrite=True) as temporary, open(temporary, "wb") as file:
+            np.savez(file, facts=np.array(json.dumps(self.facts)), **data)
         self.saved, self.dirty = time.monotonic(), False
 
 
