@@ -129,7 +129,7 @@ def test_coordinates_that_las_cannot_hold(tmp_path):
 
 def test_coordinates_beyond_the_earth(tmp_path):
     xyz = np.append(terrain(), [[3.0, 5.0, 1e7]], axis=0)
-    assert_refused(ground(text_of(tmp_path / "in.txt", xyz), tmp_path / "out.txt"), tmp_path, "z", "1e+07")
+    assert_refused(ground(text_of(tmp_path / "in.txt", xyz), tmp_path / "out.txt"), tmp_path, "Z spans 1e+07 m")
 
 
 # clouds in which there is little to do
