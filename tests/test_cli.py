@@ -299,7 +299,11 @@ def test_evaluate_refuses_other_points_and_missing_labels(folder):
 def test_methods_and_info_speak_json(folder, scene):
     table = json.loads(run("methods", "--json").stdout)
     assert list(table) == list(FILTERS)
-    assert all(name in run("methods").stdout for name in FILTERS)
+    listed = run("methods").stdout
+    for name, method in FILTERS.items():
+        assert f"\n{name}  " in f"\n{listed}"
+        assert all(f"  --preset {preset}: {values.note}\n" in listed for preset, values in method.PRESETS.items())
+    assert table["fptd"]["notes"]["D1"] == FILTERS["fptd"].PRESETS["D1"].note
     facts = json.loads(run("info", folder / "scene.laz", "--json").stdout)
     assert facts["points"] == len(scene)
     assert run("info", folder / "scene.laz").exit_code == 0

@@ -1,5 +1,7 @@
 """Densification against a plain loop that triangulates everything anew in every round."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay, cKDTree
@@ -39,7 +41,18 @@ def network_of(points, late=None):
     return one_network(points, seeds_of(points, late), border, late)
 
 
-def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refresh=True, mirror=None, one_each=False):
+def plain(
+    net,
+    max_angle,
+    max_elevation,
+    max_distance=np.inf,
+    signed=True,
+    refresh=True,
+    mirror=None,
+    one_each=False,
+    bare=False,
+    one_by_one=False,
+):
     """The same method without any of the machinery: float64, one triangulation and all open points in every round."""
     xyz = net.xyz.astype(np.float64)
     xy = perturbed(net.xyz)
@@ -57,12 +70,17 @@ def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refre
 
         def judge(p, where, mesh=mesh, vertices=vertices):
             f = xyz[vertices[mesh.simplices[where]]]
+            counts = net.row[vertices[mesh.simplices[where]]] >= (0 if bare else -1)
+            counts[~counts.any(1)] = True
             n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
             n *= (np.sign(n[:, 2]) / np.linalg.norm(n, axis=1))[:, None]
             d = ((p - f[:, 0]) * n).sum(1)
-            gap = np.linalg.norm(f - p[:, None], axis=2)
+            gap = np.where(counts, np.linalg.norm(f - p[:, None], axis=2), np.inf)
             sine = np.divide(d, gap.min(1), out=np.zeros_like(d), where=gap.min(1) > 0)
-            angle, v = np.degrees(np.arcsin(np.clip(sine, -1, 1))), p[:, 2] - f[:, :, 2].max(1)
+            angle, v = (
+                np.degrees(np.arcsin(np.clip(sine, -1, 1))),
+                p[:, 2] - np.where(counts, f[:, :, 2], -np.inf).max(1),
+            )
             if not signed:
                 d, angle = np.abs(d), np.abs(angle)
             return (angle <= max_angle) & (v <= max_elevation) & (d <= max_distance), f, n
@@ -87,7 +105,31 @@ def plain(net, max_angle, max_elevation, max_distance=np.inf, signed=True, refre
                 rivals = np.flatnonzero(ok & fresh & (where == facet))
                 ok[rivals] = False
                 ok[rivals[height[rivals].argmin()]] = True
+        if one_by_one:  # from below, over the facets of this round: what an earlier one has changed waits for the next
+            taken, changed = {tuple(v) for v in net.xyz[vertices, :2]}, np.zeros(len(mesh.simplices), bool)
+            fresh = np.array([tuple(v) not in taken for v in net.xyz[open_, :2]])
+            chosen, relied = ok & ~fresh, np.zeros(len(mesh.simplices), bool)
+            seen = set()
+            for i in np.flatnonzero(ok & fresh)[np.argsort(xyz[open_[ok & fresh], 2], kind="stable")]:
+                if where[i] in seen:
+                    continue
+                seen.add(where[i])
+                circle = in_circles(xy[vertices][mesh.simplices], xy[open_[i]])
+                if not changed[where[i]] and not (circle & relied).any():
+                    chosen[i], relied[where[i]] = True, True
+                    changed |= circle
+            ok = chosen
         ground[open_[ok]] = True
+
+
+def in_circles(corners, p):
+    """bool[t]: the circumcircles of triangles f64[t, 3, 2] that hold p, by centre and radius."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    d = 2 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    u, v = ((b - a) ** 2).sum(1), ((c - a) ** 2).sum(1)
+    x = (u * (c - a)[:, 1] - v * (b - a)[:, 1]) / d
+    y = (v * (b - a)[:, 0] - u * (c - a)[:, 0]) / d
+    return np.hypot(*(p - a - np.column_stack([x, y])).T) < np.hypot(x, y)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -191,12 +233,16 @@ def test_round_limit_is_reported():
     assert not out.converged and len(out.trace) == 2
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_points_over_a_border_that_moved_are_tested_again(seed):
+def steep_scene(seed):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0, 90, (1500, 2)).round(1)
     z = 0.6 * xy[:, 0] + 2 * np.sin(xy[:, 1] / 7) + rng.normal(0, 0.1, 1500)
-    net = network_of(canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)]))))
+    return canonical_points(PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_points_over_a_border_that_moved_are_tested_again(seed):
+    net = network_of(steep_scene(seed))
     out = densify(net, Rule(max_angle=12, max_elevation=0.7, signed=1), refresh_border=True)
     assert (out.ground == plain(net, 12, 0.7)).all()
 
@@ -210,6 +256,46 @@ def test_one_point_per_facet_equals_a_plain_loop(seed):
     expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_each=True)
     assert (out.ground != expected).sum() <= 2
     assert (out.ground != densify(net, rule).ground).sum() > 10
+
+
+def test_points_one_by_one_equal_a_plain_loop():
+    net = network_of(scene(12, n=400, side=36.0))
+    rule = Rule(max_angle=14, max_distance=0.8)
+    out = densify(net, rule, insertion="sequential", max_rounds=1000, keep_labels=True)
+    assert out.converged
+    expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_by_one=True)
+    assert (out.ground != expected).sum() <= 2
+    assert (out.ground != densify(net, rule).ground).sum() > 10
+    assert len(out.trace) > len(densify(net, rule, insertion="one_per_facet", max_rounds=1000).trace)
+
+
+def test_each_point_of_a_sequence_passes_in_the_triangulation_of_all_before_it():
+    net = network_of(scene(17, n=500, side=40.0))
+    mirror = Mirror(15.0, "highest", "replace")
+    rule = Rule(max_angle=14, max_distance=0.8)
+    out = densify(net, rule, mirror=mirror, insertion="sequential", max_rounds=1000, keep_labels=True)
+    before, replayed = net.seed, 0
+    for step in out.trace[:4]:
+        new = np.flatnonzero(step["ground"] & ~before)
+        for turn in (new, new[::-1]):  # in any order: they do not influence each other
+            ground = before.copy()
+            for node in turn:
+                one = dataclasses.replace(net, seed=ground, open=np.arange(len(net.xyz)) == node)
+                assert densify(one, rule, mirror=mirror, max_rounds=1).ground[node]
+                ground[node] = True
+                replayed += 1
+        before = step["ground"]
+    assert replayed > 30
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_border_nodes_that_do_not_count_only_carry_planes(signed):
+    net = network_of(steep_scene(4))
+    rule = Rule(max_angle=14, max_elevation=0.7, signed=signed)
+    out = densify(net, rule, border_in_tests=False)
+    expected = plain(net, 14, 0.7, signed=signed, refresh=False, bare=True)
+    assert (out.ground != expected).sum() <= 1
+    assert (out.ground != densify(net, rule).ground).sum() > 5
 
 
 @pytest.mark.parametrize("mode", ["replace", "or", "and"])

@@ -27,8 +27,16 @@ def test_the_page_of_a_filter_lists_its_parameters_and_presets(name):
     listed = [line for line in text.splitlines() if line.startswith("| `")]
     fields = [row(field) for field in declared(FILTERS[name])]
     assert listed[: len(fields)] == fields, "\n".join(fields)
-    for preset in FILTERS[name].PRESETS:
-        assert f"`{preset}`" in text
+    notes = [f"| `{preset}` | {values.note} |" for preset, values in FILTERS[name].PRESETS.items()]
+    assert listed[len(fields) :][: len(notes)] == notes, "\n".join(notes)
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_every_preset_says_what_it_is_and_paper_what_is_not_as_printed(name):
+    for preset, values in FILTERS[name].PRESETS.items():
+        assert values.note and "\n" not in values.note, preset
+    paper = FILTERS[name].PRESETS["paper"].note
+    assert re.match(r"as (printed|reported)($|[ :(])", paper), paper
 
 
 def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):

@@ -263,6 +263,15 @@ def test_parameters_follow_spacing_and_building_size(method, small):
     near, far = method.for_cloud(xyz, largest_building=20.0), method.for_cloud(xyz, largest_building=90.0)
     assert far.halo() > near.halo()
     assert isinstance(near(xyz), jf.FilterResult)
+    unknown = method.for_cloud(xyz)
+    for name in (
+        "window",
+        "max_window",
+        "seed_cell",
+        "resolution",
+        "max_height",
+    ):  # what follows from a building's size
+        assert getattr(unknown, name, None) == getattr(method(), name, None)
     for size in (25.0, 33.3, 50.0):
         assert len(method.for_cloud(xyz, largest_building=size)(xyz)) == len(xyz)
     with pytest.raises(jf.ParameterError, match="largest_building=-1"):

@@ -91,7 +91,9 @@ def test_a_cluster_of_low_points_is_barred():
 def test_parameters():
     assert math.degrees(math.atan(MSF.preset("paper").slope)) == pytest.approx(15)
     assert math.degrees(math.atan(MSF().slope)) == pytest.approx(30, abs=0.05)
-    assert MSF.from_spacing(0.3, 60) == {"cell": 1.0, "window": 30.0, "max_height": 9.0}
+    assert MSF.from_spacing(0.3, 60) == {"cell": 1.0, "window": 30.0, "max_height": 18.0}
+    assert MSF.from_spacing(2.2, 10) == {"cell": 1.0, "window": 5.0, "max_height": 6.0}
+    assert MSF.from_spacing(8.0, None) == {"cell": 2.0}
     assert MSF.from_spacing(0.3, 300)["cell"] == 1.5
     assert MSF(window=30).halo() >= 30
     with pytest.raises(ParameterError, match="window=500"):

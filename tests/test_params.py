@@ -121,7 +121,7 @@ def test_presets_are_valid_and_changes_go_on_top(method):
 @METHODS
 def test_parameters_from_the_cloud_are_valid(method):
     for spacing in (0.05, 0.5, 5.0):
-        for building in (5.0, 60.0, 300.0):
+        for building in (5.0, 60.0, 300.0, None):
             method(**method.from_spacing(spacing, building))
     with pytest.raises(ParameterError, match="largest_building=0"):
         method.for_cloud(np.zeros((0, 3)), largest_building=0)

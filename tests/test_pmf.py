@@ -160,7 +160,8 @@ def test_windows_and_thresholds():
 
 def test_parameters():
     assert PMF.from_spacing(0.3, 60) == {"cell": 1.0, "max_window": 60}
-    assert PMF.from_spacing(2.2, 40) == {"cell": 2.5, "max_window": 40}
+    assert PMF.from_spacing(2.2, 40) == {"cell": 1.0, "max_window": 40}
+    assert PMF.from_spacing(8.0, None) == {"cell": 2.0}
     assert PMF(max_window=60).halo() > 2 * (1 + 2 + 4 + 8 + 16 + 30)
     with pytest.raises(ParameterError, match="max_window=5000"):
         PMF(max_window=5000.0)

@@ -130,7 +130,8 @@ def test_only_candidates_are_gridded():
 def test_parameters():
     assert (SMRF() == SMRF.preset("paper")) and SMRF.preset("samp53").slope == 0.45
     assert SMRF.from_spacing(0.3, 60) == {"cell": 1.0, "window": 30.0}
-    assert SMRF.from_spacing(2.2, 40) == {"cell": 2.5, "window": 20.0}
+    assert SMRF.from_spacing(2.2, 40) == {"cell": 1.5, "window": 20.0}
+    assert SMRF.from_spacing(4.0, None) == {"cell": 2.0}
     assert SMRF(cell=2, window=18).reach == 9 and SMRF(window=18).halo() >= 18 * 19
     for wrong in ({"cell": 0}, {"window": -1}, {"slope": 0}, {"cut": -1}, {"window": 5000}):
         with pytest.raises(ParameterError, match=next(iter(wrong))):

@@ -518,7 +518,7 @@ def report(command: str, lines: Sequence[Row], rows: Sequence[Row], count: int) 
         "# Choices within the methods",
         f"`{command}` on {machine()}.",
         f"Means and medians over {count} ISPRS samples, in percent. Everything but the choice in question is the fixed "
-        "set of the protocol in `experiments/isprs`: parameters from point spacing and a largest building of 60 m, no labels. "
+        "set of the protocol in `experiments/isprs`: `for_cloud(cloud)`, nothing chosen per sample. "
         "The baseline, that fixed set, is bold. Variants marked † use the labels and show only what is to be gained.",
     ]
     for choice in dict.fromkeys(line["choice"] for line in lines):

@@ -1,6 +1,7 @@
 """The three protocols, and what the papers claim about classic PTD judged under each of them.
 
-*fixed*: one set per method for all samples, from point spacing and largest building. No label is used but for scoring.
+*fixed*: ``for_cloud(cloud)``, the defaults and what follows from the point spacing. Nothing is chosen per sample; where the
+defaults come from, and which of them were chosen on some of these samples, is told in docs/fidelity.md.
 *class*: per terrain class of Li et al. (2021) the set with the best mean kappa on the *other* samples of the class.
 *oracle*: per sample the set with the best kappa on that sample itself: a ceiling, not a result.
 """

@@ -1,7 +1,7 @@
 """What is varied: the thresholds of each method, their ranges, and the sets that every method is tried with.
 
-A *set* is a choice of thresholds. All else, such as grid cells and the size of the largest building, follows from the
-point spacing and :data:`LARGEST_BUILDING` by the method's ``from_spacing``. Set 0 is that fixed set, thresholds and all.
+A *set* is a choice of thresholds. All else is what ``for_cloud`` gives for the sample, that is the defaults, and what
+follows from the point spacing. Set 0 is that fixed set, thresholds and all.
 The others are the points of the Sobol sequence over the ranges of
 :mod:`jaxfilter.sweeps.ranges`, so that every method is tried with the same number of sets,
 and methods with as many thresholds with the same points of the unit cube.
@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from pathlib import Path
 
 from scipy.stats import qmc
 
 import jaxfilter as jf
+from experiments.report import read_csv
 from jaxfilter.sweeps.ranges import search_ranges
 
-LARGEST_BUILDING = 60.0
-"""Metres; the size that Li et al. (2021) give for all ISPRS sites."""
-SPACINGS = {"urban": 1.25, "rural": 2.75}
-"""Nominal point spacing in metres: middle of 1 to 1.5 m (samples 11 to 42) and of 2 to 3.5 m (51 to 71)."""
+SPACINGS = {row["sample"]: row["spacing"] for row in read_csv(Path(__file__).parent / "spacing.csv")}
+"""Mean point spacing of the samples in metres, as ``for_cloud`` measures it; kept so that no cloud need be read for it."""
 
 FAMILY = ("ptd", "atin", "iptd", "fptd", "spf", "agptd", "stin", "ptdf", "ppdf", "msf", "pmf", "smrf", "csf")
 """Order in tables: methods on triangulations, on planes, on grids, cloth."""
@@ -31,15 +31,10 @@ def method_names() -> list[str]:
     return [name for name in FAMILY if name in jf.FILTERS] + [name for name in jf.FILTERS if name not in FAMILY]
 
 
-def spacing(sample: str) -> float:
-    """Nominal spacing of a sample such as "samp11", metres."""
-    return SPACINGS["urban" if sample.removeprefix("samp") < "50" else "rural"]
-
-
 def fixed(method: str, sample: str) -> jf.Filter:
-    """The method with the one set of parameters that point spacing and largest building give."""
+    """The method as ``for_cloud(cloud)`` gives it for a sample such as "samp11"."""
     cls = jf.FILTERS[method]
-    return cls(**cls.from_spacing(spacing(sample), LARGEST_BUILDING))
+    return cls(**cls.from_spacing(SPACINGS[sample], None))
 
 
 def matched(method: str, sample: str) -> jf.Filter:

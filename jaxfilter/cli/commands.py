@@ -499,6 +499,7 @@ def methods(as_json: bool) -> None:
         name: {
             "summary": _summary(method),
             "presets": method.PRESETS,
+            "notes": {preset: values.note for preset, values in method.PRESETS.items()},
             "parameters": {field: describe(declared) for field, declared in fields(method).items()},
             "citation": citation(method),
         }
@@ -508,7 +509,9 @@ def methods(as_json: bool) -> None:
         print_json(table)
         return
     for name, entry in table.items():
-        click.echo(f"{name}  {entry['summary']}\n  presets: {', '.join(entry['presets'])}")
+        click.echo(f"{name}  {entry['summary']}")
+        for preset, note in entry["notes"].items():
+            click.echo(f"  --preset {preset}: {note}")
         for field, text in entry["parameters"].items():
             click.echo(f"  --{field.replace('_', '-')}: {text}")
         click.echo()

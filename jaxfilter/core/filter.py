@@ -16,7 +16,7 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
 from .errors import JaxfilterWarning, ParameterError
-from .params import check_fields, declared
+from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, plain_points
 from .result import Decision, FilterResult, Progress, Status, silent
 
@@ -48,14 +48,15 @@ class Labels:
 class Filter:
     """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
 
-    ``PRESETS`` maps a preset's name to field values; every method has "paper" (as printed) and "recommended" (ours).
+    ``PRESETS`` maps a preset's name to field values with a note; every method has "paper" (as printed, but for what the
+    note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
     """
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"paper": {}, "recommended": {}}
+    PRESETS: ClassVar[dict[str, Preset]] = {"paper": Preset("as printed"), "recommended": Preset("the default")}
     ORDER_FREE: ClassVar[bool] = False
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
     LAST: ClassVar[tuple[str, ...]] = ()
@@ -76,21 +77,22 @@ class Filter:
 
     @classmethod
     def for_cloud(
-        cls, cloud: Any, largest_building: float = 60.0, *, preset: str | None = None, **changes: Any
+        cls, cloud: Any, largest_building: float | None = None, *, preset: str | None = None, **changes: Any
     ) -> Self:
-        """Parameters set from point spacing and from the largest building (metres) that stands in the cloud.
+        """Parameters set from point spacing and, where it is given, from the largest building (metres) in the cloud.
 
-        They replace those of ``preset``; ``changes`` come on top. Raises ParameterError.
+        Without it windows and seed cells keep their defaults. They replace those of ``preset``; ``changes`` come on top.
+        Raises ParameterError.
         """
-        if not largest_building > 0:
+        if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud))
         changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        """Field values for a mean point spacing and a largest building, both in metres."""
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known."""
         return {}
 
     def replace(self, **changes: Any) -> Self:

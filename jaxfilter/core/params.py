@@ -58,6 +58,17 @@ def static(
     return _field(default, True, {**meta, "choices": choices, "optional": optional})
 
 
+class Preset(dict[str, Any]):
+    """Field values of a named set, and ``note``: one line that says what the set is.
+
+    The note of "paper" begins with "as printed", or "as reported" where the original was not at hand, and names what is not.
+    """
+
+    def __init__(self, note: str, /, **fields: Any) -> None:
+        super().__init__(fields)
+        self.note = note
+
+
 class _Registry(Mapping[str, type[Any]]):
     """Filter classes by name; look-ups ignore case, iteration gives the lower-case names."""
 

@@ -45,7 +45,9 @@ _MESSAGES = {
 class Decision(enum.IntEnum):
     """Which test decided a point."""
 
-    SET_ASIDE = 0  # no candidate: echo, class, withheld flag or invalid coordinate
+    SET_ASIDE = (
+        0  # never tested: no candidate (echo, class, withheld flag, invalid coordinate), or taken out by the method
+    )
     SEED = 1
     ACCEPTED = 2  # passed every test
     NOISE_FLOOR = 3  # within the noise floor of its facet

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.cloud import PointCloud, as_cloud
 from ..core.compilation import bucket
 from ..core.errors import ParameterError
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, canonical_points
 from ..core.result import FilterResult, Progress
 from ..ops.facets import Rule
@@ -37,18 +37,15 @@ _TABLE1 = {
 """max_angle and max_distance that the paper's Table 1 gives each ISPRS sample."""
 
 
-def _sample(number: int) -> dict[str, Any]:
+def _sample(number: int) -> Preset:
     """The settings of an ISPRS sample: radius by Sec. 3.1.1, seed cell by the number of seeds in Table 4."""
     angle, distance = _TABLE1[number]
     rural = number > 50
     cell = 8.0 if rural else 4.0 if number == 41 else 6.0
-    return {
-        **_PAPER,
-        "max_angle": angle,
-        "max_distance": distance,
-        "seed_cell": cell,
-        "radius": 14.0 if rural else 6.0,
-    }
+    radius = 14.0 if rural else 6.0
+    own = {"max_angle": angle, "max_distance": distance, "seed_cell": cell, "radius": radius}
+    text = f"ISPRS sample {number}: theta = {angle:g}, d = {distance:g}, s_pri = {cell:g}, r = {radius:g}"
+    return Preset(text, **_PAPER | own)
 
 
 @filter_params
@@ -119,16 +116,24 @@ class AGPTD(TinFilter):
     )
 
     NOT_SWEPT: ClassVar[tuple[str, ...]] = ("oracle_removal",)
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": _PAPER,
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: seed cells as large as the largest building, clusters of low points are barred"
+        ),
+        "paper": Preset(
+            "as printed for urban points with the medians of Table 1, except that the test of elevations is replaced, whose "
+            "formula has no unit, and that num = 4 and a relative slope of 0.06 are not printed",
+            **_PAPER,
+            outlier_fate="removed",
+        ),
         **{f"samp{number}": _sample(number) for number in _TABLE1},
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         radius = max(1.0, round(6.0 * spacing, 1))  # four times the largest spacing, which is half as much again
-        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building, "radius": radius}
+        own = {} if largest_building is None else {"seed_cell": largest_building}
+        return super().from_spacing(spacing, largest_building) | own | {"radius": radius}
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach.

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
@@ -18,13 +18,21 @@ from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
-_TABLE_2 = {
-    "thresholds": "adaptive",
-    "border": "corners",
-    "refresh_border": False,
-    "low_clusters": False,
-    "mirror": "nearest",
-}
+
+
+def _table_2(note: str, seed_cell: float, max_terrain_slope: float, max_distance: float, max_angle: float) -> Preset:
+    return Preset(
+        note,
+        seed_cell=seed_cell,
+        max_terrain_slope=max_terrain_slope,
+        max_distance=max_distance,
+        max_angle=max_angle,
+        thresholds="adaptive",
+        border="corners",
+        refresh_border=False,
+        low_clusters=False,
+        mirror="nearest",
+    )
 
 
 @filter_params
@@ -77,19 +85,27 @@ class ATIN(TinFilter):
     )
     refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": _TABLE_2 | {"seed_cell": 30.0, "max_terrain_slope": 10.0, "max_distance": 2.4, "max_angle": 30.0},
-        "samp11": _TABLE_2 | {"seed_cell": 30.0, "max_terrain_slope": 17.0, "max_distance": 2.0, "max_angle": 30.0},
-        "samp12": _TABLE_2 | {"seed_cell": 30.0, "max_terrain_slope": 3.0, "max_distance": 2.0, "max_angle": 45.0},
-        "samp23": _TABLE_2 | {"seed_cell": 40.0, "max_terrain_slope": 15.0, "max_distance": 4.0, "max_angle": 45.0},
-        "samp52": _TABLE_2 | {"seed_cell": 35.0, "max_terrain_slope": 10.0, "max_distance": 2.4, "max_angle": 25.0},
-        "samp71": _TABLE_2 | {"seed_cell": 25.0, "max_terrain_slope": 5.0, "max_distance": 4.0, "max_angle": 20.0},
-    }
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: border points all round follow the ground, clusters of low points are no seeds, no mirroring, "
+            "constant limits"
+        ),
+        "paper": _table_2(
+            "as reported by Uray and Varlik (2024) with the medians of their Table 2, except that how limits follow from "
+            "histograms is not reported: median plus 15 robust standard deviations, at most these medians",
+            30.0, 10.0, 2.4, 30.0,
+        ),
+        "samp11": _table_2("as paper, for ISPRS sample 11: 30 m, 17 %, 2 m, 30 degrees", 30.0, 17.0, 2.0, 30.0),
+        "samp12": _table_2("as paper, for ISPRS sample 12: 30 m, 3 %, 2 m, 45 degrees", 30.0, 3.0, 2.0, 45.0),
+        "samp23": _table_2("as paper, for ISPRS sample 23: 40 m, 15 %, 4 m, 45 degrees", 40.0, 15.0, 4.0, 45.0),
+        "samp52": _table_2("as paper, for ISPRS sample 52: 35 m, 10 %, 2.4 m, 25 degrees", 35.0, 10.0, 2.4, 25.0),
+        "samp71": _table_2("as paper, for ISPRS sample 71: 25 m, 5 %, 4 m, 20 degrees", 25.0, 5.0, 4.0, 20.0),
+    }  # fmt: skip
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building}
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        own = {} if largest_building is None else {"seed_cell": largest_building}
+        return super().from_spacing(spacing, largest_building) | own
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""

@@ -14,7 +14,7 @@ from scipy import ndimage
 from ..core.compilation import bucket
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..host.neighbours import groups
@@ -79,26 +79,42 @@ class CSF(Filter):
     low_clusters: bool = static(True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
 
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"resolution": 0.5, "rigidness": 3, "surface": "nearest", "low_clusters": False},
-        "wheel": {"rigidness": 3, "gravity": "program", "surface": "nearest", "low_clusters": False},
-        "cai2023": {
-            "resolution": 0.3,
-            "rigidness": 3,
-            "gravity": "program",
-            "surface": "nearest",
-            "low_clusters": False,
-        },
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset("the default: medium rigidness, lowest points, low clusters carry no cloth"),
+        "paper": Preset(
+            "as printed for flat terrain (0.5 m, hard cloth, gravity as in the equation), except that the shares of the "
+            "springs and their order are those of the authors' program",
+            resolution=0.5,
+            rigidness=3,
+            surface="nearest",
+            low_clusters=False,
+        ),
+        "wheel": Preset(
+            "the defaults of cloth-simulation-filter 1.1.7 (resolution 1 m, hard cloth), in all details",
+            rigidness=3,
+            gravity="program",
+            surface="nearest",
+            low_clusters=False,
+        ),
+        "cai2023": Preset(
+            "resolution 0.3 m, hard cloth: the CSF that Cai et al. (2023) compare with",
+            resolution=0.3,
+            rigidness=3,
+            gravity="program",
+            surface="nearest",
+            low_clusters=False,
+        ),
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """The finest cloth, in steps of 0.1 m, that bridges the largest building, 0.5 m at least, as in the paper.
 
         A cloth of rigidness 2 sags by less than 2 m over a square hole of 60 particles. Sparse points are no reason for a
         coarser one: on simulated scenes with 0.13 points per m2 cloths of 1 m lose less than cloths of 1.5 to 2.8 m.
         """
+        if largest_building is None:
+            return {}
         return {"resolution": max(0.5, 0.1 * math.ceil(10 * largest_building / _HOLE - 1e-6))}
 
     def halo(self) -> float:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import Labels
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..ops.morphology import opening
@@ -21,17 +21,18 @@ from ..stages.surfaces import cell_for, check_width, lowest_cells
 from ..stages.tin_filter import TinFilter, facet_reach
 
 
-def _table(window: float, k: int, plane_error: float, max_angle: float, max_distance: float) -> dict[str, Any]:
-    return {
-        "window": window,
-        "k": k,
-        "plane_error": plane_error,
-        "max_angle": max_angle,
-        "max_distance": max_distance,
-        "cell": 1.0,
-        "tolerance": 0.3,
-        "vertex_spacing": 2.0,
-    }
+def _table(number: int, window: float, k: int, plane_error: float, max_angle: float, max_distance: float) -> Preset:
+    return Preset(
+        f"ISPRS sample {number}: w = {window:g}, k = {k}, r = {plane_error:g}, theta = {max_angle:g}, d = {max_distance:g}",
+        window=window,
+        k=k,
+        plane_error=plane_error,
+        max_angle=max_angle,
+        max_distance=max_distance,
+        cell=1.0,
+        tolerance=0.3,
+        vertex_spacing=2.0,
+    )
 
 
 @filter_params
@@ -77,14 +78,23 @@ class IPTD(TinFilter):
     )
     border_spacing: float = static(10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"tolerance": 0.3, "k": 300, "translation": "lowest", "low_clusters": False},
-        "samp11": _table(30.0, 300, 0.5, 30.0, 2.0),
-        "samp12": _table(30.0, 300, 0.5, 45.0, 2.0),
-        "samp23": _table(40.0, 600, 0.8, 45.0, 1.5),
-        "samp52": _table(35.0, 200, 0.8, 25.0, 2.4),
-        "samp71": _table(25.0, 300, 0.8, 20.0, 3.0),
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: one set for all terrain, planes stay as fitted, clusters of low points are barred"
+        ),
+        "paper": Preset(
+            "as reported by Uray and Varlik (2024), except what is not reported: cells of 2 m, a tolerance of 0.3 m, planes "
+            "of 300 seeds moved down to the lowest of them",
+            tolerance=0.3,
+            k=300,
+            translation="lowest",
+            low_clusters=False,
+        ),
+        "samp11": _table(11, 30.0, 300, 0.5, 30.0, 2.0),
+        "samp12": _table(12, 30.0, 300, 0.5, 45.0, 2.0),
+        "samp23": _table(23, 40.0, 600, 0.8, 45.0, 1.5),
+        "samp52": _table(52, 35.0, 200, 0.8, 25.0, 2.4),
+        "samp71": _table(71, 25.0, 300, 0.8, 20.0, 3.0),
     }
 
     def check(self) -> None:
@@ -92,10 +102,10 @@ class IPTD(TinFilter):
         check_width(self, "window", 1000)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of two point spacings, in steps of 0.5 m and 1 m at least, so that few of them are empty."""
-        own = {"cell": cell_for(spacing, 2), "window": largest_building}
-        return super().from_spacing(spacing, largest_building) | own
+        own = {} if largest_building is None else {"window": largest_building}
+        return super().from_spacing(spacing, largest_building) | own | {"cell": cell_for(spacing, 2)}
 
     @property
     def reach(self) -> int:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import Filter, Labels
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.cones import cone_erosion, cone_limits
@@ -66,9 +66,15 @@ class MSF(Filter):
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the minima")
 
     ORDER_FREE: ClassVar[bool] = True
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"slope": math.tan(math.radians(15.0)), "max_height": 3.0, "low_clusters": False},
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset("the default: terrain up to 30 degrees and 6 m, clusters of low points barred"),
+        "paper": Preset(
+            "as reported by Cai et al. (2023), Table 2 (15 degrees, 3 m, window 10 m), except that the window is a radius "
+            "and that 0.3 m of tolerance, which is not reported, is added",
+            slope=math.tan(math.radians(15.0)),
+            max_height=3.0,
+            low_clusters=False,
+        ),
     }
 
     def check(self) -> None:
@@ -77,12 +83,15 @@ class MSF(Filter):
         check_width(self, "window", MAX_REACH)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        """A window as wide as the largest building, and cells of 1 m, or of the point spacing in steps of 0.5 m, or of a
-        hundredth of the window. The largest rise grows with windows over 20 m, so that hillsides of 30 % stay."""
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """A window as wide as the largest building, and cells of 1 m, or of a quarter of the point spacing, or of a
+        hundredth of the window. The largest rise is 0.6 of the window, as by default, so that hillsides stay."""
+        cell = cell_for(spacing, 1 / 4)
+        if largest_building is None:
+            return {"cell": cell}
         window = largest_building / 2
-        cell = max(cell_for(spacing), 0.5 * math.ceil(2 * window / MAX_REACH - 1e-6))
-        return {"cell": cell, "window": window, "max_height": max(6.0, 0.3 * window)}
+        cell = max(cell, 0.5 * math.ceil(2 * window / MAX_REACH - 1e-6))
+        return {"cell": cell, "window": window, "max_height": max(6.0, 0.6 * window)}
 
     def halo(self) -> float:
         """The window, two cells, and what the search for low clusters looks at, metres."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.filter import Filter, Labels
 from ..core.grid import Grid, grid_over
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress, Status
 from ..ops.grid import inside, padded_shape
@@ -61,6 +61,9 @@ class PPDF(Filter):
     division_distance: float = param(
         1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
     )
+    ignored_share: float = param(
+        0.0, ge=0, lt=1, doc="share of a cell's points, the lowest below its plane, that do not divide it; rounded up"
+    )
     buffer: float = param(0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
     window: float = static(
         18.0,
@@ -73,7 +76,7 @@ class PPDF(Filter):
         2.5, unit="m", gt=0, doc="largest drop in an opening, and height above the lowest point of the cell, of a seed"
     )
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the planes")
-    reach: float = static(30.0, unit="m", gt=0, doc="distance to the farthest reference point")
+    reach: float = static(30.0, unit="m", gt=0, doc="distance to the farthest reference point; inf = any distance")
     reference_cell: float = static(
         1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
     )
@@ -90,28 +93,36 @@ class PPDF(Filter):
     )
 
     LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {
-            "max_slope": 90.0,
-            "window": 0.0,
-            "low_clusters": False,
-            "reference_cell": 0.0,
-            "reference_distance": 1.5,
-            "max_distance": 1.5,
-        },
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: one reference per square metre, its lowest; roofs and low outliers make no seeds"
+        ),
+        "paper": Preset(
+            "as printed, except that a plane needs at least N_i points, not less, that points due north, east, south and "
+            "west belong to a quadrant, and that 0.5 m and 128 hypotheses for the planes are not printed",
+            max_slope=90.0,
+            window=0.0,
+            low_clusters=False,
+            reach=math.inf,
+            reference_cell=0.0,
+            reference_distance=1.5,
+            max_distance=1.5,
+        ),
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
-        return {
+        own = (
+            {}
+            if largest_building is None
+            else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
+        )
+        return own | {
             "canopy_cell": max(2.0, 1.5 * spacing),
             "cell": max(10.0, 7.0 * spacing),
             "min_points": 20 if spacing <= 0.75 else 10,
             "reference_cell": max(1.0, spacing),
-            "window": largest_building / 2,
-            "reach": max(30.0, largest_building / 2),
         }
 
     def halo(self) -> float:
@@ -152,6 +163,7 @@ class PPDF(Filter):
             min_points=self.min_points,
             inlier_distance=self.inlier_distance,
             division_distance=self.division_distance,
+            ignored_share=self.ignored_share,
             max_slope=self.max_slope,
         )
         height, slope, distance = planes.height, planes.slope, planes.distance
@@ -224,9 +236,10 @@ class PPDF(Filter):
         )
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
+        reach = min(self.reach, float(np.hypot(*np.ptp(xyz[:, :2], axis=0))) + 1.0)  # the whole cloud, at most
         if self.references == "nearest":
-            return NearestReferences(xyz, query, self.reach)
-        return QuadrantReferences(xyz, query, side, self.reach)
+            return NearestReferences(xyz, query, reach)
+        return QuadrantReferences(xyz, query, side, reach)
 
 
 def _under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float) -> np.ndarray:

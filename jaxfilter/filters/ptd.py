@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
@@ -31,7 +31,7 @@ class PTD(TinFilter):
     (2021), Table I, with e as the distance, for the comparison in their Table IV: they print no values for PTD, and these,
     with ``refresh_border=False``, come within half a point of total error on two thirds of its rows.
 
-    Departure (docs/fidelity.md): all points that pass in a round are added together, so that their order does not matter.
+    All points that pass in a round are added together; ``insertion`` has the other ways (docs/fidelity.md).
     """
 
     max_angle: float = param(15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
@@ -42,20 +42,29 @@ class PTD(TinFilter):
     mirror_mode: str = static(
         "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
     )
+    signed: bool = static(False, choices=(False, True), doc="points below their facet pass at any angle and distance")
     refresh_border: bool = static(True, choices=(True, False), doc="simulated border points follow the growing ground")
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"low_clusters": False, "refresh_border": False},
-        "D1": {"max_angle": 18.0, "max_distance": 1.0},
-        "D2": {"max_angle": 22.0, "max_distance": 1.2},
-        "D3": {"max_angle": 30.0, "max_distance": 0.8},
-        "D4": {"max_angle": 38.0, "max_distance": 1.4},
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: clusters of low points are barred from the seeds, border points follow the ground"
+        ),
+        "paper": Preset(
+            "as reported by those who compare with it, except that the border points are those of Li et al. (2021) and "
+            "that facets are divided whatever the length of their edges",
+            low_clusters=False,
+            refresh_border=False,
+        ),
+        "D1": Preset("flat: theta = 18, d = 1.0", max_angle=18.0, max_distance=1.0),
+        "D2": Preset("flat with gentle slopes: theta = 22, d = 1.2", max_angle=22.0, max_distance=1.2),
+        "D3": Preset("flat with scarps: theta = 30, d = 0.8", max_angle=30.0, max_distance=0.8),
+        "D4": Preset("steep: theta = 38, d = 1.4", max_angle=38.0, max_distance=1.4),
     }
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
-        return super().from_spacing(spacing, largest_building) | {"seed_cell": largest_building}
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        own = {} if largest_building is None else {"seed_cell": largest_building}
+        return super().from_spacing(spacing, largest_building) | own
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
@@ -75,4 +84,4 @@ class PTD(TinFilter):
         )
 
     def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance, signed=float(self.signed))

@@ -9,13 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
 from ..ops.morphology import opening
 from ..ops.spread import fill_from_neighbours
 from ..stages.densify import Mirror
+from ..stages.outliers import isolated_low
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
@@ -23,6 +24,8 @@ from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
+_TAIL = 1e-4
+"""Share of the points beyond each end of the histogram of elevations that outliers are counted from."""
 
 
 @filter_params
@@ -42,8 +45,8 @@ class SPF(TinFilter):
        together (Sec. 2.4). Lengths in metres, angles in degrees.
 
     ``info`` counts ``potential_seeds`` and ``removed_seeds``. The paper prints no parameter values. "recommended", the
-    default, and "paper" differ in what the paper leaves to manual work (low outliers) or to chance (cells that cannot be
-    interpolated get elevation 0).
+    default, and "paper" differ in outliers, which are cut from the histogram of elevations and by their height below their
+    neighbours in the paper (Sec. 2.1), and in cells that cannot be interpolated, which get elevation 0.
 
     Departures (docs/fidelity.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
     stand beside the data, not a buffer's width away.
@@ -71,11 +74,27 @@ class SPF(TinFilter):
     mirror_mode: str = static(
         "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
     )
+    histogram_margin: float = static(
+        0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.01 or 99.99 % quantile of elevations; 0 = off"
+    )
+    isolated_depth: float = static(
+        0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"
+    )
     border_spacing: float = static(10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {"low_clusters": False, "fill": "zero"},
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: clusters of low points are barred from the seeds, empty cells are filled from their neighbours"
+        ),
+        "paper": Preset(
+            "as printed, except that no value of any parameter is printed (those of the default, and 5 m and 2 m for "
+            "outliers, which the authors cut by eye and correct by hand)",
+            low_clusters=False,
+            fill="zero",
+            histogram_margin=5.0,
+            isolated_depth=2.0,
+            outlier_fate="removed",
+        ),
     }
 
     def check(self) -> None:
@@ -83,10 +102,10 @@ class SPF(TinFilter):
         check_width(self, "window", 1000)
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of two point spacings, in steps of 0.5 m and 1 m at least, so that few of them are empty."""
-        own = {"cell": cell_for(spacing, 2), "window": largest_building}
-        return super().from_spacing(spacing, largest_building) | own
+        own = {} if largest_building is None else {"window": largest_building}
+        return super().from_spacing(spacing, largest_building) | own | {"cell": cell_for(spacing, 2)}
 
     def halo(self) -> float:
         """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""
@@ -126,6 +145,18 @@ class SPF(TinFilter):
         heights = np.array(self.thresholds(), np.float32)
         raised = _raised_cells(surface, cells.valid, radii, heights, int(radii[-1]))
         return lowest_of_cells(points, cells, ~raised, barred)
+
+    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
+        """As in the other TIN filters, and the tails of the elevations, and isolated low points of the rest (Sec. 2.1)."""
+        barred, late = super().outliers(points, workers, **tests)
+        z, found = points.xyz[:, 2], np.zeros(len(points), bool)
+        if self.histogram_margin > 0:
+            low, high = np.quantile(z, (_TAIL, 1 - _TAIL))
+            found = (z < low - self.histogram_margin) | (z > high + self.histogram_margin)
+        if self.isolated_depth > 0:
+            rest = np.flatnonzero(~found)
+            found[rest] = isolated_low(points.xyz[rest], 8, self.isolated_depth, workers=workers)
+        return barred | found, late
 
     def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
         progress(0.0, "outliers")

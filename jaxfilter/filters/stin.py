@@ -10,7 +10,7 @@ import numpy as np
 from ..core.errors import ParameterError
 from ..core.filter import Labels
 from ..core.grid import Grid, grid_over
-from ..core.params import filter_params, param, static
+from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..host.trend import low_trend, quadratic_trend
@@ -20,12 +20,22 @@ from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_on_grid
 from ..stages.tin_filter import TinFilter, facet_reach
 
-_REPRODUCTION = {
-    "thresholds": "quantile",
-    "mirror": "off",
-    "low_clusters": False,
-    "outlier_surface": "quadratic",
-}
+
+def _sample(number: int, grid: float, slope: float, distance: float, angle: float, outlier_distance: float) -> Preset:
+    """The settings of an ISPRS sample in Table 2, and the outlier distance of its kind of terrain."""
+    return Preset(
+        f"Table 2 for ISPRS sample {number} ({grid:g} m, {distance:g} m, {angle:g} degrees) as upper limits of thresholds "
+        "that are lowered with each cell size, without mirroring",
+        seed_cell=grid,
+        max_terrain_slope=slope,
+        max_distance=distance,
+        max_angle=angle,
+        outlier_distance=outlier_distance,
+        thresholds="quantile",
+        mirror="off",
+        low_clusters=False,
+        outlier_surface="quadratic",
+    )
 
 
 @filter_params
@@ -44,7 +54,8 @@ class STIN(TinFilter):
     in percent.
 
     Presets: "recommended" is the default; it takes as outliers what lies below the trend of the low terrain and clusters of
-    low points, and mirrors nothing. "paper" takes everything as printed, with the medians of Table 2.
+    low points, and mirrors nothing. "paper" takes everything as printed, with the medians of Table 2 as upper limits of
+    thresholds that are recomputed from the ground so far.
     "samp11", "samp12", "samp23", "samp52" and "samp71" have the values of Table 2 as upper limits of thresholds that are
     recomputed for each cell size, as the text says, and mirror nothing: with mirror images as a second chance most
     buildings are accepted, and no error in Table 3 can be met.
@@ -80,39 +91,44 @@ class STIN(TinFilter):
     )
     outlier_cell: float = static(10.0, unit="m", gt=0, doc="cells that the surface is made from")
     outlier_distance: float = param(5.0, unit="m", gt=0, doc="points further from that surface are outliers")
-    outlier_fate: str = static("barred", choices=("barred", "removed"), doc="outliers are no seeds, or never ground")
     retest: bool = static(False, choices=(True, False), doc="at the end test all labels on the final triangulation")
 
-    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {
-        "recommended": {},
-        "paper": {
-            "seed_cell": 30.0, "max_terrain_slope": 10.0, "max_distance": 2.4, "max_angle": 30.0,
-            "mirror": "nearest", "low_clusters": False, "outlier_surface": "quadratic", "outlier_fate": "removed",
-        },
-        "samp11": _REPRODUCTION
-        | {"seed_cell": 30.0, "max_terrain_slope": 17.0, "max_distance": 2.0, "max_angle": 30.0, "outlier_distance": 10.0},
-        "samp12": _REPRODUCTION
-        | {"seed_cell": 30.0, "max_terrain_slope": 3.0, "max_distance": 2.0, "max_angle": 45.0, "outlier_distance": 10.0},
-        "samp23": _REPRODUCTION
-        | {"seed_cell": 40.0, "max_terrain_slope": 15.0, "max_distance": 4.0, "max_angle": 45.0, "outlier_distance": 10.0},
-        "samp52": _REPRODUCTION
-        | {"seed_cell": 35.0, "max_terrain_slope": 10.0, "max_distance": 2.4, "max_angle": 25.0},
-        "samp71": _REPRODUCTION
-        | {"seed_cell": 25.0, "max_terrain_slope": 5.0, "max_distance": 4.0, "max_angle": 20.0},
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "recommended": Preset(
+            "the default: 30 degrees and 1.4 m, no mirroring; no seeds below the trend of the low terrain or in clusters of "
+            "low points"
+        ),
+        "paper": Preset(
+            "as printed with the medians of Table 2, except that how limits follow from histograms is not printed: the 0.97 "
+            "quantile of the ground so far whenever cells are halved, at most these medians",
+            seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0, thresholds="quantile",
+            mirror="nearest", low_clusters=False, outlier_surface="quadratic", outlier_fate="removed",
+        ),
+        "samp11": _sample(11, 30.0, 17.0, 2.0, 30.0, 10.0),
+        "samp12": _sample(12, 30.0, 3.0, 2.0, 45.0, 10.0),
+        "samp23": _sample(23, 40.0, 15.0, 4.0, 45.0, 10.0),
+        "samp52": _sample(52, 35.0, 10.0, 2.4, 25.0, 5.0),
+        "samp71": _sample(71, 25.0, 5.0, 4.0, 20.0, 5.0),
     }  # fmt: skip
 
     def check(self) -> None:
         super().check()
         if self.final_cell > self.seed_cell:
             raise ParameterError(f"STIN(final_cell={self.final_cell!r}): must not exceed seed_cell={self.seed_cell!r}")
+        if self.insertion == "sequential":
+            raise ParameterError(
+                "STIN(insertion='sequential'): choose 'batch' or 'one_per_facet', since vertices are exchanged here"
+            )
         if self.vertex_spacing > 0:
             raise ParameterError(
                 f"STIN(vertex_spacing={self.vertex_spacing!r}): must be 0, the vertices keep the spacing of final_cell"
             )
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         fixed = super().from_spacing(spacing, largest_building) | {"vertex_spacing": 0.0}
+        if largest_building is None:
+            return fixed
         return fixed | {"seed_cell": largest_building, "final_cell": min(2.0, largest_building)}
 
     def halo(self) -> float:
@@ -130,8 +146,6 @@ class STIN(TinFilter):
         xy = points.xyz[:, :2].astype(np.float64)
         corners = corner_positions(xy.min(axis=0), xy.max(axis=0))
         network = one_network(points, seeds, corners, late)
-        if self.outlier_fate == "removed":
-            network.open[: len(points)] &= ~far
         slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
         return self.grow(
             points,

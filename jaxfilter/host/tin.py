@@ -237,7 +237,7 @@ class Tin:
         chunks = list(itertools.pairwise(edges))
         self._stamp[nodes] = np.arange(len(nodes), dtype=np.int32)
 
-        found = list(self.pool.map(lambda start: self._cavities(nodes[start : start + size]), starts))
+        found = list(self.pool.map(lambda start: self.cavities(nodes[start : start + size]), starts))
         owner, hit = (np.concatenate(part) for part in zip(*found, strict=True))
         if len(chunks) == len(found):
             cavities = [tri for _, tri in found]
@@ -362,7 +362,7 @@ class Tin:
         mine = cell >= 0
         return _Patch(simplices[keep].astype(np.int32), neighbours, points[mine], cell[mine])
 
-    def _cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def cavities(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """All pairs of a node and a triangle whose circumcircle contains it."""
         p, tri = nodes, self.where[nodes]
         parent = np.full(len(nodes), -1, np.int32)

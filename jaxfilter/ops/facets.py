@@ -60,8 +60,12 @@ class Verdict(NamedTuple):
     score: FacetScore
 
 
-def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
-    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres."""
+def facet_score(p: jax.Array, corners: jax.Array, counted: jax.Array | None = None) -> FacetScore:
+    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres.
+
+    ``counted``: bool[3], the vertices that can be the nearest and the highest; None, or none of them = all.
+    """
+    counted = jnp.ones(3, bool) if counted is None else counted | ~counted.any()
     a, b, c = corners[0] - p, corners[1] - p, corners[2] - p  # exact in float32 for quantised coordinates
     u, v = b - a, c - a
     n = jnp.cross(u, v)
@@ -70,26 +74,30 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
     longest = jnp.maximum(jnp.maximum(jnp.dot(u, u), jnp.dot(v, v)), jnp.dot(v - u, v - u))
     planar = (size * size > _FLAT_AREA * longest * longest) & (n[2] > 1e-6 * size)
     n = n / jnp.where(planar, size, 1.0)
-    nearest = jnp.sqrt(jnp.minimum(jnp.minimum(jnp.dot(a, a), jnp.dot(b, b)), jnp.dot(c, c)))
+    squares = jnp.stack([jnp.dot(a, a), jnp.dot(b, b), jnp.dot(c, c)])
+    nearest = jnp.sqrt(jnp.min(squares, initial=jnp.inf, where=counted))
+    lowest_rise = jnp.min(jnp.stack([-a[2], -b[2], -c[2]]), initial=jnp.inf, where=counted)
     distance = -jnp.dot(a, n)
     sine = jnp.where(nearest > 0, distance / jnp.where(nearest > 0, nearest, 1.0), 0.0)
     return FacetScore(
         distance=distance,
         height=distance / jnp.where(planar, n[2], 1.0),
         angle=jnp.degrees(jnp.arcsin(jnp.clip(sine, -1.0, 1.0))),
-        elevation=-jnp.maximum(jnp.maximum(a[2], b[2]), c[2]),
+        elevation=lowest_rise,
         slope=jnp.degrees(jnp.arctan2(jnp.hypot(n[0], n[1]), n[2])),
         planar=planar,
     )
 
 
-def judge_one(rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
-    """Apply a rule to one point f32[3] over one facet f32[3, 3].
+def judge_one(
+    rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array, counted: jax.Array | None = None
+) -> Verdict:
+    """Apply a rule to one point f32[3] over one facet f32[3, 3]; ``counted``: see :func:`facet_score`.
 
     ``two_sided`` (bool) tests the point on both sides of the facet whatever the rule says, and holds its distance to the
     limit of elevation as well: for points that were kept out of the seeds as suspected low outliers.
     """
-    s = facet_score(p, corners)
+    s = facet_score(p, corners, counted)
     one_sided = (jnp.asarray(rule.signed) > 0) & ~two_sided
     angle = jnp.where(one_sided, s.angle, jnp.abs(s.angle))
     distance = jnp.where(one_sided, s.distance, jnp.abs(s.distance))
@@ -114,19 +122,31 @@ def judge_one(rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array
 
 
 @jax.jit
-def judge(rule: Rule, two_sided: jax.Array, points: jax.Array, corners: jax.Array) -> Verdict:
-    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; ``two_sided``: bool[N]. Arrays of N come back."""
-    return jax.vmap(judge_one, in_axes=(None, 0, 0, 0))(rule, two_sided, points, corners)
+def judge(
+    rule: Rule, two_sided: jax.Array, points: jax.Array, corners: jax.Array, counted: jax.Array | None = None
+) -> Verdict:
+    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; arrays of N come back.
+
+    ``two_sided``: bool[N]; ``counted``: bool[N, 3], see :func:`facet_score`.
+    """
+    return jax.vmap(judge_one, in_axes=(None, 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
 
 
 @jax.jit
-def judge_each(rules: Rule, which: jax.Array, two_sided: jax.Array, points: jax.Array, corners: jax.Array) -> Verdict:
+def judge_each(
+    rules: Rule,
+    which: jax.Array,
+    two_sided: jax.Array,
+    points: jax.Array,
+    corners: jax.Array,
+    counted: jax.Array | None = None,
+) -> Verdict:
     """As :func:`judge`, with one of several rules (f32[R] in each field) for every point: ``which``, i32[N]."""
 
-    def one(i: jax.Array, *point: jax.Array) -> Verdict:
-        return judge_one(Rule(*(jnp.asarray(limits)[i] for limits in rules)), *point)
+    def one(i: jax.Array, late: jax.Array, p: jax.Array, facet: jax.Array, real: jax.Array | None) -> Verdict:
+        return judge_one(Rule(*(jnp.asarray(limits)[i] for limits in rules)), late, p, facet, real)
 
-    return jax.vmap(one)(which, two_sided, points, corners)
+    return jax.vmap(one)(which, two_sided, points, corners, counted)
 
 
 @jax.jit

@@ -1,7 +1,8 @@
 """Progressive TIN densification: the one loop of all TIN methods.
 
 Each round tests all open points whose facet has changed since they were last tested against one triangulation, accepts
-all that pass, or the lowest over each facet, and makes them vertices; either way the order of the points does not matter.
+all that pass, or the lowest over each facet, or as many as cannot influence each other, and makes them vertices; the order
+of the points never matters.
 A point whose facet has not changed would fail again, and is left alone, unless the thresholds were loosened. The network
 may consist of several sheets (FPTD's blocks) that share nothing: their triangulations run in a thread pool, and one
 padded kernel call a round tests the points of all sheets together.
@@ -17,6 +18,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from ..core.compilation import on_same_device
@@ -27,8 +29,9 @@ from ..ops.facets import Rule, Verdict, judge, mirrored
 
 _BATCHES = (2048, 16384, 65536)
 """Sizes that kernel calls are padded to; larger requests are cut."""
-INSERTIONS = ("batch", "one_per_facet")
-"""What a round adds of the points that pass: all of them, or the lowest over each facet (after Nie et al. 2017)."""
+INSERTIONS = ("batch", "one_per_facet", "sequential")
+"""What a round adds of the points that pass: all of them, the lowest over each facet (after Nie et al. 2017), or one after
+the other from below, each as far as the vertices before it leave its facet alone."""
 _SAMPLE = 65536
 """At most about so many quantities decide adaptive thresholds."""
 _KEPT = ("accepted", "decision", "margin", "angle", "elevation", "distance", "height", "slope")
@@ -128,6 +131,7 @@ def densify(
     adaptive: Adaptive | None = None,
     review: bool = False,
     insertion: str = "batch",
+    border_in_tests: bool = True,
     max_rounds: int = 100,
     workers: int | None = None,
     progress: Progress = lambda fraction, step: None,
@@ -145,7 +149,12 @@ def densify(
         adaptive: how thresholds change as the ground grows; None = they are constant.
         review: at the end test all points but the vertices once more; ground points that fail lose their label.
         insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become
-            vertices, the one that lies lowest over it; the others are tested again over the new facets.
+            vertices, the one that lies lowest over it; the others are tested again over the new facets. "sequential" goes
+            through the lowest of each facet from below (of equals, the first in order) and adds a point unless one that
+            was added before it changes the facet, or mirror facet, that it passed in; so each passes in the triangulation
+            of all before it, as if they were inserted one by one. The others are tested again. Not with ``vertices``.
+        border_in_tests: simulated border nodes can be the nearest and the highest vertex of a facet; if not, they only
+            carry its plane.
         max_rounds: give up after so many rounds.
         keep_labels: record the labels after every round in the trace.
     """
@@ -163,6 +172,7 @@ def densify(
             pool,
             threads,
             keep_labels,
+            border_in_tests,
         )
         return run.run(max_rounds, progress, review)
 
@@ -185,9 +195,11 @@ class Growth:
         pool: ThreadPoolExecutor,
         threads: int,
         keep_labels: bool,
+        border_in_tests: bool,
     ) -> None:
         k = len(network.xyz)
         self.net, self.pool, self.keep_labels = network, pool, keep_labels
+        self.insertion, self.border_in_tests = insertion, border_in_tests
         self.mirror = None if mirror is None or mirror.about == "off" else mirror
         self.rule = Rule(*(jnp.float32(v) for v in rule))
         self.ground = network.seed.copy()
@@ -207,14 +219,14 @@ class Growth:
         else:
             seeds = self._to_insert(np.flatnonzero(network.seed))
         self.tin = Tin(network.xyz.copy(), network.sheet, seeds, pool, threads)
-        self.one_per_facet = insertion == "one_per_facet"
         self.refresh_border = refresh_border and len(self.virtual) > 0
         self.border_gap = np.full(len(self.virtual), np.inf)
         self._refresh(seeds[network.row[seeds] >= 0])
         nan = np.full(k, np.nan, np.float32)
         self.angle, self.elevation, self.margin = nan.copy(), nan.copy(), nan.copy()
         self.image_in = np.full(k, -1, np.int32)  # the facet that the mirror image of a point was tested in
-        self.decision = np.where(network.seed, Decision.SEED, Decision.ANGLE).astype(np.uint8)
+        untested = np.where(network.open, Decision.ANGLE, Decision.SET_ASIDE)
+        self.decision = np.where(network.seed, Decision.SEED, untested).astype(np.uint8)
         self.trace: list[dict[str, Any]] = []
 
     def run(self, max_rounds: int, progress: Progress, review: bool) -> Densified:
@@ -368,9 +380,9 @@ class Growth:
         nodes = np.flatnonzero((self.net.row >= 0) & self.net.open & ~self.tin.vertex)
         before = self.ground[nodes]
         self.ground[nodes] = False
-        whole, self.one_per_facet = self.one_per_facet, False
+        insertion, self.insertion = self.insertion, "batch"
         passed, _ = self._test(nodes)
-        self.one_per_facet = whole
+        self.insertion = insertion
         self.ground[passed] = True
         after = self.ground[nodes]
         self.trace.append({"tested": len(nodes), "accepted": int((after & ~before).sum()), "inserted": 0})
@@ -389,13 +401,13 @@ class Growth:
         self.margin[nodes] = verdict["margin"]
         self.decision[nodes] = verdict["decision"]
         passed = np.flatnonzero(verdict["accepted"])
-        if not self.one_per_facet:
+        if self.insertion == "batch":
             return nodes[passed], nodes[:0]
-        put_off = self._not_lowest(nodes[passed], facet[passed], verdict["height"][passed])
+        put_off = self._put_off(nodes[passed], facet[passed], verdict["height"][passed])
         return nodes[passed[~put_off]], nodes[passed[put_off]]
 
-    def _not_lowest(self, nodes: np.ndarray, facet: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """bool[n]: nodes that could become vertices, but are not the lowest of these over their facet."""
+    def _put_off(self, nodes: np.ndarray, facet: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """bool[n]: nodes that pass and could become vertices, but must wait for others (see ``insertion``)."""
         if self.lowest is not None:
             free = self._undercuts(nodes)
         else:
@@ -403,10 +415,45 @@ class Growth:
             if self.square is not None:
                 free &= ~self.taken[self.square[nodes]]
         free = np.flatnonzero(free)
-        order = free[np.lexsort((nodes[free], height[free], facet[free]))]
+        level = self.net.xyz[nodes, 2] if self.insertion == "sequential" else height
+        order = free[np.lexsort((nodes[free], level[free], facet[free]))]
         put_off = np.zeros(len(nodes), bool)
         put_off[order] = np.diff(facet[order], prepend=-1) == 0
+        if self.insertion == "sequential":
+            first = order[~put_off[order]]
+            first = first[np.lexsort((nodes[first], level[first]))]
+            put_off[first] = ~self._apart(nodes[first], facet[first])
         return put_off
+
+    def _apart(self, nodes: np.ndarray, facet: np.ndarray) -> np.ndarray:
+        """bool[n]: nodes that can be inserted together, those that come first before others.
+
+        Two cannot if one of them changes a facet that the other has passed in, i32[n] or that of its mirror image. So each
+        node passes in the triangulation with any of the others in it. Nodes are taken like this: those without a rival
+        that is left and comes before them; their rivals leave; and so on.
+        """
+        n, size = len(nodes), len(self.tin)
+        number = np.arange(n)
+        owner, changed = self.tin.cavities(nodes)
+        by_node = np.argsort(nodes)
+        owner = by_node[np.searchsorted(nodes, owner, sorter=by_node)]
+        image = self.image_in[nodes]
+        mirrored_too = image >= 0
+        who, where = np.append(number, number[mirrored_too]), np.append(facet, image[mirrored_too])
+        changes = coo_array((np.ones(len(owner)), (owner, changed)), shape=(n, size)).tocsr()
+        relies = coo_array((np.ones(len(who)), (who, where)), shape=(n, size)).tocsr()
+        touches = changes @ relies.T
+        one, other = (touches + touches.T).nonzero()
+        one, other = one[one != other], other[one != other]
+        taken, left = np.zeros(n, bool), np.ones(n, bool)
+        while left.any():
+            before = np.full(n, n)
+            np.minimum.at(before, one, np.where(left, number, n)[other])
+            chosen = left & (number < before)
+            taken |= chosen
+            left &= ~chosen
+            left[other[chosen[one]]] = False
+        return taken
 
     def _mirror(self, nodes: np.ndarray, facet: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
         """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes.
@@ -468,9 +515,12 @@ class Growth:
     def _judge(self, nodes: np.ndarray, facet: np.ndarray, image: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Test nodes, or ``image`` f32[n, 3] in their place, in facets i32[n]; the quantities on the host."""
 
-        def one(part: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def one(part: slice) -> tuple[np.ndarray, ...]:
             xyz = self.net.xyz[nodes[part]] if image is None else image[part]
-            return self.net.late[nodes[part]], xyz, self.tin.corners(facet[part])
+            given = self.net.late[nodes[part]], xyz, self.tin.corners(facet[part])
+            if self.border_in_tests:
+                return given
+            return *given, self.net.row[self.tin.triangles[facet[part]]] >= 0
 
         return self._kernel(nodes, one)
 

@@ -38,6 +38,7 @@ def densify_each(
     mirror: Mirror | None = None,
     refresh_border: bool = False,
     vertex_spacing: float = 0.0,
+    border_in_tests: bool = True,
     max_rounds: int = 100,
     workers: int | None = None,
     memory: float = 2e9,
@@ -54,7 +55,18 @@ def densify_each(
     at_once = max(1, min(MOST, int(memory // (_BYTES * len(network.xyz)))))
     with ThreadPoolExecutor(threads) as pool:
         one = Growth(
-            network, rules[0], mirror, refresh_border, vertex_spacing, None, None, "batch", pool, threads, False
+            network,
+            rules[0],
+            mirror,
+            refresh_border,
+            vertex_spacing,
+            None,
+            None,
+            "batch",
+            pool,
+            threads,
+            False,
+            border_in_tests,
         )
         alike = np.lexsort(np.array(rules, np.float64).T)
         for start in range(0, len(rules), at_once):

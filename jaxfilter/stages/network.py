@@ -168,7 +168,6 @@ def labels_of(
     """From nodes back to points: ground where any sheet accepts it; quantities from a sheet that does, else from any."""
     m = len(points)
     counts = network.row >= 0
-    counts &= network.open | network.seed
     order = np.flatnonzero(counts)
     order = order[np.argsort(out.ground[order], kind="stable")]  # accepting sheets last, so that they prevail
     row = network.row[order]

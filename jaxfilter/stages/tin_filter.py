@@ -19,6 +19,9 @@ from .lanes import densify_each
 from .network import Network, border_positions, labels_of, one_network
 from .outliers import bar_outliers
 
+FATES = ("barred", "removed")
+"""What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
+
 
 @dataclasses.dataclass(eq=False)
 class Start:
@@ -54,17 +57,23 @@ class TinFilter(Filter):
     radius: float = static(0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed")
     low_clusters: bool = static(True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
+    outlier_fate: str = static("barred", choices=FATES, doc="outliers are no seeds, or never ground")
     noise_floor: float = param(0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off")
     vertex_spacing: float = static(
         0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
     )
     insertion: str = static(
-        "batch", choices=INSERTIONS, doc="add all points that pass in a round, or the lowest over each facet"
+        "batch",
+        choices=INSERTIONS,
+        doc="add all points that pass in a round, the lowest over each facet, or one by one",
+    )
+    border_in_tests: bool = static(
+        True, choices=(True, False), doc="simulated border points count as nearest and as highest vertex"
     )
     max_rounds: int = static(100, ge=1, doc="limit of densification rounds")
 
     @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float) -> dict[str, Any]:
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Above four points per square metre, ranging noise makes steep angles at short range."""
         dense = spacing < 0.5
         return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0}
@@ -113,7 +122,7 @@ class TinFilter(Filter):
             alike.setdefault(tuple(getattr(one, name) for name in deciding), []).append(number)
         for numbers in alike.values():
             start = sets[numbers[0]].start(points, workers, silent)
-            network = start.network
+            network = self._without_removed(start.network, start.barred)
             counts = (network.row >= 0) & (network.open | network.seed)
             grown = densify_each(
                 network,
@@ -121,6 +130,7 @@ class TinFilter(Filter):
                 mirror=start.mirror,
                 refresh_border=start.refresh_border,
                 vertex_spacing=self.vertex_spacing,
+                border_in_tests=self.border_in_tests,
                 max_rounds=self.max_rounds,
                 workers=workers,
                 memory=memory,
@@ -150,6 +160,12 @@ class TinFilter(Filter):
         border = border_positions(xy.min(axis=0), xy.max(axis=0), border_cell)
         return one_network(points, seeds, border, late)
 
+    def _without_removed(self, network: Network, barred: np.ndarray) -> Network:
+        """The network, in which outliers bool[m] are not to be classified if they are removed."""
+        if self.outlier_fate != "removed":
+            return network
+        return dataclasses.replace(network, open=network.open & ~barred[network.row])
+
     def rule(self, **limits: float) -> Rule:
         """The thresholds of a test, with the noise floor of the method."""
         return Rule(noise_floor=self.noise_floor if self.noise_floor > 0 else -1.0, **limits)
@@ -172,6 +188,7 @@ class TinFilter(Filter):
         trace: bool,
     ) -> Labels:
         """Densify the network (:func:`jaxfilter.stages.densify.densify`) and return the labels of the points."""
+        network = self._without_removed(network, barred)
         out = densify(
             network,
             rule,
@@ -182,6 +199,7 @@ class TinFilter(Filter):
             adaptive=adaptive,
             review=review,
             insertion=self.insertion,
+            border_in_tests=self.border_in_tests,
             max_rounds=self.max_rounds,
             workers=workers,
             progress=progress,

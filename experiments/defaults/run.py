@@ -1,0 +1,138 @@
+"""Which alternative does best on simulated scenes and tiles, for every default that is said to be chosen there. See README.md."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import statistics
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import jaxfilter as jf
+from experiments.defaults import choices, clouds
+from experiments.isprs import samples, search
+from experiments.report import Column, Row, machine, markdown, read_csv, write_csv
+from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.points import canonical_points
+
+HERE = Path(__file__).parent
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run what is not at hand and write the tables."""
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
+    folder = samples.data_folder(options.data)
+    options.out.mkdir(parents=True, exist_ok=True)
+    use_persistent_cache()
+    warnings.simplefilter("ignore", jf.JaxfilterWarning)
+    asked = [c for c in choices.CHOICES if not options.choices or any(c.name.startswith(p) for p in options.choices)]
+    path = options.out / "runs.csv"
+    kept = {_key(row): row for row in (read_csv(path) if path.exists() and not options.fresh else [])}
+    rows = []
+    for known in clouds.clouds(folder, [n for n in clouds.names() if not options.groups or n[0] in options.groups]):
+        rows += run(known, asked, kept)
+        write_csv(path, list(kept.values()))
+        print(f"{known.group} {known.name}: done", file=sys.stderr, flush=True)
+    command = shlex.join(["python", "experiments/defaults/run.py", *given])
+    tables = [table(choice, [row for row in rows if row["choice"] == choice.name]) for choice in asked]
+    write_csv(options.out / "means.csv", [line for lines in tables for line in lines])
+    (options.out / "results.md").write_text(report(asked, tables, command))
+    for choice, lines in zip(asked, tables, strict=True):
+        print(f"{choice.name}\n{_markdown(lines)}\n")
+
+
+def run(known: clouds.Known, asked: Sequence[choices.Choice], kept: dict[tuple[str, ...], Row]) -> list[Row]:
+    """A row for every alternative of every choice on one cloud. Filters that are in ``kept`` are not run again."""
+    spacing = canonical_points(known.cloud).spacing()
+    rows = []
+    for choice in asked:
+        if choice.on and known.group not in choice.on:
+            continue
+        for alternative in choice.alternatives:
+            filter_ = choice.filter(alternative, known.cloud, spacing)
+            head: Row = {"group": known.group, "cloud": known.name, "parameters": search.digest(filter_)}
+            if _key(head) not in kept:
+                try:
+                    counts = (
+                        jf.evaluate(filter_(known.cloud), known.ground, ignore=~known.scored).confusion.ravel().tolist()
+                    )
+                    status = "OK"
+                except jf.JaxfilterError as error:
+                    counts, status = [None] * 4, str(error)[:200]
+                kept[_key(head)] = head | dict(zip(search.COUNTS, counts, strict=True)) | {"status": status}
+            rows.append(kept[_key(head)] | {"choice": choice.name, "alternative": alternative})
+    return rows
+
+
+def _key(row: Row) -> tuple[str, ...]:
+    return tuple(str(row[key]) for key in ("group", "cloud", "parameters"))
+
+
+def table(choice: choices.Choice, rows: Sequence[Row]) -> list[Row]:
+    """A line per alternative: mean total error per group of clouds, and over the groups that decide."""
+    groups = list(dict.fromkeys(row["group"] for row in rows))
+    lines = []
+    for alternative in choice.alternatives:
+        line: Row = {"choice": choice.name, "alternative": alternative}
+        for group in groups:
+            mine = [row for row in rows if row["alternative"] == alternative and row["group"] == group]
+            errors = [_total(row) for row in mine if isinstance(row["kept"], int)]
+            line["failed"] = line.get("failed", 0) + len(mine) - len(errors)
+            line[group] = statistics.fmean(errors) if errors else None
+        deciding = [line[group] for group in groups if group in (choice.on or groups) and line[group] is not None]
+        line["mean"] = statistics.fmean(deciding) if deciding else None
+        lines.append(line)
+    found = [line for line in lines if line["mean"] is not None and not line["failed"]]
+    best = min(found, key=lambda line: line["mean"], default={})
+    for line in lines:
+        line["note"] = ", ".join(["best"] * (line is best) + ["default"] * (line["alternative"] == choice.present))
+    return lines
+
+
+def _total(row: Row) -> float:
+    wrong, right = row["lost"] + row["accepted"], row["kept"] + row["rejected"]
+    return 100 * wrong / (wrong + right)
+
+
+def _markdown(lines: Sequence[Row]) -> str:
+    groups = [key for key in lines[0] if key not in ("choice", "alternative", "failed", "mean", "note")]
+    columns: list[Column] = [
+        ("alternative", "alternative", ""),
+        *((g, g, ".2f") for g in groups),
+        ("mean", "mean", ".2f"),
+    ]
+    return markdown([*columns, ("note", "", "")], lines)
+
+
+def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]], command: str) -> str:
+    """All tables as Markdown."""
+    text = [
+        "# Defaults chosen on simulated scenes and tiles",
+        f"`{command}` on {machine()}.",
+        "Mean total errors in percent: ten layouts at each density (last echoes), and the labelled tiles that "
+        "`experiments/tiles` does not have (all echoes). Fields that are not named are those of `for_cloud`.",
+    ]
+    for choice, lines in zip(asked, tables, strict=True):
+        text += [f"## {choice.name}", _markdown(lines)]
+    return "\n\n".join(text) + "\n"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
+    parser.add_argument(
+        "--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]"
+    )
+    parser.add_argument("--groups", nargs="+", metavar="GROUP", help="of clouds, such as '1 per m2' tiles [all]")
+    parser.add_argument("--fresh", action="store_true", help="run again what is at hand")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

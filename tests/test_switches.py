@@ -1,0 +1,158 @@
+"""Switches for other readings of the papers, each against its definition; and that they keep what all filters owe."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from test_densify import plain
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.core.result import silent
+from jaxfilter.stages.planes import progressive_planes
+
+SWITCHED = {
+    "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
+    "removed by STIN": jf.STIN(outlier_surface="quadratic", outlier_distance=2.0, outlier_fate="removed"),
+    "fixed limit": jf.FPTD(block_limit="fixed", blocks="independent", window=30.0, stride=10.0, max_elevation=0.6),
+    "bare border": jf.FPTD(border_in_tests=False, max_elevation=0.4),
+    "one by one": jf.PTD(insertion="sequential", max_rounds=2000, max_distance=0.5),
+    "signed": jf.PTD(signed=True),
+    "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
+    "ignored": jf.PPDF(ignored_share=0.02),
+    "no reach": jf.PPDF(reach=np.inf),
+}
+
+
+@pytest.fixture(scope="module")
+def hills():
+    """Points f64[2500, 3] in decimetre steps on a slope, with a house, bushes, and some low points."""
+    rng = np.random.default_rng(8)
+    xy = rng.uniform(0, 70, (2500, 2)).round(1)
+    z = 0.1 * xy[:, 0] + 2 * np.sin(xy[:, 1] / 11) + rng.normal(0, 0.03, 2500)
+    z[(np.abs(xy[:, 0] - 30) < 7) & (np.abs(xy[:, 1] - 40) < 6)] += 5
+    z[::9] += rng.uniform(0, 2, len(z[::9]))
+    z[::250] -= 4
+    return np.column_stack([xy, z]).round(2)
+
+
+@pytest.mark.parametrize("name", list(SWITCHED))
+def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
+    filter_ = SWITCHED[name]
+    order = rng.permutation(len(hills))
+    expected = filter_(hills).ground
+    assert 0.2 < expected.mean() < 0.98
+    assert (filter_(hills[order] + [500000.37, 4800000.81, 300.0]).ground == expected[order]).all()
+
+
+@pytest.mark.parametrize("name", ["removed", "fixed limit", "bare border", "signed", "tails"])
+def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
+    filter_ = SWITCHED[name]
+    field = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
+    values = [0.5 * getattr(filter_, field), getattr(filter_, field)]
+    cloud = jf.PointCloud.from_arrays(hills, reference=np.arange(len(hills)) % 2 == 0)
+    found = jf.sweep(filter_, cloud, {field: values}).ground.values
+    assert found.tolist() == [filter_.replace(**{field: v})(cloud).ground.sum() for v in values]
+    assert found[0] != found[1]
+
+
+def test_removed_outliers_are_as_if_they_had_not_been_there(hills):
+    filter_ = SWITCHED["removed"].replace(low_clusters=False)
+    low, high = hills[:, :2].min(0), hills[:, :2].max(0)
+    patch = np.array([[x, y] for x in (0, 0.5, 1) for y in (0, 0.5, 1)])
+    corners = np.concatenate([patch + (x, y) for x in (low[0], high[0] - 1) for y in (low[1], high[1] - 1)])
+    corners = np.column_stack([corners, 0.1 * corners[:, 0]])
+    hills = np.concatenate([hills, corners])  # so that the extent does not depend on outliers
+    result = filter_(hills)
+    out = result.barred
+    assert 20 < out.sum() < 600 and not result.ground[out].any()
+    assert (result.decision[out] == jf.Decision.SET_ASIDE).all() and np.isnan(result.margin[out]).all()
+    rest = filter_.replace(radius=0.0)(jf.PointCloud.from_arrays(hills[~out]))
+    assert (rest.ground != result.ground[~out]).sum() <= 2  # heights are rounded from another origin
+    assert filter_.replace(outlier_fate="barred")(hills).ground[out].any()
+
+
+def test_the_fixed_limit_leaves_out_what_is_higher_than_the_highest_seed_and_e(hills):
+    hills = np.delete(hills, np.arange(0, 2500, 250), axis=0)
+    filter_ = jf.FPTD(window=23.0, stride=23.0, block_limit="fixed", max_elevation=0.6, low_clusters=False)
+    cells = np.minimum((hills[:, :2] - hills[:, :2].min(0)) // 23, np.ptp(hills[:, :2], axis=0) // 23 - 1)
+    seeds = [hills[(cells == cell).all(1), 2].min() for cell in np.unique(cells, axis=0)]
+    above = hills[:, 2] > max(seeds) + 0.6 + 1e-3
+    fixed, following = filter_(hills), filter_.replace(block_limit="following")(hills)
+    assert above.sum() > 100 and following.ground[above].any() and not fixed.ground[above].any()
+    assert (fixed.decision[above] == jf.Decision.SET_ASIDE).all()
+    assert (fixed.ground[~above] == following.ground[~above]).mean() > 0.9
+
+
+def test_each_block_has_its_own_fixed_limit():
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 360, 2.0), np.arange(0.5, 60, 2.0)))
+    step = np.column_stack([x, y, np.where(x > 180, 50.0 + 0.02 * x, 0.02 * x)])
+    mound = step.copy()
+    mound[(np.abs(x - 40) < 12) & (np.abs(y - 30) < 12), 2] += (
+        2.0 - np.hypot(x - 40, y - 30).clip(0, 12)[(np.abs(x - 40) < 12) & (np.abs(y - 30) < 12)] / 6
+    )
+    top = np.flatnonzero(mound[:, 2] - step[:, 2] > 1.5)
+    given = {"window": 20.0, "stride": 20.0, "max_elevation": 0.3, "max_angle": 60.0, "low_clusters": False}
+    fixed = {"block_limit": "fixed"}
+    assert jf.FPTD(**given)(mound).ground[top].all()
+    assert jf.FPTD(**given, **fixed)(mound).ground[top].all()  # of all seeds the highest stands on the terrace, 50 m up
+    assert not jf.FPTD(**given, **fixed, blocks="independent")(mound).ground[top].any()
+
+
+def test_a_signed_ptd_is_the_plain_loop_with_signed_tests(hills):
+    hills = np.delete(hills, np.arange(0, 2500, 250), axis=0)[::2]
+    hills[::20, 2] -= 0.6  # below the limit of distance, and hardly ever the lowest of their cell
+    points = canonical_points(jf.PointCloud.from_arrays(hills))
+    filter_ = jf.PTD(
+        signed=True, mirror="off", refresh_border=False, seed_cell=12.0, low_clusters=False, max_distance=0.4
+    )
+    network = filter_.start(points, 1, silent).network
+    expected = plain(network, 15.0, np.inf, 0.4, signed=True, refresh=False)[: len(points)]
+    found = filter_(hills).ground
+    assert (found[points.index] != expected[points.member]).sum() <= 2
+    assert (found & ~filter_.replace(signed=False)(hills).ground).sum() > 5
+
+
+def test_tails_and_isolated_points_of_spf(rng):
+    xyz = np.column_stack([rng.uniform(0, 60, (3000, 2)), rng.normal(0, 0.5, 3000)]).round(2)
+    xyz[:3, 2], xyz[3:5, 2], xyz[5, 2] = -30.0, 40.0, -4.0
+    low, high = np.quantile(xyz[:, 2], (1e-4, 1 - 1e-4))
+    tails = (xyz[:, 2] < low - 5) | (xyz[:, 2] > high + 5)
+    filter_ = jf.SPF(low_clusters=False)
+    assert (filter_.replace(histogram_margin=5.0)(xyz).barred == tails).all()
+    distance = cdist(xyz[~tails, :2], xyz[~tails, :2])
+    lowest = xyz[~tails, 2][np.argsort(distance, axis=1)[:, 1:9]].min(axis=1)
+    isolated = np.zeros(3000, bool)
+    isolated[~tails] = xyz[~tails, 2] < lowest - 2.0
+    both = filter_.replace(histogram_margin=5.0, isolated_depth=2.0)(xyz)
+    assert isolated[5] and (both.barred == tails | isolated).all()
+
+
+def test_points_ignored_below_a_plane_do_not_divide_its_cell(rng):
+    xy = rng.uniform(0, 20, (800, 2))
+    xyz = np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 800)])
+    for column, row, many in ((0, 0, 1), (1, 0, 3), (0, 1, 6)):  # low points in three of the four cells of 10 m
+        inside = np.flatnonzero((xy // 10 == (column, row)).all(1))
+        xyz[inside[:many], 2] -= 3.0
+    points = canonical_points(jf.PointCloud.from_arrays(np.concatenate([xyz, [[0, 0, 0], [20, 20, 4]]])))
+    given = {"cell": 10.0, "min_points": 20, "inlier_distance": 0.5, "division_distance": 1.0, "max_slope": 75.0}
+    draws = np.random.default_rng(0).random((64, 3)).astype(np.float32)
+    counted = np.ones(len(points), bool)
+    divided = [
+        progressive_planes(points, counted, draws, **given, ignored_share=q).divided for q in (0.0, 0.001, 0.01, 0.03)
+    ]
+    cells = np.unique(np.minimum(points.xyz[:, :2] // 10, 1), axis=0, return_counts=True)[1]
+    assert (cells > 150).all() and (cells < 250).all()  # so that 1 % are 2 or 3 points, 3 % at least 5 and at most 8
+    assert divided[0] > divided[1] > divided[2] >= divided[3]
+    assert divided[3] <= 1 and divided[0] >= 3
+
+
+def test_without_a_reach_references_are_found_across_any_void(rng):
+    xy = rng.uniform(0, 300, (6000, 2)).round(1)
+    xy = xy[np.hypot(*(xy - 150).T) > 90]
+    xyz = np.column_stack([xy, 0.02 * xy[:, 0]]).round(2)
+    middle = np.array([[150.0, 150.0, 3.0], [150.0, 150.2, 9.0]])  # on the plane of all others, and above it
+    cloud = np.concatenate([xyz, middle])
+    given = {"low_clusters": False, "window": 0.0, "cell": 20.0, "min_points": 10}
+    near, far = jf.PPDF(**given)(cloud), jf.PPDF(**given, reach=np.inf)(cloud)
+    assert np.isnan(near.elevation[-2:]).all() and not near.ground[-2:].any()
+    assert far.ground[-2] and not far.ground[-1] and far.elevation[-1] == pytest.approx(6.0, abs=0.05)
