@@ -49,10 +49,10 @@ def _steps(spacing: float, spacings: float) -> float:
 def _cells() -> list[Choice]:
     """How wide cells are where points are sparse: so many spacings, in steps of 0.5 m, 1 m at least."""
     sparse = ("0.1 per m2", "0.3 per m2", "1 per m2", "tiles")
-    shares = {"smrf": 0.5, "pmf": 0.25, "msf": 0.25, "spf": 2.0, "iptd": 2.0}
+    shares = {"smrf": 0.5, "pmf": 0.25, "msf": 0.25, "spf": 0.5, "iptd": 0.5}
     out = []
     for method, present in shares.items():
-        tried = (0.25, 0.35, 0.5, 0.75, 1.0) if present < 1 else (0.5, 1.0, 1.5, 2.0, 3.0)
+        tried = (0.25, 0.35, 0.5, 0.75, 1.0) if method in ("smrf", "pmf", "msf") else (0.5, 1.0, 2.0, 3.0)
         rules = {f"{share:g} spacings": _cell(share) for share in tried}
         out.append(Choice(f"{method}: cell", method, rules, f"{present:g} spacings", sparse))
     return out
