@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -213,7 +214,7 @@ def _compare_bytes(before: bytes, after: bytes, cloud: jf.PointCloud) -> None:
 
 def _compare_lines(before: bytes, after: bytes) -> None:
     """Text keeps its lines: each is as it was, with one or two cells changed or one put behind it."""
-    old, new = before.split(b"\n"), after.split(b"\n")
+    old, new = (re.split(rb"\r\n|\r|\n", text) for text in (before, after))
     while old and not old[-1]:
         old.pop()
     while new and not new[-1]:
@@ -221,7 +222,6 @@ def _compare_lines(before: bytes, after: bytes) -> None:
     if len(old) != len(new):
         raise Wrong(f"{len(new)} lines of {len(old)} come back")
     for one, other in zip(old, new, strict=True):
-        one, other = one.rstrip(b"\r"), other.rstrip(b"\r")
         head = next((i for i, (p, q) in enumerate(zip(one, other, strict=False)) if p != q), min(len(one), len(other)))
         if head < len(one) and len(other) - len(one) > 3:
             raise Wrong(f"a line has grown: {one[:60]!r}, {other[:60]!r}")
