@@ -54,7 +54,7 @@ TRIALS = {
     "table1": "cells of 60 m",
 }
 """Runs whose angle and distance are searched for, each with all else as it is."""
-ANGLES = tuple(range(5, 61, 5))
+ANGLES = (5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 60, 70, 80)
 DISTANCES = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)
 """Degrees and metres that are tried; Table 1 has 15 to 45 degrees and 0.4 to 1.4 m."""
 CLOSE = 0.1

@@ -59,7 +59,7 @@ import json, sys
 import jaxfilter as jf
 from jaxfilter.core.compilation import use_persistent_cache
 use_persistent_cache()
-cloud = jf.read(sys.argv[1])
+cloud = jf.read(sys.argv[1], units="m")
 if sys.argv[2]:
     jf.FILTERS[sys.argv[2]](**json.loads(sys.argv[3]))(cloud)
 """
@@ -326,7 +326,7 @@ def pictures(
     ], shares)  # fmt: skip
     report.text(
         "All points against the triangulation of the first seeds, as in Fig. 2, whose sample and values are not stated. † By the "
-        "labels: what no choice of two limits can go below in the first round."
+        "labels: what no two limits, up to 10 m, can go below in the first round."
     )
     caption = (
         "Fig. 2: distances (above) and angles (below) of all points to the triangulation of the first seeds, by reference "
@@ -461,7 +461,7 @@ def terrain_panels(cloud: jf.PointCloud, labels: Mapping[str, np.ndarray]) -> Fi
     low, high = np.nanpercentile(truth.values, (0.5, 99.5))
     across = 2.15
     figure = Figure(
-        figsize=(across * len(models) + 0.9, 2 * (0.9 * across * rows / columns + 0.3) + 0.3), layout="constrained"
+        figsize=(across * len(models) + 0.9, 2 * (0.95 * across * rows / columns + 0.4) + 0.4), layout="compressed"
     )
     axes = figure.subplots(2, len(models), sharex=True, sharey=True)
     place = {"extent": (west, west + columns, south, south + rows), "origin": "lower", "interpolation": "nearest"}

@@ -53,8 +53,10 @@ def read(
     """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
 
     Text has lines of x y z, or x y z label as in the ISPRS samples (0 = ground, 1 = object), separated by white space,
-    commas or semicolons; with a header line, columns are found by their names (x, y, z, label, classification,
-    return_number, number_of_returns, withheld) and others are passed over. The reference of a LAS file is its class 2.
+    commas, semicolons or, below a header, tabs; with a header line, columns are found by their names (x, y, z, label,
+    classification, return_number, number_of_returns, withheld) and others are passed over. All lines have the same number
+    of cells, quoted where they hold a delimiter, and ``#`` begins lines of comment. The reference of a LAS file is its
+    class 2.
 
     Args:
         path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy. A
