@@ -372,6 +372,14 @@ def test_cut_of_las_1_3_with_point_format_6(tmp_path, suffix):
     assert struct.unpack_from("<I", (tmp_path / "out.las").read_bytes(), 107)[0] == keep.sum()
 
 
+def test_start_of_waveforms_that_is_not_in_the_file(tmp_path):
+    las = make_las(tmp_path / "in.laz", 6)
+    patch(tmp_path / "in.laz", "Q", 227, 2**64 - 5)
+    cloud = jf.read(tmp_path / "in.laz")
+    jf.write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
+    np.testing.assert_array_equal(laspy.read(tmp_path / "out.las").points.array, las.points.array)
+
+
 # coordinate reference systems
 
 

@@ -65,17 +65,17 @@ class ExtraDimension:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes, ``unread`` the
-    number of compressed points, as far as it is known, that are in the file and not in its count; ``identity`` is that of
-    the file it was read from, None for the header of a new file."""
+    """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes; ``identity`` is
+    that of the file it was read from, None for the header of a new file; ``unread`` is the number of compressed points, as
+    far as it is known, that are in the file and not in its count."""
 
     path: Path
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
     evlrs: tuple[Record, ...]
-    unread: int = 0
     identity: Identity | None = None
+    unread: int = 0
 
     @contextlib.contextmanager
     def open(self) -> Iterator[BinaryIO]:

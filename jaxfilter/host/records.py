@@ -216,7 +216,7 @@ class Writer:
                 shutil.copyfileobj(file, self.file, 2**20)
                 shift = at - source.tail
                 for field, start in ((227, source.waveform_start), (235, source.evlr_start)):
-                    if start >= source.tail and start:
+                    if source.tail <= start <= source.file_size and start:
                         struct.pack_into("<Q", self.head, field, start + shift)
             else:
                 struct.pack_into("<QI", self.head, 235, at if kept else 0, len(kept))
