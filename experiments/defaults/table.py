@@ -10,14 +10,13 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.report import Row, markdown, read_csv
 from jaxfilter.core.params import declared
 
-PAGE = ROOT / "docs" / "fidelity.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "fidelity.md"
 START, END = "<!-- made by experiments/defaults/table.py -->\n\n", "\n\n<!-- end of the table -->"
 
 
