@@ -27,9 +27,10 @@ class Choice:
     present: str
     on: tuple[str, ...] = ()
 
-    def filter(self, alternative: str, cloud: jf.PointCloud, spacing: float) -> jf.Filter:
-        """The filter of an alternative for a cloud."""
-        return jf.FILTERS[self.method].for_cloud(cloud, **self.alternatives[alternative](spacing))
+    def filter(self, alternative: str, spacing: float) -> jf.Filter:
+        """The filter of an alternative for a cloud with this spacing."""
+        cls = jf.FILTERS[self.method]
+        return cls(**{**cls.from_spacing(spacing, None), **self.alternatives[alternative](spacing)})
 
 
 def _constant(fields: dict[str, Any]) -> Make:

@@ -58,7 +58,7 @@ def run(
         if choice.on and known.group not in choice.on:
             continue
         for alternative in choice.alternatives:
-            filter_ = choice.filter(alternative, known.cloud, spacing)
+            filter_ = choice.filter(alternative, spacing)
             head: Row = {"group": known.group, "cloud": known.name, "parameters": search.digest(filter_)}
             if only_kept and _key(head) not in kept:
                 continue
@@ -80,8 +80,13 @@ def _key(row: Row) -> tuple[str, ...]:
 
 
 def table(choice: choices.Choice, rows: Sequence[Row]) -> list[Row]:
-    """A line per alternative: mean total error per group of clouds, and over the groups that decide."""
-    groups = list(dict.fromkeys(row["group"] for row in rows))
+    """A line per alternative: mean total error per group of clouds, and over the groups. Groups of which some alternative
+    has not been run on every cloud are left out."""
+    groups = [
+        group
+        for group in dict.fromkeys(row["group"] for row in rows)
+        if len({sum((r["group"], r["alternative"]) == (group, a) for r in rows) for a in choice.alternatives}) == 1
+    ]
     lines = []
     for alternative in choice.alternatives:
         line: Row = {"choice": choice.name, "alternative": alternative}
