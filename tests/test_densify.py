@@ -271,7 +271,7 @@ def test_points_one_by_one_equal_a_plain_loop():
 
 def test_each_point_of_a_sequence_passes_in_the_triangulation_of_all_before_it():
     net = network_of(scene(17, n=500, side=40.0))
-    mirror = Mirror(15.0, "highest", "replace")
+    mirror = Mirror(2.0, "highest", "replace")
     rule = Rule(max_angle=14, max_distance=0.8)
     out = densify(net, rule, mirror=mirror, insertion="sequential", max_rounds=1000, keep_labels=True)
     before, replayed = net.seed, 0

@@ -39,7 +39,7 @@ def test_every_preset_says_what_it_is_and_paper_what_is_not_as_printed(name):
     for preset, values in FILTERS[name].PRESETS.items():
         assert values.note and "\n" not in values.note, preset
     paper = FILTERS[name].PRESETS["paper"].note
-    assert re.match(r"as (printed|reported)($|[ :(])", paper), paper
+    assert re.match(r"as (printed|reported)\b", paper), paper
 
 
 def test_the_table_of_defaults_names_every_field_with_its_present_default():

@@ -5,6 +5,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
-from experiments.papers import li2021, paper  # noqa: E402
+from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
@@ -326,7 +327,7 @@ def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_p
     every = ablations.variants()
     names = [(v.choice, v.name) for v in every]
     assert len(set(names)) == len(names)
-    assert {v.choice.split(".")[0] for v in every} == {str(i) for i in range(1, 12)}
+    assert {v.choice.split(".")[0] for v in every} == {str(i) for i in range(1, 15)}
     given = ["--data", str(two_samples), "--out", str(tmp_path), "--samples", "52", "--choices", "2", "5", "10"]
     ablations.main([*given, "--processes", "1"])
     rows = report.read_csv(tmp_path / "summary.csv")
@@ -345,6 +346,61 @@ def test_points_that_an_ablation_leaves_out_are_objects():
     assert barred.any() and not ablations._left_out(filter_, scene.cloud)[barred].any()
 
 
+def test_smrf_taken_apart_for_the_ablations_is_smrf(rng):
+    xy = rng.uniform(0, (64, 60), (3000, 2))
+    ridge = np.maximum(0, 6 - 0.3 * np.abs(xy[:, 0] - xy[:, 1]))  # squares cut more from it than disks
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, ridge + 4 * (rng.random(3000) < 0.2)]))
+    apart = ablations._modified("smrf", classify=ablations._smrf_steps("disk", ablations._membrane))("samp11")
+    squares = ablations._modified("smrf", classify=ablations._smrf_steps("square", ablations._membrane))("samp11")
+    ground = spaces.fixed("smrf", "samp11")(cloud).ground
+    assert np.array_equal(apart(cloud).ground, ground)
+    assert 0 < squares(cloud).ground.sum() < ground.sum()
+
+
+@pytest.mark.parametrize("fill", [ablations._triangles, ablations._inverse])
+def test_holes_are_filled_from_the_cells_around_them(fill, rng):
+    z = (np.add.outer(2.0 * np.arange(20), 3.0 * np.arange(30))).astype(np.float32)
+    known, inside = rng.random(z.shape) < 0.5, np.ones(z.shape, bool)
+    known[[0, 0, -1, -1], [0, -1, 0, -1]] = True
+    inside[:, -3:] = False
+    known[-1, -4] = known[0, -4] = True
+    filled = np.asarray(fill(np.where(known, z, 0.0), known, inside))
+    assert np.array_equal(filled[known], z[known])
+    assert np.array_equal(fill(z, inside, inside), z)
+    away = np.abs(filled - z)[inside & ~known]
+    assert away.max() < (1e-3 if fill is ablations._triangles else 6.0)
+
+
+def test_second_lowest_points_are_the_seeds_once_the_lowest_are_left_out(rng):
+    xyz = np.column_stack([rng.uniform(0, 121, (600, 2)), rng.permutation(600) / 50])
+    xyz[:2, :2] = (0, 0), (121, 121)
+    cloud = jf.PointCloud.from_arrays(xyz)
+    filter_ = ablations._modified("ptd", outliers=ablations._lowest_of_all)("samp11")
+    seeds = filter_(cloud).decision == jf.core.result.Decision.SEED
+    cell = np.minimum(cloud.xyz[:, :2] // 60.0, 1) @ (2, 1)
+    for number in range(4):
+        mine = np.flatnonzero(cell == number)
+        assert np.flatnonzero(seeds & (cell == number)).tolist() == [mine[np.argsort(cloud.xyz[mine, 2])[1]]]
+
+
+def test_tiles_with_the_whole_around_them_have_its_labels_and_without_halo_have_not():
+    scene = jf.scenes.make("town", size=(160, 150), density=0.5, seed=2)
+    cloud = jf.PointCloud.from_arrays(scene.cloud.coordinates()[scene.cloud.candidate] + (500_000.25, 5_000_000.5, 0.0))
+    filter_ = spaces.fixed("smrf", "samp51")
+    whole = filter_(cloud).ground
+    assert filter_.halo() > 160 and np.array_equal(ablations._tiled(None)(filter_, cloud), whole)
+    assert 0 < np.mean(ablations._tiled(0.0)(filter_, cloud) != whole) < 0.3
+
+
+def test_ppdf_upward_only_takes_no_point_below_its_plane():
+    scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
+    both, upward = (v.make("samp11")(scene.cloud) for v in ablations._ppdf())
+    seeds = both.decision == jf.core.result.Decision.SEED
+    assert (both.elevation[both.ground & ~seeds] < 0).any()
+    seeds = upward.decision == jf.core.result.Decision.SEED
+    assert (upward.elevation[upward.ground & ~seeds] >= 0).all()
+
+
 def test_every_study_of_a_paper_is_listed_with_its_command():
     folder = ROOT / "experiments" / "papers"
     listed = (folder / "README.md").read_text()
@@ -361,6 +417,45 @@ def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypa
     assert report.read_csv(tmp_path / "out" / "seeds.csv")[0]["printed_seeds"] == 841
     assert len(report.read_csv(tmp_path / "out" / "table1.csv")) == 23
     assert (tmp_path / "out" / "samp53.png").exists()
+
+
+@pytest.mark.parametrize("sample", [f"samp{number}" for number in stin2024.SAMPLES])
+def test_stin_and_atin_are_compared_with_thresholds_of_one_kind(sample):
+    import dataclasses
+
+    for kind, pair in stin2024.ALIKE.items():
+        atin, stin = (stin2024.filters(sample)[name] for name in pair)
+        both = {f.name for f in dataclasses.fields(atin)} & {f.name for f in dataclasses.fields(stin)} - {"thresholds"}
+        assert {"max_angle", "max_distance", "seed_cell", "mirror", "low_clusters", "radius"} <= both
+        assert [name for name in both if getattr(atin, name) != getattr(stin, name)] == []
+        assert (atin.thresholds == "constant") == (stin.thresholds == "constant") == kind.startswith("constant")
+
+
+def test_distances_of_the_first_test_of_stin_are_those_from_the_plane(rng):
+    x, y = rng.uniform(0, 120, (2, 4000))
+    z = 0.25 * x
+    z[:500] += 3.0
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z]), reference=np.arange(4000) >= 500)
+    distance, angle = stin2024.first_test("samp12", cloud)
+    inner = ~np.isnan(angle) & (np.abs(cloud.xyz[:, :2] - 60) < 25).all(axis=1)
+    expected = np.where(cloud.reference, 0.0, 3.0 / np.hypot(1, 0.25))
+    np.testing.assert_allclose(distance[inner], expected[inner], atol=2e-3)
+    row = stin2024.limit_row(
+        "samp12", np.where(inner, distance, np.nan), np.where(inner, angle, np.nan), cloud.reference
+    )
+    assert (row["ground"], row["objects"], row["total"], row["best_total"]) == (100, 0, 0, 0)
+
+
+def test_the_steps_of_ppdf_are_those_of_the_filter():
+    scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
+    cloud = ppdf2023.part(scene.cloud, np.ones(len(scene), bool))
+    steps, info = ppdf2023.staged(cloud), jf.PPDF.preset("paper", max_rounds=1)(cloud).info
+    found = int(steps.under.sum()), steps.planes.accepted, int(steps.seed.sum())
+    assert found == (info["under_canopy"], info["planes"], info["seeds"])
+    rows = [ppdf2023.plane_row("forest", steps, size) for size in ppdf2023.sizes(steps)]
+    assert sum(row["planes"] for row in rows) == steps.planes.accepted
+    assert sum(row["area"] for row in rows) == pytest.approx(100)
+    assert ppdf2023.coverage(steps, steps.truth)["covered"] == 100
 
 
 def test_sites_and_threads_of_li_et_al_are_tabled_with_a_fit(tmp_path):
@@ -470,3 +565,93 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
     assert min(row["seconds"], row["singly"], row["pool"]) > 0
     assert "SMRF" in sweep_speed.report([row], [], "command", 1)
+
+
+def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):
+    import xarray
+
+    angles, elevations = [2.0, 22.0, 42.0], [0.6, 1.2, 1.4]
+    kappa = np.array([[10, 11, 12], [60, 80, 70], [50, 95, 75]], np.float32)
+    flat = dict.fromkeys(("type1", "type2", "total"), (("max_angle", "max_elevation"), 100 - kappa))
+    grid = xarray.Dataset(
+        {"kappa": (("max_angle", "max_elevation"), kappa), **flat},
+        coords={"max_angle": angles, "max_elevation": elevations},
+    )
+    grids = {run: grid.expand_dims(cloud=["samp71"]) for run in li2021.THRESHOLD_RUNS}
+    study = paper.Report("FPTD", "Li et al.", paper.arguments("li2021", "", ["--out", str(tmp_path)]))
+    li2021.thresholds(study, grids)
+    study.write()
+    row = report.read_csv(tmp_path / "thresholds.csv")[0]
+    assert (row["angle"], row["printed_angle"]) == (42, 22)  # at 1.4 m
+    assert (row["elevation"], row["printed_elevation"]) == (1.2, 1.2)  # at the printed angle
+    assert (row["kappa"], row["best_kappa"], row["best_angle"], row["best_elevation"]) == (80, 95, 42, 1.2)
+    assert (row["printed_kappa"], row["least_total"]) == (90.06, 5)
+    assert len(report.read_csv(tmp_path / "thresholds_sets.csv")) == 27
+    assert (tmp_path / "fig5.png").exists() and (tmp_path / "fig6.png").exists()
+
+
+def test_the_sweep_of_fptd_scores_blocks_as_a_run_alone_does():
+    from jaxfilter import scenes
+
+    scene = scenes.make("hills", size=(190, 70), density=0.3, seed=1)
+    cloud = jf.PointCloud.from_arrays(scene.xyz, reference=scene.truth)
+    grids = li2021.sweep_thresholds({"samp52": cloud}, (6, 38), (1.4,))
+    here = {"cloud": "samp52", "max_angle": 6, "max_elevation": 1.4}
+    found = {run: float(grids[run].kappa.sel(here)) for run in ("global", "independent")}
+    alone = jf.evaluate(jf.FPTD(max_angle=6, max_elevation=1.4, blocks="independent")(cloud), cloud.reference)
+    assert found["independent"] == pytest.approx(alone.kappa)
+    assert found["global"] != pytest.approx(alone.kappa)
+
+
+def test_type_1_errors_are_counted_by_the_slope_of_the_reference_ground():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(0, 60, (4000, 2))
+    truth = np.arange(4000) % 4 > 0
+    z = np.tan(np.radians(25)) * xy[:, 1] + np.where(truth, 0.0, 8.0)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([xy, z]), reference=truth)
+    slope = spf2023.terrain_slope(cloud)
+    inner = (np.abs(xy - 30) < 22).all(axis=1)
+    assert slope[inner] == pytest.approx(25, abs=0.5)
+
+    steep = np.where(np.arange(4000) < 1000, 25.0, 3.0)
+    found = truth.copy()
+    found[:40] = ~truth[:40]  # 30 ground points lost and 10 objects accepted, all on the slope
+    result = SimpleNamespace(ground=found)
+    rows = {row["low"]: row for row in spf2023.slope_rows("samp11", "spf", cloud, result, steep)}
+    assert [rows[20.0][key] for key in ("ground", "lost", "objects", "accepted")] == [750, 30, 250, 10]
+    assert [rows[0.0][key] for key in ("ground", "lost", "objects", "accepted")] == [2250, 0, 750, 0]
+    assert rows[45.0]["ground"] == 0
+
+
+def test_trial_and_error_of_agptd_is_set_against_table_1():
+    import xarray
+
+    total = np.array([[4.0, 3.0, 5.0], [2.0, 1.0, 1.05], [6.0, 7.0, 8.0]])
+    axes = {"max_angle": [15.0, 35.0, 55.0], "max_distance": [0.4, 0.8, 1.2]}
+    dims = ("cloud", *axes)
+    scores = {"total": (dims, np.stack([total, total[::-1]])), "kappa": (dims, 100 - np.stack([total, total[::-1]]))}
+    grid = xarray.Dataset(scores, coords=axes | {"cloud": ["samp11", "samp54"]})
+    rows = [
+        agptd2024.trial_row("table1", name, grid.sel(cloud=name), given, at)
+        for name, given, at in (("samp11", (39.0, 0.8), 1.5), ("samp54", (15.0, 0.6), 1.0))
+    ]
+    assert [rows[0][key] for key in ("angle", "distance", "total", "kappa", "cost", "close")] == [
+        35,
+        0.8,
+        1,
+        99,
+        0.5,
+        2,
+    ]
+    assert (rows[0]["printed_total"], rows[1]["cost"]) == (4.6, 0)
+    summary = agptd2024.trial_summary("table1", grid, rows)
+    assert (summary["common"], summary["common_angle"], summary["common_distance"]) == (1, 35, 0.8)
+    assert (summary["oracle"], summary["near"], summary["angle_off"], summary["worst"]) == (1, 1, 12, 0.5)
+
+
+def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two_samples):
+    cloud = jf.read(samples.sample_path(two_samples, "53"))
+    axes = {"max_angle": [29.0], "max_distance": [1.4]}
+    swept = agptd2024.sweep_trial("research", {"samp53": cloud}, axes)
+    alone = jf.evaluate(agptd2024.filters("samp53")["research"](cloud), cloud.reference)
+    assert float(swept.total.squeeze()) == pytest.approx(alone.total)

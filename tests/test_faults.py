@@ -188,6 +188,22 @@ def test_a_file_put_back_does_not_mix_two(tmp_path, monkeypatch):
         read(source)
 
 
+@pytest.mark.parametrize("lines", [2, 8])
+def test_another_number_of_points_in_as_many_bytes(tmp_path, lines):
+    source, widths = (
+        tmp_path / "in.xyz",
+        {2: "10.0000000000 20.000000000 30.00000\n", 4: "10.00 20.00 30.00\n", 8: "1 22 333\n"},
+    )
+    source.write_text(widths[4] * 4)
+    cloud, status = read(source), source.stat()
+    source.write_text(widths[lines] * lines)
+    assert source.stat().st_size == status.st_size
+    os.utime(source, ns=(status.st_atime_ns, status.st_mtime_ns))
+    for target in ("out.xyz", "out.las"):
+        with pytest.raises(InputError, match="changed since"):
+            jf.write(tmp_path / target, cloud, truth(cloud))
+
+
 def test_order_and_bounds_count(tmp_path):
     """The same points in another order are another file."""
     source = make(tmp_path / "in.las")
@@ -400,9 +416,19 @@ def test_the_demo_passes_over_dead_folders(tmp_path):
 # signals
 
 
+@pytest.fixture
+def heard():
+    """No signal is ignored, as some are where tests run in the background."""
+    old = {number: signal.signal(number, signal.SIG_DFL) for number in (signal.SIGTERM, signal.SIGHUP)}
+    old[signal.SIGINT] = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in old.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("suffix, call", [(".las", 0), (".laz", 3), (".laz", 5)])
-def test_signals_while_a_file_is_written(tmp_path, monkeypatch, name, suffix, call):
+def test_signals_while_a_file_is_written(tmp_path, monkeypatch, heard, name, suffix, call):
     """In the LAZ encoder an exception passes through code that knows only words."""
     source, target, number = make(tmp_path / "in.las"), tmp_path / f"out{suffix}", signal.Signals[name]
     before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]

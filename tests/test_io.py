@@ -402,63 +402,6 @@ def test_copc_cut_is_written_in_the_order_it_was_read(tmp_path):
 # text
 
 
-def test_isprs_text_keeps_its_lines(tmp_path):
-    lines = ["512743.63\t5403547.33\t308.68\t0", "512743.60\t5403548.30\t308.7\t1", "512744.1\t5403549.33\t318.68\t1"]
-    source = tmp_path / "samp.txt"
-    source.write_bytes("\r\n".join(lines).encode() + b"\r\n")
-    cloud = read(source)
-    assert cloud.reference.tolist() == [True, False, False] and cloud.candidate.all()
-    np.testing.assert_allclose(cloud.coordinates()[:, 2], [308.68, 308.7, 318.68], atol=5e-4)
-    write(tmp_path / "out.txt", cloud, np.array([False, True, False]))
-    expected = "\r\n".join(line[:-1] + label for line, label in zip(lines, "101", strict=True)) + "\r\n"
-    assert (tmp_path / "out.txt").read_bytes() == expected.encode()
-
-
-@pytest.mark.parametrize("content, expected", [
-    ("1.50 2 3\n4 5.0 6", "1.50 2 3 0\n4 5.0 6 1\n"),
-    ("# made by hand\n\n1.50 2 3\n# half way\n4 5.0 6\n", "# made by hand\n\n1.50 2 3 0\n# half way\n4 5.0 6 1\n"),
-    ("//X Y Z\n1.50 2 3\n4 5 6\n", "//X Y Z label\n1.50 2 3 0\n4 5 6 1\n"),
-    ("x,y,z\n1.50,2,3\n4,5,6\n", "x,y,z,label\n1.50,2,3,0\n4,5,6,1\n"),
-    ('"name";"X";"Y";"Z"\na;1.50;2;3\nb;4;5;6\n', '"name";"X";"Y";"Z";label\na;1.50;2;3;0\nb;4;5;6;1\n'),
-    ("x,label,y,z\n1.50,1,2,3\n4,1,5,6\n", "x,label,y,z\n1.50,0,2,3\n4,1,5,6\n"),
-    ("\ufeffx\ty\tz\n1.50\t2\t3\n4\t5\t6\n", "\ufeffx\ty\tz\tlabel\n1.50\t2\t3\t0\n4\t5\t6\t1\n"),
-    ("X;Y;Z;Classification\n1.50;2;3;5\n4;5;6;2\n", "X;Y;Z;Classification\n1.50;2;3;2\n4;5;6;1\n"),
-])  # fmt: skip
-def test_text_layouts(tmp_path, content, expected):
-    (tmp_path / "in.csv").write_bytes(content.encode())
-    cloud = read(tmp_path / "in.csv")
-    np.testing.assert_array_equal(cloud.coordinates(), [[1.5, 2, 3], [4, 5, 6]])
-    write(tmp_path / "out.csv", cloud, np.array([True, False]))
-    assert (tmp_path / "out.csv").read_bytes() == expected.encode()
-
-
-def test_csv_attributes(tmp_path):
-    (tmp_path / "in.csv").write_text(
-        "Return Number,NumberOfReturns,x,y,z,class,withheld,intensity\n"
-        "1,1,0,0,0,1,0,9\n1,2,1,0,0,2,0,9\n2,2,2,0,0,2,1,9\n1,1,3,0,0,18,0,9\n"
-    )
-    cloud = read(tmp_path / "in.csv")
-    assert cloud.return_number.tolist() == [1, 1, 2, 1] and cloud.number_of_returns.tolist() == [1, 2, 2, 1]
-    assert cloud.candidate.tolist() == [True, False, False, False]
-    assert read(tmp_path / "in.csv", returns="all", keep_withheld=True, ignore_classes=()).candidate.all()
-    assert cloud.reference.tolist() == [False, True, True, False] and cloud.classification.tolist() == [1, 2, 2, 18]
-
-
-def test_text_in_chunks_and_cut(tmp_path, monkeypatch):
-    from jaxfilter.host import text
-
-    xyz = np.random.default_rng(0).integers(0, 1000, (200, 3)) / 10
-    np.savetxt(tmp_path / "in.csv", xyz, fmt="%.1f", delimiter=",", header="x,y,z")
-    monkeypatch.setattr(text, "_LINES", 7)
-    cloud = read(tmp_path / "in.csv", bounds=(20, 0, 70, 101))
-    keep = (xyz[:, 0] >= 20) & (xyz[:, 0] < 70)
-    np.testing.assert_allclose(cloud.coordinates(), xyz[keep], atol=5e-4)
-    ground = cloud.xyz[:, 1] > 50
-    write(tmp_path / "out.csv", cloud, ground)
-    out = np.genfromtxt(tmp_path / "out.csv", delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(out, np.column_stack([xyz[keep], ~ground]))
-
-
 @pytest.mark.parametrize("decimals, scale", [(2, 0.001), (4, 0.0001)])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_text_to_las(tmp_path, decimals, scale, suffix):

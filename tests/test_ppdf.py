@@ -173,6 +173,11 @@ def test_a_cell_is_divided_where_the_ground_lies_below_its_plane(rng):
     assert (np.abs(found.distance[trench]) < 0.3).mean() > 0.9
     assert (np.abs(whole.distance[trench]) > 2).all()
     assert (np.abs(found.distance[points.xyz[:, 0] < 29]) < 0.2).all()
+    assert (
+        set(whole.size) == {10.0}
+        and (found.size[trench] < 10).all()
+        and (found.size[points.xyz[:, 0] < 29] == 10).all()
+    )
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
+import functools
 import shlex
 import statistics
 import sys
@@ -13,7 +14,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -21,15 +24,28 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from jaxfilter.core.filter import Labels
 from jaxfilter.core.points import Points
+from jaxfilter.filters import smrf
+from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
+from jaxfilter.ops.morphology import opening
 from jaxfilter.stages import outliers
+from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
+from jaxfilter.stages.surfaces import hold_against, steepness
 from jaxfilter.stages.tin_filter import TinFilter
 
 HERE = Path(__file__).parent
 QUICK = ("24", "41")
-COLUMNS = ("choice", "variant", "sample", "key", *search.COUNTS, "status")
+COLUMNS = ("choice", "variant", "sample", "key", *search.COUNTS, "changed", "status")
+"""``changed``: of tiles, per cent of the points whose label is not that in the whole sample."""
 ANGLES = (6.0, 10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 34.0, 38.0, 42.0)
 TINS = ("fptd", "ptd")
+TILE = 100.0
+"""Metres: samples are cut into equal tiles of about this size."""
+RING = 5.0
+"""Metres between the points of a dense border."""
+
+COLOURS = {"FPTD": "#D55E00", "PTD": "#0072B2", "PTD's test": "#009E73", "AGPTD": "#CC79A7"}
 
 Maker = Callable[[str], jf.Filter]
 """The filter for a sample such as "samp11"."""
@@ -44,7 +60,8 @@ def run_filter(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
 @dataclasses.dataclass(frozen=True)
 class Variant:
     """One way to make a choice. ``baseline``: what the others of the choice are compared with, the fixed set as it stands or
-    nearest to it; ``labels``: it looks at the reference. Names begin with the method and a colon."""
+    nearest to it; ``labels``: it looks at the reference; ``tiled``: it cuts the sample, so that its labels are compared with
+    those of the whole as well. Names begin with the method and a colon."""
 
     choice: str
     name: str
@@ -52,6 +69,7 @@ class Variant:
     run: Runner = run_filter
     baseline: bool = False
     labels: bool = False
+    tiled: bool = False
 
 
 def variants() -> list[Variant]:
@@ -68,6 +86,9 @@ def variants() -> list[Variant]:
         *_mirror(),
         *_border(),
         *_switches(),
+        *_tiles(),
+        *_smrf(),
+        *_ppdf(),
     ]
 
 
@@ -103,6 +124,11 @@ def _low_outliers() -> list[Variant]:
                 choice, f"{title}: isolated points, 2 m below their 8 neighbours", _modified(method, outliers=_isolated)
             ),
             Variant(choice, f"{title}: elevation unlike that of 8 neighbours", _modified(method, outliers=_unlike)),
+            Variant(
+                choice,
+                f"{title}: {'windows without their lowest points' if method == 'fptd' else 'second-lowest point of a cell'}",
+                _modified(method, outliers=_lowest_of_all),
+            ),
             Variant(choice, f"{title}: clusters of low points", _with(method), baseline=True),
             Variant(choice, f"{title}: clusters and radius filter", _with(method, radius=5.0, min_neighbours=10)),
             Variant(
@@ -123,6 +149,17 @@ def _isolated(self: Any, points: Points, workers: int | None) -> tuple[np.ndarra
 def _unlike(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
     found = outliers.knn_outliers(points.xyz, points.weight, 8, workers=workers)
     return found, found
+
+
+def _lowest_of_all(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """What would be the seeds, so that the next points become them. In cells these are the second-lowest; windows overlap,
+    and lose all points that are the lowest of any. The points are tested with the others."""
+    barred, late = np.zeros(len(points), bool), np.zeros(len(points), bool)
+    if isinstance(self, jf.FPTD):
+        barred[lowest_per_window(points, self.window, self.stride, late)] = True
+    else:
+        barred[lowest_per_cell(points, self.seed_cell, late)] = True
+    return barred, late
 
 
 def _by_labels(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
@@ -337,6 +374,9 @@ def _border() -> list[Variant]:
     def corners(self: Any, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Any:
         return type(self).__mro__[1].network(self, points, seeds, 1e9, late)
 
+    def ring(self: Any, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Any:
+        return type(self).__mro__[1].network(self, points, seeds, RING, late)
+
     def static(self: Any, *given: Any, **options: Any) -> Any:
         return type(self).__mro__[1].grow(self, *given, **(options | {"refresh_border": False}))
 
@@ -351,6 +391,14 @@ def _border() -> list[Variant]:
             ),
             Variant(
                 "10. border points", f"{title}: four corners, static", _modified(method, network=corners, grow=static)
+            ),
+            Variant(
+                "10. border points", f"{title}: every {RING:g} m, follow the ground", _modified(method, network=ring)
+            ),
+            Variant(
+                "10. border points",
+                f"{title}: every {RING:g} m, static",
+                _modified(method, network=ring, grow=static),
             ),
         ]
     return out
@@ -378,6 +426,134 @@ def _switches() -> list[Variant]:
     return out
 
 
+def _tiles() -> list[Variant]:
+    """12. Samples cut into tiles, each filtered with a margin of its neighbours: none, what is usual, and ``halo()``."""
+    ways = {"tiles without halo": _tiled(0.0), "tiles, halo of 25 m": _tiled(25.0), "tiles, halo()": _tiled(None)}
+    out = []
+    for method in spaces.method_names():
+        title = method.upper()
+        out.append(Variant("12. tile buffer", f"{title}: whole", _with(method), baseline=True))
+        out += [
+            Variant("12. tile buffer", f"{title}: {way}", _with(method), run=run, tiled=True)
+            for way, run in ways.items()
+        ]
+    return out
+
+
+def _tiled(margin: float | None) -> Runner:
+    """Labels of equal tiles, each filtered together with the points less than ``margin`` metres around it (None =
+    ``halo()`` of the filter). Grids are those of the whole."""
+
+    def run(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
+        halo = filter_.halo() if margin is None else margin
+        xy, coordinates = cloud.xyz[:, :2].astype(np.float64), cloud.coordinates()
+        count = np.maximum(1, np.round(np.ptp(xy, axis=0) / TILE))
+        low, side = xy.min(axis=0), np.ptp(xy, axis=0) / count
+        home = np.minimum((xy - low) // side, count - 1)
+        ground = np.zeros(len(cloud), bool)
+        for tile in np.unique(home, axis=0):
+            corner = low + tile * side
+            near = np.flatnonzero(((xy >= corner - halo) & (xy <= corner + side + halo)).all(axis=1))
+            part = jf.PointCloud.from_arrays(coordinates[near], anchor=cloud.origin[:2])
+            own = (home[near] == tile).all(axis=1)
+            ground[near[own]] = filter_(part, workers=1).ground[own]
+        return ground
+
+    return run
+
+
+def _smrf() -> list[Variant]:
+    """13. The structuring element of SMRF, and how it fills empty cells and those of objects."""
+    choice = "13. element and inpainting of SMRF"
+    return [
+        Variant(choice, "SMRF: disks, membrane", _with("smrf"), baseline=True),
+        Variant(choice, "SMRF: squares, membrane", _modified("smrf", classify=_smrf_steps("square", _membrane))),
+        Variant(choice, "SMRF: diamonds, membrane", _modified("smrf", classify=_smrf_steps("diamond", _membrane))),
+        Variant(choice, "SMRF: disks, nearest cell", _modified("smrf", classify=_smrf_steps("disk", fill_nearest))),
+        Variant(choice, "SMRF: disks, triangles", _modified("smrf", classify=_smrf_steps("disk", _triangles))),
+        Variant(choice, "SMRF: disks, inverse distance", _modified("smrf", classify=_smrf_steps("disk", _inverse))),
+    ]
+
+
+Fill = Callable[[jax.Array, jax.Array, jax.Array], Any]
+"""Elevations f32, known cells bool and existing cells bool, [rows, columns] each, to elevations without holes."""
+
+
+def _smrf_steps(element: str, fill: Fill) -> Callable[..., Labels]:
+    """SMRF with another structuring element, or another way to fill holes: a square is as wide as the disk that it replaces."""
+
+    @functools.partial(jax.jit, static_argnames="reach")
+    def bare(surface: jax.Array, seen: jax.Array, valid: jax.Array, rises: jax.Array, reach: int) -> jax.Array:
+        def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            last, objects = state
+            opened = opening(last, k, reach, element, valid)
+            return opened, objects | (last - opened > rises[0] * k)
+
+        low, net, _ = smrf._low_and_net(surface, valid, rises[1], 0)
+        return seen & ~low & ~jax.lax.fori_loop(1, reach + 1, open_once, (surface, net))[1]
+
+    def classify(self: Any, points: Points, **options: Any) -> Labels:
+        cells = self.cells(points)
+        surface = fill(cells.lowest, cells.seen, cells.valid)
+        rises = np.asarray([self.slope * self.cell, smrf.LOW_SLOPE * self.cell], np.float32)
+        terrain = fill(surface, bare(surface, cells.seen, cells.valid, rises, self.reach), cells.valid)
+        slopes = steepness(terrain, cells.extent, cells.frame[2])
+        limits = np.asarray([self.threshold, self.scaling], np.float32)
+
+        def test(chunk: np.ndarray) -> tuple[jax.Array, ...]:
+            return smrf._test(chunk, terrain, slopes, cells.frame, cells.extent, limits)
+
+        return Labels(hold_against(points.xyz, test)[2] <= 0)
+
+    return classify
+
+
+def _membrane(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
+    return fill_membrane(z, known, inside).z
+
+
+def _triangles(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
+    """Linear in the Delaunay triangles of the known cells, and the nearest of them outside."""
+    cells, values, holes, filled = _holes(z, known, inside)
+    height = LinearNDInterpolator(cells, values)(holes)
+    outside = np.isnan(height)
+    height[outside] = values[cKDTree(cells).query(holes[outside])[1]]
+    return filled(height)
+
+
+def _inverse(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
+    """Means of the 12 nearest known cells, weighted by the inverse of the squared distance."""
+    cells, values, holes, filled = _holes(z, known, inside)
+    distance, nearest = cKDTree(cells).query(holes, range(1, min(12, len(cells)) + 1))
+    weight = distance**-2.0
+    return filled((weight * values[nearest]).sum(axis=1) / weight.sum(axis=1))
+
+
+def _holes(z: jax.Array, known: jax.Array, inside: jax.Array) -> tuple[np.ndarray, np.ndarray, np.ndarray, Any]:
+    """Known cells i64[k, 2] and their elevations, holes i64[h, 2], and what puts elevations f64[h] into these."""
+    taken, hole = np.asarray(known & inside), np.asarray(inside & ~known)
+
+    def filled(height: np.ndarray) -> jax.Array:
+        out = np.array(z)
+        out[hole] = height
+        return jax.numpy.asarray(out)
+
+    return np.argwhere(taken), np.asarray(z)[taken].astype(np.float64), np.argwhere(hole), filled
+
+
+def _ppdf() -> list[Variant]:
+    """14. On which side of the local plane PPDF takes points."""
+
+    def upward(self: Any, distance: np.ndarray, limit: float) -> np.ndarray:
+        return (distance >= 0) & (distance <= limit)
+
+    choice = "14. direction of PPDF"
+    return [
+        Variant(choice, "PPDF: upward and downward", _with("ppdf"), baseline=True),
+        Variant(choice, "PPDF: upward only", _modified("ppdf", _within=upward)),
+    ]
+
+
 def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[Row]:
     """One row per variant, named by choice and name; a variant that fails has no counts, and the error as its status."""
     from jaxfilter.core.compilation import use_persistent_cache
@@ -385,7 +561,14 @@ def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[
     use_persistent_cache()
     cloud = jf.read(path)
     table = {(v.choice, v.name): v for v in variants()}
-    done: dict[str, Row] = {}  # what unchanged methods gave: the baseline of one choice is that of others
+    done: dict[str, np.ndarray] = {}  # labels of unchanged methods: the baseline of one choice is that of others
+
+    def whole(filter_: jf.Filter) -> np.ndarray:
+        key = search.digest(filter_)
+        if key not in done:
+            done[key] = run_filter(filter_, cloud)
+        return done[key]
+
     rows = []
     for name in names:
         variant = table[name]
@@ -394,14 +577,13 @@ def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[
             filter_ = variant.make(sample)
             row["key"] = search.digest(filter_)
             plain = variant.run is run_filter and type(filter_) in jf.FILTERS.values()
-            if not plain or row["key"] not in done:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", jf.JaxfilterWarning)
-                    counts = jf.evaluate(variant.run(filter_, cloud), cloud.reference).confusion.ravel().tolist()
-                found: Row = dict(zip(search.COUNTS, counts, strict=True)) | {"status": "OK"}
-                if plain:
-                    done[row["key"]] = found
-            row |= done[row["key"]] if plain else found
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", jf.JaxfilterWarning)
+                ground = whole(filter_) if plain else variant.run(filter_, cloud)
+                if variant.tiled:
+                    row["changed"] = 100 * float(np.mean(ground != whole(filter_)))
+            counts = jf.evaluate(ground, cloud.reference).confusion.ravel().tolist()
+            row |= dict(zip(search.COUNTS, counts, strict=True)) | {"status": "OK"}
         except Exception as error:
             row |= {"status": f"{type(error).__name__}: {error}"[:200]}
         rows.append(row)
@@ -420,6 +602,8 @@ def main(arguments: list[str] | None = None) -> None:
         path.unlink(missing_ok=True)
     chosen = [v for v in variants() if not options.choices or v.choice.split(".")[0] in options.choices]
     have = {(row["choice"], row["variant"], row["sample"]): row for row in (read_csv(path) if path.exists() else [])}
+    if have and not all(set(row) == set(COLUMNS) for row in have.values()):  # a table of before a column was added
+        write_csv(path, [{key: row.get(key, "") for key in COLUMNS} for row in have.values()])
     tasks = []
     for number in numbers:
         name = f"samp{number}"
@@ -475,6 +659,9 @@ def summary(rows: Sequence[Row], chosen: Sequence[Variant]) -> list[Row]:
             for key in protocols.SCORES:
                 line[key] = statistics.fmean(row[key] for row in good)
                 line[f"median_{key}"] = statistics.median(row[key] for row in good)
+        if variant.tiled and good:
+            changed = [row["changed"] for row in good]
+            line |= {"changed": statistics.fmean(changed), "most_changed": max(changed)}
         base = next(
             (
                 by[v.choice, v.name]
@@ -507,6 +694,8 @@ TABLE: list[Column] = [
     ("difference", "TE less baseline", "+.2f"),
     ("better", "better on", "d"),
     ("worse", "worse on", "d"),
+    ("changed", "labels changed, %", ".2f"),
+    ("most_changed", "at most", ".2f"),
     ("failed", "failed", "d"),
 ]
 """Means, medians, and the comparison with the baseline of the same method."""
@@ -525,9 +714,25 @@ def report(command: str, lines: Sequence[Row], rows: Sequence[Row], count: int) 
         part = [line | {"title": _title(line)} for line in lines if line["choice"] == choice]
         used = [column for column in TABLE if any(line.get(column[0]) not in (None, 0) for line in part)]
         text += [f"## {choice}", markdown(used, part)]
+        if choice.startswith("12"):
+            text.append(_about_tiles())
         if choice == "6. angle limit":
             text += ["Mean total error by terrain class of Li et al. (2021):", markdown(*_by_class(rows, choice))]
     return "\n\n".join([*text, "![Mean total error per variant](total.png)"]) + "\n"
+
+
+def _about_tiles() -> str:
+    listed = []
+    for name in spaces.method_names():
+        halos = [spaces.fixed(name, f"samp{number}").halo() for number in samples.SAMPLES]
+        ends = f"{min(halos):,.0f}", f"{max(halos):,.0f}"
+        listed.append(f"{name.upper()} {' to '.join(dict.fromkeys(ends))}")
+    return (
+        f"Samples cut into equal tiles of about {TILE:g} m, each filtered with the points around it up to the halo, on the grids "
+        "of the whole sample. `Labels changed`: share of the points that are labelled otherwise than in the whole, mean and "
+        f"largest over the samples. `halo()` in metres: {', '.join(listed)}. Where the halo exceeds the sample, every "
+        "tile is the whole sample."
+    )
 
 
 def _title(line: Row) -> str:
@@ -548,7 +753,7 @@ def _by_class(rows: Sequence[Row], choice: str) -> tuple[list[Column], list[Row]
 
 
 def figure(lines: Sequence[Row], path: Path) -> None:
-    """Mean total error of every variant of the ten choices as a dot, its median as a ring, baselines as lines."""
+    """Mean total error of every variant as a dot, its median as a ring, baselines as lines."""
     from matplotlib.figure import Figure
 
     choices = [c for c in dict.fromkeys(line["choice"] for line in lines) if not c.startswith("11")]
@@ -557,12 +762,9 @@ def figure(lines: Sequence[Row], path: Path) -> None:
     axes = chart.subplots(len(parts), 1, squeeze=False, sharex=True, height_ratios=[len(p) + 0.6 for p in parts])[:, 0]
     for ax, choice, part in zip(axes, choices, parts, strict=True):
         y = np.arange(len(part))
-        for method, colour in (
-            ("FPTD", "#D55E00"),
-            ("PTD", "#0072B2"),
-            ("PTD's test", "#009E73"),
-            ("AGPTD", "#CC79A7"),
-        ):
+        methods = list(dict.fromkeys(line["variant"].split(":")[0] for line in part))
+        for k, method in enumerate(methods):
+            colour = COLOURS.get(method, COLOURS[("FPTD", "PTD")[k % 2]])  # where there are many, every other one
             mine = [i for i, line in enumerate(part) if line["variant"].startswith(f"{method}:")]
             base = [part[i]["total"] for i in mine if part[i]["baseline"]]
             if base:

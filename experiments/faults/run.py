@@ -68,6 +68,9 @@ def run_all(folder: Path, runs: dict[str, int], seed: int) -> Iterator[Row]:
         "input replaced or changed": misled,
         "full disk": full_disk,
     }
+    for number in (signal.SIGINT, signal.SIGHUP):  # ignored under nohup or in the background, and children inherit that
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
     for kind, count in runs.items():
         act = kinds.get(kind) or (lambda bench, kind=kind: stopped_command(bench, signal.Signals[kind]))
         with contextlib.ExitStack() as stack:

@@ -1,10 +1,10 @@
-"""The pictures: Figs. 7 to 12 of Li et al. (2021), drawn from our results."""
+"""The pictures: Figs. 5 to 12 of Li et al. (2021), drawn from our results."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,9 +16,53 @@ from experiments.report import Row, save_png
 from jaxfilter import plots
 from jaxfilter.core.grid import Grid
 
+if TYPE_CHECKING:
+    import xarray
+
 SHOWN = ("12", "61", "24", "53")
 """Samples of Figs. 9 to 12."""
 INK, SEED, SEED_PTD = "#1b4965", "#D55E00", "#0072B2"
+
+CURVES = {
+    "kappa": ("kappa", "#009E73"),
+    "type1": ("Type I", plots.TYPE_1),
+    "type2": ("Type II", plots.TYPE_2),
+    "total": ("total error", "black"),
+}
+"""Label and colour of the scores of Figs. 5 and 6."""
+
+
+def thresholds(
+    lines: Mapping[tuple[str, str], xarray.Dataset], axis: str, printed: Mapping[str, float], terrain: Mapping[str, str]
+) -> Figure:
+    """Fig. 5 or 6: kappa and errors against one threshold; a column per sample, a row per run.
+
+    ``lines``: the scores along ``axis`` for each (run, sample); ``printed``: the paper's choice, ``terrain``: the class.
+    """
+    runs, names = (list(dict.fromkeys(key[i] for key in lines)) for i in (0, 1))
+    figure = Figure(figsize=(2.3 * len(names) + 0.6, 2.0 * len(runs) + 0.9), layout="constrained")
+    panels = figure.subplots(len(runs), len(names), sharex=True, sharey=True, squeeze=False)
+    for (run, name), line in lines.items():
+        ax = panels[runs.index(run), names.index(name)]
+        for score, (label, colour) in CURVES.items():
+            ax.plot(line[axis], line[score], color=colour, marker="o", markersize=2.5, linewidth=1.2, label=label)
+        best = int(line.kappa.values.argmax())
+        ax.plot(line[axis][best], line.kappa[best], "o", markersize=7, color="none", markeredgecolor=CURVES["kappa"][1])
+        ax.axvline(printed[name], color="0.4", linestyle=":", linewidth=1.2)
+        ax.set_ylim(0, 100)
+        ax.set_xticks(line[axis].values[::2], [f"{value:g}" for value in line[axis].values[::2]])
+        ax.tick_params(labelsize=8)
+        ax.grid(color="0.92", linewidth=0.6)
+        ax.spines[["top", "right"]].set_visible(False)
+    for ax, name in zip(panels[0], names, strict=True):
+        ax.set_title(f"{name} ({terrain[name]})", fontsize=10)
+    for ax, run in zip(panels[:, 0], runs, strict=True):
+        ax.set_ylabel(f"{run} (%)", fontsize=9)
+    unit = {"max_angle": "largest angle a (degrees)", "max_elevation": "largest relative elevation e (m)"}[axis]
+    figure.supxlabel(unit, fontsize=9)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(CURVES), frameon=False, fontsize=9)
+    return figure
 
 
 def time_fit(points: Sequence[float], seconds: Sequence[float]) -> tuple[float, float, float]:

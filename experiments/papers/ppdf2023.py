@@ -1,15 +1,18 @@
-"""Figs. 11 and 13 to 17 of Cai et al. (2023), PPDF beside MSF, PMF, CSF and PTDF, on labelled forests and simulated slopes."""
+"""Figs. 6, 7, 9 to 11 and 13 to 17 of Cai et al. (2023), PPDF beside others, on labelled forests and simulated slopes."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
@@ -18,6 +21,11 @@ from experiments.isprs.measure import timed
 from experiments.papers import paper
 from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
+from jaxfilter.core.grid import Grid, grid_over
+from jaxfilter.core.points import canonical_points
+from jaxfilter.filters import ppdf
+from jaxfilter.stages.planes import ScaledPlanes, progressive_planes
+from jaxfilter.stages.seeds import lowest_on_grid
 
 TILES = {"lff_2_42": 50.0, "zf_veluwezoom_ahn3": 80.0}
 """Files in data/tiles, and the side of the square in their middle that the slow studies run on, metres."""
@@ -88,9 +96,11 @@ def main(given: Sequence[str] | None = None) -> None:
     compared, results = comparison(report, sites)
     literal(report, crops)
     literal_samples(report, options)
-    ablation(report, sites, crops)
+    stages(report, {name: sites[name] for name in TILES})
+    found = ablation(report, sites, crops)
+    references(report, sites, crops, found)
     speed(report, compared, sites)
-    sensitivity(report, crops)
+    sensitivity(report, {name: sites[name] for name in TILES})
     report.text("## Figs. 12 to 14: terrain and errors")
     for name in TILES:
         report.figure(terrain_panels(sites[name], results[name]), f"terrain_{name}",
@@ -289,19 +299,29 @@ def literal_samples(report: paper.Report, options: argparse.Namespace) -> None:
                 "none of them.")  # fmt: skip
 
 
-def ablation(report: paper.Report, sites: Mapping[str, jf.PointCloud], crops: Mapping[str, jf.PointCloud]) -> None:
-    """Fig. 16: planes against lowest points as seeds, quadrants against nearest points as references."""
+def ablation(
+    report: paper.Report, sites: Mapping[str, jf.PointCloud], crops: Mapping[str, jf.PointCloud]
+) -> dict[tuple[str, str, str], np.ndarray]:
+    """Fig. 16: planes against lowest points as seeds, quadrants against nearest points as references.
+
+    Returns: bool[n], the ground by site, case and reading.
+    """
     rows: list[Row] = []
+    found: dict[tuple[str, str, str], np.ndarray] = {}
     for site, cloud in sites.items():
         for case, changes in ABLATION.items():
-            rows.append(run(site, fixed("ppdf", cloud).replace(**changes), cloud, case=case, reading="recommended")[0])
+            row, result = run(site, fixed("ppdf", cloud).replace(**changes), cloud, case=case, reading="recommended")
+            rows.append(row)
+            found[site, case, "recommended"] = result.ground
     for site, cloud in crops.items():
         for case, changes in ABLATION.items():
             rows.append(run(site, jf.PPDF.preset("paper", **changes), cloud, case=case, reading="as printed")[0])
     for site, cloud in {**sites, **crops}.items():
         strict = fixed("ppdf", cloud).replace(reference_cell=0.0, reference_distance=0.3)
         for case, changes in ABLATION.items():
-            rows.append(run(site, strict.replace(**changes), cloud, case=case, reading="all points, 0.3 m")[0])
+            row, result = run(site, strict.replace(**changes), cloud, case=case, reading="all points, 0.3 m")
+            rows.append(row)
+            found[site, case, "all points, 0.3 m"] = result.ground
     write_csv(report.out / "ablation_sites.csv", rows)
     readings = list(dict.fromkeys(row["reading"] for row in rows))
     means: list[Row] = []
@@ -337,6 +357,7 @@ def ablation(report: paper.Report, sites: Mapping[str, jf.PointCloud], crops: Ma
         )
         report.verdict(f"The planes are worth more than the quadrants ({reading}).", "5.70 against 0.33 points",
                        f"{second - both:.2f} against {first - both:.2f} points", second - both > first - both)  # fmt: skip
+    return found
 
 
 def speed(report: paper.Report, rows: Sequence[Row], sites: Mapping[str, jf.PointCloud]) -> None:
@@ -363,31 +384,33 @@ def speed(report: paper.Report, rows: Sequence[Row], sites: Mapping[str, jf.Poin
     )
 
 
-def sensitivity(report: paper.Report, crops: Mapping[str, jf.PointCloud]) -> None:
+def sensitivity(report: paper.Report, tiles: Mapping[str, jf.PointCloud]) -> None:
     """Fig. 17: one parameter at a time, the others as recommended."""
     rows: list[Row] = []
-    for site, cloud in crops.items():
+    for site, cloud in tiles.items():
         for name, values in VARIED.items():
-            for value in values:
-                filter_ = fixed("ppdf", cloud).replace(**{name: value})
-                rows.append(run(site, filter_, cloud, parameter=name, value=value)[0])
+            swept = jf.sweep(fixed("ppdf", cloud), cloud, {name: values})
+            for k, value in enumerate(values):
+                scores = {key: float(swept[key][k]) for key in paper.SCORES}
+                rows.append({"site": site, "parameter": name, "value": value, "points": len(cloud)} | scores)
+            print(site, name, f"{swept['total'].min():.2f} to {swept['total'].max():.2f} %", flush=True)
     write_csv(report.out / "sensitivity_runs.csv", rows)
     ranges: list[Row] = []
     for name, values in VARIED.items():
         row: Row = {"parameter": name, "default": getattr(jf.PPDF(), name), "low": min(values), "high": max(values)}
-        for site in crops:
+        for site in tiles:
             errors = [r["total"] for r in rows if (r["site"], r["parameter"]) == (site, name)]
             row |= {f"{site} from": min(errors), f"{site} to": max(errors)}
-        row["range"] = max(row[f"{site} to"] - row[f"{site} from"] for site in crops)
+        row["range"] = max(row[f"{site} to"] - row[f"{site} from"] for site in tiles)
         ranges.append(row)
     report.table("sensitivity", "Fig. 17: one parameter at a time", [
         ("parameter", "parameter", ""), ("default", "default", "g"), ("low", "from", "g"), ("high", "to", "g"),
-        *((f"{site} {end}", f"{site}: TE {word}", ".2f") for site in crops for end, word in (("from", "least"), ("to", "most"))),
+        *((f"{site} {end}", f"{site}: TE {word}", ".2f") for site in tiles for end, word in (("from", "least"), ("to", "most"))),
         ("range", "largest range", ".2f"),
     ], ranges)  # fmt: skip
-    report.figure(curves(rows, list(crops)), "sensitivity",
+    report.figure(curves(rows, list(tiles)), "sensitivity",
                   "Fig. 17: total error where one parameter changes. Dashed: the default.")  # fmt: skip
-    report.text("On the squares of the tiles. The paper gives its ranges in the plots only; these are ours, around its defaults. "
+    report.text("On the whole tiles. The paper gives its ranges in the plots only; these are ours, around its defaults. "
                 "A parameter counts as insignificant if its whole range moves the total error by less than "
                 f"{INSENSITIVE:g} point on either tile.")  # fmt: skip
     found = {row["parameter"]: row["range"] for row in ranges}
@@ -396,6 +419,199 @@ def sensitivity(report: paper.Report, crops: Mapping[str, jf.PointCloud]) -> Non
         report.verdict(f"Insensitive to the {title}.", "no numbers",
                        f"up to {found[name]:.2f} points between {min(VARIED[name]):g} and {max(VARIED[name]):g}",
                        found[name] < INSENSITIVE)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stages:
+    """PPDF step by step as printed, for a cloud of n points in canonical order.
+
+    Attributes:
+        xyz: f32[n, 3], local metres; truth: bool[n], reference ground.
+        terrain: height and slope (degrees) of the reference terrain, f32[ny, nx], NaN where there is none, and their grid.
+        under: bool[n], under the canopy; planes: where the points lie to the planes; seed, lowest: bool[n], seeds from
+        planes, and the lowest point of each cell.
+    """
+
+    xyz: np.ndarray
+    truth: np.ndarray
+    terrain: tuple[np.ndarray, np.ndarray, Grid]
+    under: np.ndarray
+    planes: ScaledPlanes
+    seed: np.ndarray
+    lowest: np.ndarray
+
+    def at(self, values: np.ndarray) -> np.ndarray:
+        """f32[n]: a raster of the terrain at the points."""
+        return values.ravel()[self.terrain[2].flat(self.xyz)]
+
+
+def staged(cloud: jf.PointCloud) -> Stages:
+    """Sec. 2.3, Sec. 2.4, and the seeds of Sec. 2.5, by the functions that the filter is made of."""
+    filter_ = jf.PPDF.preset("paper")
+    points = canonical_points(cloud)
+    truth = np.zeros(len(points), bool)
+    truth[points.member[cloud.reference[points.index]]] = True
+    z, grid = plots.rasterise(points.xyz[truth], 1.0, over=points.xyz)
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, grid.cell))))
+    cells = grid_over(points.xyz, filter_.canopy_cell)
+    under = ppdf._under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
+    planes = progressive_planes(
+        points, under, jax.random.uniform(jax.random.key(0), (filter_.hypotheses, 3)), cell=filter_.cell,
+        min_points=filter_.min_points, inlier_distance=filter_.inlier_distance,
+        division_distance=filter_.division_distance, max_slope=filter_.max_slope,
+    )  # fmt: skip
+    lowest = np.zeros(len(points), bool)
+    lowest[lowest_on_grid(points, grid_over(points.xyz, filter_.cell), ~under)] = True
+    return Stages(points.xyz, truth, (z, slope, grid), under, planes, np.abs(planes.distance) <= filter_.buffer, lowest)
+
+
+def stages(report: paper.Report, tiles: Mapping[str, jf.PointCloud]) -> None:
+    """Figs. 6, 7 and 9: points under the canopy, planes by size, and seeds, on whole tiles."""
+    report.text("## Figs. 6, 7 and 9: the steps, on whole tiles",
+                "With the printed values: cells of 2 m and 5 m for the canopy; planes from 10 m, 20 points, 1 m; buffer 0.5 m. "
+                "The paper shows these figures of its Site 2 and prints no numbers.")  # fmt: skip
+    steps = {name: staged(cloud) for name, cloud in tiles.items()}
+    canopy, planes, seeds = [], [], []
+    for site, s in steps.items():
+        high = s.xyz[:, 2] - s.at(s.terrain[0]) > 5
+        canopy.append({"site": site, "points": len(s.xyz), "kept": 100 * s.under.mean(), "ground": 100 * s.under[s.truth].mean(),
+                       "lost": int((s.truth & ~s.under).sum()), "objects": 100 * (~s.under)[~s.truth].mean(),
+                       "high": 100 * (~s.under)[high & ~s.truth].mean()})  # fmt: skip
+        planes += [plane_row(site, s, size) for size in sizes(s)]
+        for name, chosen in (("lowest of 10-m cells", s.lowest), ("planes (PPDF)", s.seed)):
+            seeds.append({"site": site, "method": name, "seeds": int(chosen.sum()), "true": 100 * s.truth[chosen].mean()}
+                         | coverage(s, chosen))  # fmt: skip
+        low = with_outliers(tiles[site])
+        again = staged(low)
+        added = again.xyz[:, 2] < again.at(again.terrain[0]) - 4
+        for row, chosen in zip(seeds[-2:], (again.lowest, again.seed), strict=True):
+            row["low"] = int((chosen & added & ~again.truth).sum())
+    report.table("canopy", "Fig. 6: points under the canopy", [
+        ("site", "site", ""), ("points", "points", ",d"), ("kept", "kept, %", ".2f"),
+        ("ground", "reference ground kept, %", ".3f"), ("lost", "reference ground lost, points", ",d"),
+        ("objects", "objects removed, %", ".2f"), ("high", "objects over 5 m removed, %", ".2f"),
+    ], canopy)  # fmt: skip
+    report.verdict("Ground points are completely preserved.", "completely", ", ".join(
+        f"{row['ground']:.3f} % ({row['lost']:,d} lost) on {row['site']}" for row in canopy),
+        all(row["lost"] == 0 for row in canopy))  # fmt: skip
+    report.verdict("Most of the forest canopy is removed.", "most", ", ".join(
+        f"{row['high']:.1f} % of the objects more than 5 m high on {row['site']}" for row in canopy),
+        all(row["high"] > 50 for row in canopy))  # fmt: skip
+    report.figure(canopy_profiles(steps), "canopy", "Fig. 6: sections of 2 m where the tiles are flattest (left) and steepest "
+                  "(right). Points under the canopy are kept; the others are set aside before planes are sought.")  # fmt: skip
+    report.table("planes", "Fig. 7: planes by size", [
+        ("site", "site", ""), ("size", "size, m", "g"), ("planes", "planes", ",d"), ("area", "of the area with planes, %", ".1f"),
+        ("slope", "slope of the terrain, degrees", ".1f"), ("variation", "its variation, degrees", ".2f"),
+        ("off", "plane from reference ground, RMS, m", ".2f"), ("true", "seeds on reference ground, %", ".1f"),
+    ], planes)  # fmt: skip
+    report.text("Means over the points in cells of a size. Slopes are those of the reference ground in a raster of 1 m; "
+                "variation is their standard deviation within 10 m by 10 m. Verdicts leave out sizes with fewer than 10 planes. "
+                "Where hardly a point reaches the ground, small planes lie in the vegetation: last column.")  # fmt: skip
+    for key, title in (("slope", "Steeper terrain gets smaller planes."),
+                       ("variation", "The larger the variation of slope, the smaller the planes.")):  # fmt: skip
+        text = "; ".join(f"{site}: " + ", ".join(f"{r['size']:g} m {r[key]:.1f}" for r in planes if r["site"] == site)
+                         for site in steps)  # fmt: skip
+        groups = [[r[key] for r in planes if r["site"] == site and r["planes"] >= 10] for site in steps]
+        ordered = agreed(all(a <= b for a, b in itertools.pairwise(group)) for group in groups)
+        report.verdict(title, "shown for three places", f"{text} degrees", ordered)
+    report.figure(plane_maps(steps), "planes", "Fig. 7: accepted planes by size over the shaded reference ground; without "
+                  "colour: no reliable plane with 20 points near it.", dpi=110)  # fmt: skip
+    report.table("stage_seeds", "Fig. 9: seeds", [
+        ("site", "site", ""), ("method", "seeds", ""), ("seeds", "number", ",d"), ("true", "reference ground in them, %", ".2f"),
+        ("covered", "5-m cells of ground with a true seed, %", ".1f"), ("raised", "the same on raised terrain, %", ".1f"),
+        ("low", "of 40 low outliers are seeds", ",d"),
+    ], seeds)  # fmt: skip
+    report.text("Raised terrain: where the reference ground lies more than 0.25 m above its mean within 15 m. Seeds as printed, "
+                "without the opening that takes them off roofs and dense shrubs. One seed per 10 m cannot cover much more than a "
+                "quarter of 5-m cells. Low outliers: 40 points of the reference ground, drawn at random, once more 5 m below."
+                )  # fmt: skip
+    for key, title in (("raised", "Planes give more seeds on raised terrain than local minima."),
+                       ("low", "Planes make fewer seeds of low outliers than local minima.")):  # fmt: skip
+        pairs = [(a, b) for a, b in zip(seeds[::2], seeds[1::2], strict=True)]
+        unit = "%" if key == "raised" else "of 40"
+        text = ", ".join(f"{b[key]:.4g} against {a[key]:.4g} {unit} on {a['site']}" for a, b in pairs)
+        holds = (b[key] > a[key] if key == "raised" else b[key] < a[key] for a, b in pairs)
+        report.verdict(title, "shown, no numbers", text, agreed(holds))
+    report.figure(seed_maps(steps), "stage_seeds", "Fig. 9: seeds in the middle 50 m of each tile, over the shaded reference "
+                  "ground: lowest point of each cell (left), points near planes (right).", dpi=110)  # fmt: skip
+
+
+def plane_row(site: str, s: Stages, size: float) -> Row:
+    """What the points of cells with planes of one size have in common."""
+    mine = s.planes.size == size
+    _, slope, raster = s.terrain
+    known = np.where(np.isnan(slope), np.nanmean(slope), slope)
+    mean_slope, square = (ndimage.uniform_filter(known**p, round(10 / raster.cell), mode="nearest") for p in (1, 2))
+    variation = np.sqrt(np.maximum(square - mean_slope**2, 0))
+    cells = {v: len(np.unique(grid_over(s.xyz, v).flat(s.xyz[s.planes.size == v]))) for v in sizes(s)}
+    return {
+        "site": site, "size": size, "planes": cells[size],
+        "area": 100 * cells[size] * size**2 / sum(n * v**2 for v, n in cells.items()),
+        "slope": float(s.at(known)[mine].mean()), "variation": float(s.at(variation)[mine].mean()),
+        "off": float(np.sqrt(np.mean(s.planes.distance[mine & s.truth] ** 2))),
+        "true": 100 * float(s.truth[mine & s.seed].mean()),
+    }  # fmt: skip
+
+
+def sizes(s: Stages) -> list[float]:
+    """Sides of the cells that have planes, metres, the largest first."""
+    return [float(v) for v in np.unique(s.planes.size[~np.isnan(s.planes.size)])[::-1]]
+
+
+def with_outliers(cloud: jf.PointCloud) -> jf.PointCloud:
+    """The cloud with 40 points of the reference ground once more, 5 m below, as objects."""
+    drawn = np.random.default_rng(0).choice(np.flatnonzero(cloud.reference), 40, replace=False)
+    xyz = np.concatenate([cloud.xyz, cloud.xyz[drawn] - np.float32([0, 0, 5])]).astype(float)
+    return jf.PointCloud.from_arrays(xyz, reference=np.append(cloud.reference, np.zeros(40, bool)), returns="all")
+
+
+def coverage(s: Stages, chosen: np.ndarray) -> Row:
+    """Share of the 5-m cells with reference ground that hold a true seed: of all, and of those on raised terrain."""
+    z, _, raster = s.terrain
+    known = np.where(np.isnan(z), np.nanmean(z), z)
+    above = known - ndimage.uniform_filter(known, round(30 / raster.cell), mode="nearest")
+    grid = grid_over(s.xyz, 5.0)
+    ground = np.unique(grid.flat(s.xyz[s.truth]))
+    raised = np.unique(grid.flat(s.xyz[s.truth & (s.at(above) > 0.25)]))
+    held = np.unique(grid.flat(s.xyz[chosen & s.truth]))
+    return {"covered": 100 * np.isin(ground, held).mean(), "raised": 100 * np.isin(raised, held).mean()}
+
+
+def references(
+    report: paper.Report,
+    sites: Mapping[str, jf.PointCloud],
+    crops: Mapping[str, jf.PointCloud],
+    found: Mapping[tuple[str, str, str], np.ndarray],
+) -> None:
+    """Fig. 10: ground that is found only with references in quadrants, or only with the nearest."""
+    rows = []
+    for (site, case, reading), quadrants in found.items():
+        if case != "both":
+            continue
+        truth = (sites if reading == "recommended" else {**sites, **crops})[site].reference
+        nearest = found[site, "first contribution only", reading]
+        row: Row = {"site": site, "reading": reading, "points": len(truth)}
+        for kind, of in (("ground", truth), ("objects", ~truth)):
+            row |= {f"{kind}_quadrants": 100 * (quadrants & ~nearest)[of].mean(),
+                    f"{kind}_nearest": 100 * (nearest & ~quadrants)[of].mean()}  # fmt: skip
+        rows.append(row)
+    report.table("references", "Fig. 10: references in quadrants against the nearest", [
+        ("site", "site", ""), ("reading", "reading", ""), ("points", "points", ",d"),
+        ("ground_quadrants", "ground found with quadrants only, %", ".2f"), ("ground_nearest", "with the nearest only, %", ".2f"),
+        ("objects_quadrants", "objects accepted with quadrants only, %", ".2f"),
+        ("objects_nearest", "with the nearest only, %", ".2f"),
+    ], rows)  # fmt: skip
+    report.text("Seeds from planes in both; shares of the reference ground, and of the objects. `Recommended`: whole tiles; `all "
+                "points, 0.3 m`: squares of the tiles, as above.")  # fmt: skip
+    for reading in dict.fromkeys(row["reading"] for row in rows):
+        mine = [row for row in rows if row["reading"] == reading]
+        text = ", ".join(
+            f"{r['ground_quadrants']:.2f} against {r['ground_nearest']:.2f} % on {r['site']}" for r in mine
+        )
+        report.verdict(f"Quadrants find ground that the nearest references miss ({reading}).", "shown, no numbers", text,
+                       agreed(r["ground_quadrants"] > r["ground_nearest"] for r in mine))  # fmt: skip
+    report.figure(reference_maps({name: sites[name] for name in TILES}, found), "references", "Fig. 10: reference ground by what "
+                  "finds it, recommended, whole tiles.", dpi=110)  # fmt: skip
 
 
 def accuracy_bars(rows: Sequence[Row], sites: Sequence[str]) -> Any:
@@ -465,6 +681,116 @@ def curves(rows: Sequence[Row], sites: Sequence[str]) -> Any:
     for ax in figure.axes[::3]:
         ax.set_ylabel("total error, %")
     figure.axes[0].legend(frameon=False, fontsize=8)
+    return figure
+
+
+def canopy_profiles(steps: Mapping[str, Stages]) -> Any:
+    """Fig. 6: a row per tile, where it is flattest and where it is steepest."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 2.7 * len(steps) + 0.3), layout="constrained")
+    axes = figure.subplots(len(steps), 2, squeeze=False)
+    for row, (site, s) in zip(axes, steps.items(), strict=True):
+        _, slope, raster = s.terrain
+        span = int(min(60.0, raster.nx * raster.cell) / raster.cell)
+        mean_slope = ndimage.uniform_filter1d(np.nan_to_num(slope, nan=np.nanmean(slope)), span, axis=1)
+        inner = mean_slope[3:-3, span // 2 : raster.nx - span // 2 + 1]
+        for ax, pick in zip(row, (np.argmin, np.argmax), strict=True):
+            i, j = np.unravel_index(pick(inner), inner.shape)
+            middle, west = raster.y0 + (i + 3.5) * raster.cell, raster.x0 + j * raster.cell
+            near = (
+                (np.abs(s.xyz[:, 1] - middle) <= 1) & (s.xyz[:, 0] >= west) & (s.xyz[:, 0] <= west + span * raster.cell)
+            )
+            for label, chosen, colour, size in (
+                ("set aside", ~s.under & ~s.truth, "0.75", 2), ("kept, object", s.under & ~s.truth, plots.TYPE_2, 3),
+                ("kept, reference ground", s.under & s.truth, plots.GROUND, 3),
+                ("set aside, reference ground", ~s.under & s.truth, plots.TYPE_1, 14),
+            ):  # fmt: skip
+                ax.scatter(*s.xyz[near & chosen][:, [0, 2]].T, s=size, c=colour, linewidths=0, label=label)
+            ax.set_title(f"{site}, y = {middle:.0f} m, mean slope {inner[i, j]:.0f} degrees", fontsize=8, loc="left")
+            ax.set_xlabel("x (m)", fontsize=8)
+            ax.set_ylabel("height (m)", fontsize=8)
+            ax.tick_params(labelsize=7)
+            ax.spines[["top", "right"]].set_visible(False)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=8, markerscale=2.5)
+    return figure
+
+
+def plane_maps(steps: Mapping[str, Stages]) -> Any:
+    """Fig. 7: a map per tile."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch, Rectangle
+
+    colours = {10.0: "#0072B2", 5.0: "#009E73", 2.5: "#E69F00", 1.25: "#D55E00", 0.625: "#CC79A7"}
+    aspect = [s.terrain[2].ny / s.terrain[2].nx for s in steps.values()]
+    figure = Figure(figsize=(5.2 * sum(1 / a for a in aspect) + 1.2, 6.2), layout="constrained")
+    axes = figure.subplots(1, len(steps), squeeze=False, width_ratios=[1 / a for a in aspect])[0]
+    for ax, (site, s) in zip(axes, steps.items(), strict=True):
+        z, _, raster = s.terrain
+        plots.hillshade((z, raster), ax=ax, title=site)
+        for size, colour in colours.items():
+            grid = grid_over(s.xyz, size)
+            cells = np.unique(grid.flat(s.xyz[s.planes.size == size]))
+            squares = [
+                Rectangle((grid.x0 + c % grid.nx * size, grid.y0 + c // grid.nx * size), size, size) for c in cells
+            ]
+            ax.add_collection(PatchCollection(squares, facecolor=colour, alpha=0.4, edgecolor=colour, linewidth=0.4))
+        ax.set(
+            xlim=(raster.x0, raster.x0 + raster.nx * raster.cell), ylim=(raster.y0, raster.y0 + raster.ny * raster.cell)
+        )
+    there = {v for s in steps.values() for v in np.unique(s.planes.size[~np.isnan(s.planes.size)])}
+    handles = [Patch(color=colour, alpha=0.6, label=f"{size:g} m") for size, colour in colours.items() if size in there]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize=8)
+    return figure
+
+
+def seed_maps(steps: Mapping[str, Stages]) -> Any:
+    """Fig. 9: a row per tile, local minima and planes."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.4, 4.1 * len(steps) + 0.4), layout="constrained")
+    axes = figure.subplots(len(steps), 2, squeeze=False)
+    for row, (site, s) in zip(axes, steps.items(), strict=True):
+        z, _, raster = s.terrain
+        middle = (s.xyz[:, :2].min(axis=0) + s.xyz[:, :2].max(axis=0)) / 2
+        for ax, name, chosen in zip(row, ("lowest of 10-m cells", "planes"), (s.lowest, s.seed), strict=True):
+            plots.hillshade((z, raster), ax=ax, title=f"{site}: {name}")
+            for of, colour, label in (
+                (s.truth, plots.GROUND, "seed on reference ground"),
+                (~s.truth, plots.TYPE_2, "on an object"),
+            ):
+                size = 14 if name != "planes" else 1.5
+                ax.scatter(*s.xyz[chosen & of][:, :2].T, s=size, c=colour, linewidths=0, label=label)
+            ax.set(xlim=(middle[0] - 25, middle[0] + 25), ylim=(middle[1] - 25, middle[1] + 25))
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    return figure
+
+
+def reference_maps(tiles: Mapping[str, jf.PointCloud], found: Mapping[tuple[str, str, str], np.ndarray]) -> Any:
+    """Fig. 10: a map per tile."""
+    from matplotlib.figure import Figure
+
+    aspect = [float(np.divide(*np.ptp(cloud.xyz[:, 1::-1], axis=0))) for cloud in tiles.values()]
+    figure = Figure(figsize=(5.2 * sum(1 / a for a in aspect) + 1.2, 6.2), layout="constrained")
+    axes = figure.subplots(1, len(tiles), squeeze=False, width_ratios=[1 / a for a in aspect])[0]
+    for ax, (site, cloud) in zip(axes, tiles.items(), strict=True):
+        quadrants, nearest = (found[site, case, "recommended"] for case in ("both", "first contribution only"))
+        plots.hillshade(plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz), ax=ax, title=site)
+        for chosen, colour, size, label in (
+            (quadrants & nearest, plots.OBJECT, 0.15, "ground found by both"),
+            (quadrants & ~nearest, plots.TYPE_2, 3, "with quadrants only"),
+            (nearest & ~quadrants, plots.TYPE_1, 3, "with the nearest only"),
+        ):
+            ax.scatter(
+                *cloud.xyz[chosen & cloud.reference, :2].T, s=size, c=colour, linewidths=0, label=label, rasterized=True
+            )
+    legend = figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False,
+                           fontsize=8)  # fmt: skip
+    for handle in legend.legend_handles:
+        handle.set_sizes([20])
     return figure
 
 

@@ -1,7 +1,8 @@
-"""Table 2, Figs. 9 to 15 and the claims of Chen et al. (2023): SPF beside PTD on the ISPRS samples."""
+"""Table 2, Figs. 9 to 15 and the claims of Chen et al. (2023), Type I errors by slope: SPF beside PTD on the ISPRS samples."""
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.papers import paper
-from experiments.report import Row
+from experiments.report import Row, write_csv
 
 SHOWN = ("samp11", "samp23", "samp42", "samp53")
 """Samples of Figs. 12 to 15."""
@@ -37,6 +38,16 @@ RUNS = {
     "spf_one_per_facet": jf.FILTERS["spf"](insertion="one_per_facet"),
 }
 """``ptd``: its default; ``ptd_same``: with the thresholds and the static border of ``spf``, so that only the seeds differ."""
+SLOPES = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 90.0)
+"""Degrees: limits of the classes of terrain slope."""
+SLOPE_CELL = 5.0
+"""Metres: cells of the terrain model of the reference ground; its slope is taken over two of them."""
+BY_SLOPE = {  # runs of the tables by slope, and their labels in the figure
+    "ptd": "PTD, default",
+    "ptd_same": "PTD, thresholds of SPF",
+    "spf": "SPF",
+    "spf_unfiltered": "SPF without its seed filter",
+}
 
 
 def main(given: Sequence[str] | None = None) -> None:
@@ -47,16 +58,21 @@ def main(given: Sequence[str] | None = None) -> None:
     seeds: list[Row] = []
     results: dict[tuple[str, str], jf.FilterResult] = {}
     shown = {}
+    slopes: list[Row] = []
     for name, cloud in paper.clouds(options):
+        slope = terrain_slope(cloud)
         for method, filter_ in RUNS.items():
             row, result = paper.score_row(name, method, filter_, cloud)
             rows.append(row)
+            if method in BY_SLOPE:
+                slopes += slope_rows(name, method, cloud, result, slope)
             if method in ("spf", "spf_unfiltered"):
                 seeds.append(seed_row(name, method, cloud, result))
             if name in SHOWN and method in ("spf", "ptd"):
                 results[name, method] = result
                 shown[name] = cloud
     table2(report, rows)
+    by_slope(report, slopes)
     ablation(report, rows, seeds)
     speed(report, rows)
     report.text("## Error maps")
@@ -79,6 +95,120 @@ def seed_row(name: str, method: str, cloud: jf.PointCloud, result: jf.FilterResu
         "objects": 100 * float((~cloud.reference[seed]).mean()),
         "object_seeds": int((~cloud.reference[seed]).sum()),
     }
+
+
+def terrain_slope(cloud: jf.PointCloud) -> np.ndarray:
+    """f64[n], degrees: slope of the reference ground at each point, over :data:`SLOPE_CELL` metres to both sides.
+
+    From a terrain model through the reference ground points, so that it does not depend on any filter.
+    """
+    raster = jf.dtm(cloud, cloud.reference, cell=SLOPE_CELL, fill=True)
+    south, east = np.gradient(raster.values.astype(np.float64), raster.cell)
+    xmin, _, _, ymax = raster.bounds
+    x, y = (cloud.xyz[:, :2] + np.asarray(cloud.origin)[:2]).T
+    row, column = ((ymax - y) // raster.cell).astype(int), ((x - xmin) // raster.cell).astype(int)
+    at = np.clip(row, 0, raster.values.shape[0] - 1), np.clip(column, 0, raster.values.shape[1] - 1)
+    return np.degrees(np.arctan(np.hypot(south, east)))[at]
+
+
+def slope_rows(sample: str, method: str, cloud: jf.PointCloud, result: jf.FilterResult, slope: np.ndarray) -> list[Row]:
+    """One row per slope class: ground points and how many of them were lost, objects and how many were accepted."""
+    part = np.digitize(slope, SLOPES[1:-1])
+    truth, found = cloud.reference, result.ground
+    rows = []
+    for i in range(len(SLOPES) - 1):
+        here = part == i
+        rows.append(
+            {
+                "sample": sample, "method": method, "low": SLOPES[i], "high": SLOPES[i + 1],
+                "ground": int((here & truth).sum()), "lost": int((here & truth & ~found).sum()),
+                "objects": int((here & ~truth).sum()), "accepted": int((here & ~truth & found).sum()),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def by_slope(report: paper.Report, rows: Sequence[Row]) -> None:
+    """Errors against the slope of the reference ground, and the claim of the abstract on steep areas."""
+    write_csv(report.out / "slope_samples.csv", rows)
+    table: list[Row] = []
+    for low, high in itertools.pairwise(SLOPES):
+        line: Row = {"slope": f"{low:g} to {high:g}", "middle": (low + high) / 2}
+        for method in BY_SLOPE:
+            mine = [row for row in rows if row["method"] == method and row["low"] == low]
+            total = {key: sum(row[key] for row in mine) for key in ("ground", "lost", "objects", "accepted")}
+            line |= {"ground": total["ground"], "objects": total["objects"]}
+            line[f"{method}_type1"] = 100 * total["lost"] / total["ground"] if total["ground"] else None
+            line[f"{method}_type2"] = 100 * total["accepted"] / total["objects"] if total["objects"] else None
+        lost = {
+            (row["sample"], row["method"]): row["lost"] for row in rows if row["low"] == low and row["ground"] >= 50
+        }
+        names = sorted({sample for sample, _ in lost})
+        line["samples"] = len(names)
+        line["fewer"] = sum(lost[name, "spf"] < lost[name, "ptd_same"] for name in names)
+        table.append(line)
+    columns = [
+        ("slope", "slope, degrees", ""), ("ground", "ground points", ",.0f"),
+        *((f"{m}_type1", f"T.I, {m}", ".2f") for m in BY_SLOPE),
+        ("objects", "objects", ",.0f"), *((f"{m}_type2", f"T.II, {m}", ".2f") for m in BY_SLOPE),
+        ("samples", "samples with 50 ground points or more", ".0f"), ("fewer", "where SPF loses fewer than ptd_same", ".0f"),
+    ]  # fmt: skip
+    report.table("slope", "Type I error by slope of the terrain", columns, table)
+    report.text(
+        f"All points of the samples together. The slope is that of a terrain model through the reference ground, cells of "
+        f"{SLOPE_CELL:g} m, over {2 * SLOPE_CELL:g} m; no filter enters it. The paper prints no errors by slope."
+    )
+    report.figure(
+        slope_lines(table), "slope",
+        "Type I error against the slope of the reference ground, all samples together (left), and the ground points of each "
+        "class (right).",
+    )  # fmt: skip
+    steep = [line for line in table if line["middle"] > 20 and line["ground"]]
+    flat = [line for line in table if line["middle"] < 20 and line["ground"]]
+
+    def gain(lines: Sequence[Row], method: str) -> float:
+        return sum(line["ground"] * (line[f"{method}_type1"] - line["spf_type1"]) for line in lines) / max(
+            sum(line["ground"] for line in lines), 1
+        )
+
+    for method in ("ptd_same", "ptd"):
+        report.verdict(
+            f'SPF "is effective in decreasing type I error in steep areas" (abstract): against `{method}`.',
+            "no figures by slope",
+            f"T.I falls by {gain(steep, method):.2f} points on ground steeper than 20 degrees and by {gain(flat, method):.2f} "
+            "on the rest",
+            bool(gain(steep, method) > 0 and gain(steep, method) > gain(flat, method)) if steep and flat else None,
+        )
+    report.verdict(
+        "The seed filter is what lowers it (Sec. 2.3).",
+        "no figures",
+        f"without it T.I is {gain(steep, 'spf_unfiltered'):+.2f} points higher on ground steeper than 20 degrees and "
+        f"{gain(flat, 'spf_unfiltered'):+.2f} on the rest",
+        gain(steep, "spf_unfiltered") > 0.1 if steep else None,
+    )
+
+
+def slope_lines(table: Sequence[Row]) -> Any:
+    """Type I errors by slope class, and the number of ground points in each."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    x = np.arange(len(table))
+    styles = ("0.6", "-"), ("#D55E00", "-"), ("#0072B2", "-"), ("black", ":")
+    for (method, label), (colour, style) in zip(BY_SLOPE.items(), styles, strict=True):
+        values = [np.nan if line[f"{method}_type1"] is None else line[f"{method}_type1"] for line in table]
+        marker = "" if style == ":" else "o"
+        left.plot(x, values, style, color=colour, marker=marker, markersize=4, linewidth=1.5, label=label)
+    left.set(ylabel="Type I error (%)", xlabel="slope of the reference ground (degrees)")
+    left.set_ylim(bottom=0)
+    left.legend(frameon=False, fontsize=8)
+    right.bar_label(right.bar(x, [line["ground"] for line in table], 0.7, color="0.6"), fmt="{:,.0f}", fontsize=7)
+    right.set(ylabel="ground points", xlabel="slope (degrees)", yticks=[])
+    for ax in (left, right):
+        ax.set_xticks(x, [line["slope"].replace(" to ", "–") for line in table], fontsize=8)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure
 
 
 def of(rows: Sequence[Row], method: str) -> list[Row]:

@@ -1,4 +1,4 @@
-"""What parameters decide: FPTD's Figs. 5 and 6, SMRF over four, and what a fixed set loses to the oracle. See README.md."""
+"""What parameters decide: SMRF over four, and what a fixed set loses to the oracle. See README.md."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,23 +16,13 @@ from experiments.isprs import samples, spaces
 from experiments.report import Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.compilation import use_persistent_cache
 
-if TYPE_CHECKING:
-    import xarray
-
 HERE = Path(__file__).parent
-PRINTED = {"54": ("D1", 18.0, 1.0), "71": ("D2", 22.0, 1.2), "24": ("D3", 30.0, 0.8), "52": ("D4", 38.0, 1.4)}
-"""Li et al. (2021), Sec. III-B: the sample of each terrain class, and the angle and the elevation they choose there."""
-ANGLES = np.arange(2.0, 43.0, 4.0).tolist()
-ELEVATIONS = np.round(np.arange(0.6, 2.01, 0.2), 1).tolist()
-FIRST_ELEVATION = 1.4
 SMRF_AXES: dict[str, list[float]] = {
     "slope": [0.05, 0.1, 0.15, 0.2, 0.3, 0.45],
     "threshold": [0.2, 0.35, 0.5, 0.75, 1.0],
     "scaling": [0.0, 0.6, 1.25, 2.0, 3.0],
     "window": [6.0, 12.0, 18.0, 30.0],
 }
-COLOURS = {"type1": "#D55E00", "type2": "#0072B2", "total": "#000000"}
-NAMES = {"type1": "Type I", "type2": "Type II", "total": "total"}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -52,85 +41,10 @@ def main(arguments: list[str] | None = None) -> None:
     use_persistent_cache()
     text = ["# What the parameters decide", "", f"`{shlex.join(['python', 'experiments/sensitivity/run.py', *given])}`"]
     text[-1] += f" on {machine()}."
-    text += fptd(folder, options.out)
     text += smrf(folder, options.samples, options.out)
     text += losses(options.isprs, options.out)
     (options.out / "results.md").write_text("\n\n".join(part for part in text if part) + "\n")
     print(f"results are in {options.out}")
-
-
-def fptd(folder: Path, out: Path) -> list[str]:
-    """Li et al. (2021), Figs. 5 and 6: one parameter at a time, on the sample that stands for each terrain class."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.2, 4.6), layout="constrained")
-    axes = figure.subplots(2, 4, sharex="row")
-    rows: list[Row] = []
-    for column, (number, (terrain, angle, elevation)) in enumerate(PRINTED.items()):
-        cloud = jf.read(samples.sample_path(folder, number))
-        grid = jf.sweep(jf.FPTD(), cloud, {"max_angle": ANGLES, "max_elevation": ELEVATIONS}).load()
-        by_angle = grid.sel(max_elevation=FIRST_ELEVATION)
-        best_angle = float(by_angle.total.idxmin("max_angle"))
-        by_elevation = grid.sel(max_angle=best_angle)
-        best_elevation = float(by_elevation.total.idxmin("max_elevation"))
-        whole = grid.total.stack(set=("max_angle", "max_elevation"))
-        best = whole.isel(set=int(whole.values.argmin()))
-        printed = jf.evaluate(jf.FPTD(max_angle=angle, max_elevation=elevation)(cloud), cloud.reference)
-        rows.append(
-            {
-                "sample": f"samp{number}", "terrain": terrain, "angle": best_angle, "printed_angle": angle,
-                "elevation": best_elevation, "printed_elevation": elevation, "total": float(by_elevation.total.min()),
-                "printed_total": printed.total, "least": float(best),
-                "least_angle": float(best.max_angle), "least_elevation": float(best.max_elevation),
-                "spread": float(grid.total.max() - grid.total.min()),
-            }
-        )  # fmt: skip
-        _curves(axes[0, column], by_angle, "max_angle", angle)
-        _curves(axes[1, column], by_elevation, "max_elevation", elevation)
-        axes[0, column].set_title(f"samp{number} ({terrain})", fontsize=9)
-        axes[0, column].set_xlabel("max_angle (degrees)", fontsize=8)
-        axes[1, column].set_xlabel("max_elevation (m)", fontsize=8)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("error (%)", fontsize=8)
-    axes[0, 0].legend(fontsize=7, frameon=False)
-    save_png(figure, out / "fptd.png", 170)
-    write_csv(out / "fptd.csv", rows)
-    table = markdown(
-        [
-            ("sample", "sample", ""), ("terrain", "class", ""), ("angle", "best angle", ".0f"),
-            ("printed_angle", "printed", ".0f"), ("elevation", "best elevation, m", ".1f"),
-            ("printed_elevation", "printed", ".1f"), ("total", "total error there, %", ".2f"),
-            ("printed_total", "at the printed values, %", ".2f"), ("least", "least of 88, %", ".2f"),
-            ("least_angle", "at angle", ".0f"), ("least_elevation", "and elevation, m", ".1f"),
-        ],
-        rows,
-    )  # fmt: skip
-    met = (
-        sum(row["angle"] == row["printed_angle"] for row in rows),
-        sum(row["elevation"] == row["printed_elevation"] for row in rows),
-    )
-    off = max(row["printed_total"] - row["least"] for row in rows)
-    return [
-        "## FPTD: Li et al. (2021), Figs. 5 and 6",
-        f"The angle from {ANGLES[0]:g} to {ANGLES[-1]:g} degrees at an elevation of {FIRST_ELEVATION} m, then the elevation at "
-        "the best angle; least total error. Both are chosen on the labels of the sample, as in the paper: an oracle.",
-        table,
-        f"The best angle is the printed one on {met[0]} of 4 samples, the best elevation on {met[1]}. At the printed values the "
-        f"total error is at most {off:.2f} points above the least of all 88 sets.",
-        "![FPTD's errors against angle and elevation; dotted: the published choice](fptd.png)",
-        "Errors against the angle at 1.4 m (above) and against the elevation at the best angle. Dotted: the published choice.",
-    ]
-
-
-def _curves(ax: Any, data: xarray.Dataset, axis: str, printed: float) -> None:
-    for name, colour in COLOURS.items():
-        ax.plot(data[axis], data[name], color=colour, marker="o", markersize=2.5, linewidth=1.1, label=NAMES[name])
-    low = data[axis][int(data.total.values.argmin())]
-    ax.plot(low, data.total.min(), marker="o", markersize=6, color="none", markeredgecolor="black")
-    ax.axvline(printed, color="0.5", linestyle=":", linewidth=1)
-    ax.tick_params(labelsize=7)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.set_ylim(bottom=0)
 
 
 def smrf(folder: Path, numbers: list[str], out: Path) -> list[str]:

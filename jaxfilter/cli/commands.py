@@ -3,7 +3,8 @@
 Terrain models are in ``terrain.py``, sweeps in ``sweeps.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
-usage (which is found before any file is read). What needs JAX is imported where it is used, so that help stays quick.
+usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
+where it is used, so that help stays quick.
 """
 
 from __future__ import annotations

@@ -140,7 +140,11 @@ class PPDF(Filter):
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points within the distance f32[m], metres, from their local planes."""
-        return reference | (np.abs(distance) <= self.max_distance)
+        return reference | self._within(distance, self.max_distance)
+
+    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
+        """bool[m], points on either side of their planes, f32[m] metres from them, up to the limit."""
+        return np.abs(distance) <= limit
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -190,7 +194,7 @@ class PPDF(Filter):
             changed = around.add(new, workers)
             rows = open_[changed]
             distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row[changed])
-            new = rows[np.abs(distance[rows]) <= self.reference_distance]
+            new = rows[self._within(distance[rows], self.reference_distance)]
             reference[new] = True
             steps.append(
                 {"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())}
@@ -236,7 +240,8 @@ class PPDF(Filter):
         )
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
-        reach = min(self.reach, float(np.hypot(*np.ptp(xyz[:, :2], axis=0))) + 1.0)  # the whole cloud, at most
+        diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))
+        reach = diagonal + 1.0 if math.isinf(self.reach) else self.reach
         if self.references == "nearest":
             return NearestReferences(xyz, query, reach)
         return QuadrantReferences(xyz, query, side, reach)

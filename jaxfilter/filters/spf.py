@@ -24,7 +24,7 @@ from ..stages.tin_filter import Start, TinFilter, facet_reach
 
 GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
-_TAIL = 1e-4
+_TAIL = 1e-3
 """Share of the points beyond each end of the histogram of elevations that outliers are counted from."""
 
 
@@ -75,7 +75,7 @@ class SPF(TinFilter):
         "replace", choices=("replace", "or"), doc="test the mirror image instead of the point, or as a second chance"
     )
     histogram_margin: float = static(
-        0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.01 or 99.99 % quantile of elevations; 0 = off"
+        0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.1 or 99.9 % quantile of elevations; 0 = off"
     )
     isolated_depth: float = static(
         0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"

@@ -53,8 +53,10 @@ def read(
     """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
 
     Text has lines of x y z, or x y z label as in the ISPRS samples (0 = ground, 1 = object), separated by white space,
-    commas or semicolons; with a header line, columns are found by their names (x, y, z, label, classification,
-    return_number, number_of_returns, withheld) and others are passed over. The reference of a LAS file is its class 2.
+    commas, semicolons or, below a header, tabs; with a header line, columns are found by their names (x, y, z, label,
+    classification, return_number, number_of_returns, withheld) and others are passed over. All lines have the same number
+    of cells, quoted where they hold a delimiter, and ``#`` begins lines of comment. The reference of a LAS file is its
+    class 2.
 
     Args:
         path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy. A
@@ -241,12 +243,13 @@ def _text_cloud(
         identity, tally = Identity.of(file.fileno()), Tally()
         with identity.kept(path, CHANGED_IN_READING):
             layout = text.layout_of(path)
-            chunks = [] if layout is None else list(text.read_text(path, layout, cut))
+            chunks = list(text.read_text(path, layout, cut, chosen.get("drop_invalid", False)))
     for points, _ in chunks:
         tally.add(points)
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
     keys = chunks[0][1] if chunks else ()
     columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
+    del chunks  # they are as large as the cloud
     if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
         columns["reference"] = columns["classification"] == GROUND_CLASS
     if suspect is not None:
@@ -256,8 +259,7 @@ def _text_cloud(
             suspect(f"{path}: {reason}")
     if not len(xyz):
         _warn_empty(str(path), cut)
-    form = "text" if layout is None else str(layout)
-    source = Source(path.absolute(), "text", form, len(xyz), cut, identity, tally.checksum)
+    source = Source(path.absolute(), "text", str(layout), len(xyz), cut, identity, tally.checksum)
     return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
 
 

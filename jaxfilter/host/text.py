@@ -1,13 +1,21 @@
-"""Point clouds as text: the ISPRS reference samples, xyz and csv; read in chunks, rewritten line by line."""
+"""Point clouds as text: the ISPRS reference samples, xyz and csv; read in runs of lines, rewritten line by line.
+
+A record is a line. Which bytes of it belong to which cell is decided in one place, :func:`_plain`, which blanks out what
+quotes protect and keeps the length: its lines split at every delimiter. The numbers are parsed from them, and the
+positions at which labels are exchanged are found in them, so reading and rewriting cannot differ.
+"""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import functools
+import io
 import itertools
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -19,14 +27,21 @@ SUFFIXES = (".txt", ".xyz", ".csv")
 GROUND, OBJECT = 0, 1
 """Labels as the ISPRS samples have them."""
 
-_LINES = 200_000
-_MARK = "\u00ef\u00bb\u00bf"  # byte order mark, read as Latin-1
-_PREFIX = _MARK + "/# \t"  # what may stand before the names of columns
+_BLOCK = 1_000_000  # bytes that are read at a time
+_LONGEST = 1_000_000  # bytes of a line
+_PREAMBLE = 1000  # lines before the first point, and of comments that may name columns
+_PROBED = 1000  # lines of points whose decimals are counted
+_BLANK = b" \t\r\n"
+_MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
+_DELIMITERS = (b";", b",", b"\t", None)
+_WORDS = {b";": "semicolons", b",": "commas", b"\t": "tabs", None: "white space"}
+_NUMBER = re.compile(rb"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
     "withheld": "withheld",
 }  # fmt: skip
+_UNNAMED = [b"x", b"y", b"z", b"label"]
 _LARGEST = {"classification": 255, "return_number": 15, "number_of_returns": 15, "withheld": 1, "label": 1}
 
 
@@ -35,72 +50,105 @@ class Layout:
     """How a text file is laid out.
 
     Attributes:
-        delimiter: comma, semicolon, or None for white space.
+        delimiter: comma, semicolon, tab, or None for white space.
         columns: position by name, for the columns that are understood.
+        width: number of columns that every line of data has.
         header: number of the line (from 0) that names the columns, or None.
-        first: number of the first line of data.
+        first: number of the first line of data; that of the lines, if none holds data.
         decimals: most digits behind the point of a coordinate among the first lines.
     """
 
-    delimiter: str | None
+    delimiter: bytes | None
     columns: dict[str, int]
+    width: int
     header: int | None
     first: int
     decimals: int
 
     def __str__(self) -> str:
-        kind = {",": "comma-separated", ";": "semicolon-separated", None: "white space separated"}[self.delimiter]
-        return f"text, {kind}: {' '.join(self.columns)}"
+        return f"text separated by {_WORDS[self.delimiter]}: {' '.join(self.columns)}"
 
 
-def layout_of(path: Path) -> Layout | None:
-    """From the first lines; None if the file has no data lines. Raises InputError if the columns cannot be told."""
-    with reading(path), _open(path) as file:
-        lines = list(itertools.islice(file, 1000))
-    first = next((i for i, line in enumerate(lines) if _is_point(line)), None)
-    before = [i for i, line in enumerate(lines[:first]) if line.strip()]
+def layout_of(path: Path) -> Layout:
+    """From the first lines. Raises InputError if the columns cannot be told, or if names and columns do not match."""
+    lines, first = _head(path)
+    before = [i for i, line in enumerate(lines[:first]) if line.strip(_BLANK)]
+    comments = list(itertools.takewhile(lambda i: _is_comment(lines[i]), reversed(before)))
+    other = before[: len(before) - len(comments)][-1:]  # the line above
+    headers = [  # what may name the columns, and how
+        (delimiter, i, cells)
+        for delimiter in _DELIMITERS
+        for i in other + comments[:_PREAMBLE]
+        if {"x", "y", "z"} <= set(map(_meaning, cells := _names(lines[i], delimiter)))
+    ]
     if first is None:
-        if not before or all(lines[i].lstrip().startswith("#") for i in before):
-            return None
-        raise InputError(f"{path}: no line holds three numbers; this is not a text file of points")
-    delimiter = ";" if ";" in lines[first] else "," if "," in lines[first] else None
-    for i in reversed(before):
-        names = [re.sub(r"[^a-z0-9]", "", name.lower()) for name in _tokens(lines[i].lstrip(_PREFIX), delimiter)]
-        columns = {_NAMES[name]: at for at, name in enumerate(names) if name in _NAMES}
-        if {"x", "y", "z"} <= columns.keys():
-            return Layout(delimiter, columns, i, first, _decimals(lines[first:], delimiter, columns))
-        if not lines[i].lstrip().startswith("#"):
-            raise InputError(f"{path}: line {i + 1}, {lines[i].strip()[:60]!r}, names no columns x, y and z")
-    width = len(_tokens(lines[first], delimiter))
-    if width not in (3, 4):
+        if other and other[0] not in {i for _, i, _ in headers}:
+            raise InputError(f"{path}: no line holds three numbers; this is not a text file of points")
+        headers = [header for header in headers if header[1] in other]
+        delimiter, at, cells = headers[0] if headers else (None, None, _UNNAMED[:3])
+        if at is not None:
+            _check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
+        return Layout(delimiter, _columns(path, at, cells), len(cells), at, len(lines), 0)
+    point = lines[first]
+    widths = {delimiter: len(_cells(_plain(point, delimiter), delimiter)) for delimiter in _DELIMITERS}
+    if fitting := [header for header in headers if len(header[2]) == widths[header[0]]]:
+        delimiter, at, cells = fitting[0]
+        _check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
+    elif headers:
+        delimiter, at, cells = max(headers, key=lambda header: widths[header[0]])
+        _check_line(path, first, point, _plain(point, delimiter), delimiter)
+        hint = " (if it is a mere comment, take the names out of it)" if at in comments else ""
         raise InputError(
-            f"{path}: {width} columns without names; x y z and x y z label are understood, others need a header line"
+            f"{path}: line {at + 1} names {len(cells)} columns{hint}, "
+            f"{_ragged(first, point, widths[delimiter], delimiter)}"
         )
-    columns = dict(zip(("x", "y", "z", "label"), range(width), strict=False))
-    return Layout(delimiter, columns, None, first, _decimals(lines[first:], delimiter, columns))
+    elif other:
+        raise InputError(f"{path}: line {other[0] + 1}, {_shown(lines[other[0]])}, names no columns x, y and z")
+    else:
+        delimiter = next((delimiter for delimiter in (b";", b",", None) if widths[delimiter] >= 3), None)
+        width = widths[delimiter]
+        if width not in (3, 4):
+            raise InputError(
+                f"{path}: {width} columns without names; x y z and x y z label are understood, others need a header line"
+            )
+        at, cells = None, _UNNAMED[:width]
+    columns = _columns(path, at, cells)
+    return Layout(delimiter, columns, len(cells), at, first, _decimals(lines[first:], delimiter, columns))
 
 
 def read_text(
-    path: Path, layout: Layout, bounds: Bounds | None = None
+    path: Path, layout: Layout, bounds: Bounds | None = None, drop_invalid: bool = True
 ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Chunks of coordinates f64[k, 3] in file units and of attributes, named as a PointCloud's fields.
+    """Runs of coordinates f64[k, 3] in file units and of attributes, named as a PointCloud's fields.
 
     ``reference`` (True = ground) comes from a column ``label``. Points outside ``bounds`` are left out.
 
-    Raises: InputError naming the lines that cannot be read, and labels and classes out of range.
+    Raises: InputError naming the line and column of what cannot be read: lines of another width, cells that are not
+    numbers, labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``.
     """
-    for _, values in _chunks(path, layout):
-        xyz = values[:, [list(layout.columns).index(axis) for axis in "xyz"]]
-        keep = slice(None) if bounds is None else inside(xyz, bounds)
+    names, axes = list(layout.columns), _axes(layout)
+    for run in _runs(path, layout):
+        xyz = run.values[:, axes]
+        keep = np.ones(len(xyz), bool) if bounds is None else inside(xyz, bounds)
+        if not drop_invalid:
+            odd = ~np.isfinite(xyz)
+            odd &= (keep | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
+            if odd.any():
+                row, axis = np.argwhere(odd)[0]
+                raise InputError(
+                    f"{path}: {run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; remove points with NaN or infinite "
+                    "coordinates, or pass drop_invalid=True to label them non-ground"
+                )
         attributes = {}
-        for i, name in enumerate(layout.columns):
+        for i, name in enumerate(names):
             if name not in _LARGEST:
                 continue
-            column = values[keep, i]
+            column = run.values[keep, i]
             odd = ~((column >= 0) & (column <= _LARGEST[name]) & (column == np.rint(column)))
             if odd.any():
+                place, value = run.place(np.flatnonzero(keep)[odd.argmax()]), column[odd.argmax()]
                 hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
-                raise InputError(f"{path}: {name} {column[odd.argmax()]:g}: whole numbers, {hint}, are needed")
+                raise InputError(f"{path}: {place}: {name} {value:g}: whole numbers, {hint}, are needed")
             key, kind = ("reference", bool) if name == "label" else (name, bool if name == "withheld" else np.uint8)
             attributes[key] = (column == GROUND) if name == "label" else column.astype(kind)
         yield xyz[keep], attributes
@@ -109,129 +157,376 @@ def read_text(
 def rewrite_text(
     path: Path,
     layout: Layout,
-    target: TextIO,
+    target: BinaryIO,
     bounds: Bounds | None,
     labels: Callable[[slice], np.ndarray],
     classes: Callable[[np.ndarray, slice], np.ndarray],
     replay: Replay,
 ) -> None:
-    """Copy a text file with its own number formats, and with the results in its label column, or else in its class
-    column, or else in a new last column of labels.
+    """Copy a text file byte for byte, but for the results in its label column, or else in its class column, or else in a
+    new last column of labels.
 
     ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points, which ``replay`` counts.
     """
-    names = list(layout.columns)
-    replace = {name: layout.columns[name] for name in ("label", "classification") if name in layout.columns}
-    start, passed = 0, 0
-    for lines, values in _chunks(path, layout):
-        keep = np.ones(len(values), bool)
+    axes = _axes(layout)
+    replaced = [name for name in ("label", "classification") if name in layout.columns]
+    replaced.sort(key=lambda name: -layout.columns[name])  # from the right, so that positions stay
+    start = 0
+    for run in _runs(path, layout):
+        keep = np.ones(len(run.values), bool)
         if bounds is not None:
-            keep = inside(values[:, [names.index("x"), names.index("y")]], bounds)
-        replay.add(values[keep][:, [names.index(axis) for axis in "xyz"]])
+            keep = inside(run.values[:, axes], bounds)
+        replay.add(run.values[keep][:, axes])
         rows = slice(start, replay.points)
         start = rows.stop
-        texts = {"label": map(str, labels(rows).tolist())}
-        if "classification" in replace:
-            old = values[keep, names.index("classification")].astype(np.uint8)
-            texts["classification"] = map(str, classes(old, rows).tolist())
-        kept = iter(keep.tolist())
-        for number, line in enumerate(lines, passed):
-            if number < layout.first or not _holds_data(line):
-                target.write(_appended(line, "label", layout) if number == layout.header and not replace else line)
-            elif next(kept):
-                for name, column in replace.items():
-                    line = _replaced(line, column, next(texts[name]), layout)
-                target.write(line if replace else _appended(line, next(texts["label"]), layout))
-        passed += len(lines)
+        lines = list(run.lines)
+        if layout.header is not None and not replaced and 0 <= layout.header - run.start < len(lines):
+            lines[layout.header - run.start] = _appended(lines[layout.header - run.start], b"label", layout)
+        for i in itertools.compress(run.at, ~keep):
+            marked = run.start + i == 0 and lines[0].startswith(_MARK)
+            lines[i] = _MARK if marked else b""
+        at, plain = list(itertools.compress(run.at, keep)), list(itertools.compress(run.plain, keep))
+        for name in replaced:
+            if name == "label":
+                values = labels(rows)
+            else:
+                old = run.values[keep, list(layout.columns).index(name)].astype(np.uint8)
+                values = classes(old, rows)
+            find = _cell(layout.columns[name], layout.delimiter).match
+            for i, line, value in zip(at, plain, values.tolist(), strict=True):
+                begin, end = find(line).span(1)  # type: ignore[union-attr]
+                lines[i] = b"%b%d%b" % (lines[i][:begin], value, lines[i][end:])
+        if not replaced:
+            for i, value in zip(at, labels(rows).tolist(), strict=True):
+                lines[i] = _appended(lines[i], b"%d" % value, layout)
+        target.writelines(lines)
 
 
-def write_table(target: TextIO, xyz: np.ndarray, ground: np.ndarray, decimals: int, delimiter: str) -> None:
+def write_table(target: BinaryIO, xyz: np.ndarray, ground: np.ndarray, decimals: int, delimiter: str) -> None:
     """Append lines of x, y, z (file units) and label."""
     label = np.where(ground, GROUND, OBJECT)
-    form = delimiter.join([f"%.{decimals}f"] * 3 + ["%d"])
-    target.writelines(form % (*point, flag) + "\n" for point, flag in zip(xyz.tolist(), label.tolist(), strict=True))
+    form = delimiter.join([f"%.{decimals}f"] * 3 + ["%d\n"]).encode()
+    target.writelines(form % (*point, flag) for point, flag in zip(xyz.tolist(), label.tolist(), strict=True))
 
 
-def _open(path: Path) -> TextIO:
-    return open(path, encoding="latin-1", newline="")  # every byte, and every line ending, survives being rewritten
+# lines
 
 
-def _tokens(line: str, delimiter: str | None) -> list[str]:
-    return [token.strip().strip('"') for token in line.strip().split(delimiter)]
+def _blocks(path: Path) -> Iterator[list[bytes]]:
+    """Runs of whole lines with their endings, which are those of Unix, Windows or the old Macintosh."""
+    passed, rest = 0, b""
+    with open(path, "rb") as file:
+        while block := file.read(_BLOCK):
+            block = rest + block
+            end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, -1)) + 1  # the last byte may be half an ending
+            if len(block) - end > _LONGEST:
+                number = passed + len(block[:end].splitlines()) + 1
+                raise InputError(
+                    f"{path}: line {number} has more than {_LONGEST} bytes; this is not a text file of points"
+                )
+            rest = block[end:]
+            if end:
+                lines = block[:end].splitlines(keepends=True)
+                passed += len(lines)
+                yield lines
+    if rest:
+        yield rest.splitlines(keepends=True)
 
 
-def _is_point(line: str) -> bool:
-    """Whether at least three of its columns are numbers, which no line of names has."""
-    return _holds_data(line) and sum(map(_is_number, re.split(r'[\s,;"]+', line.removeprefix(_MARK)))) >= 3
-
-
-def _is_number(token: str) -> bool:
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
-
-
-def _holds_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _decimals(lines: list[str], delimiter: str | None, columns: dict[str, int]) -> int:
-    last = max(columns[axis] for axis in "xyz")
-    rows = [_tokens(line, delimiter) for line in lines if _holds_data(line)]
-    return max(len(row[columns[axis]].partition(".")[2]) for row in rows if len(row) > last for axis in "xyz")
-
-
-def _chunks(path: Path, layout: Layout) -> Iterator[tuple[list[str], np.ndarray]]:
-    """Runs of lines, and the numbers in their data lines: f64[k, named columns], in the order of ``layout.columns``."""
-    used = tuple(layout.columns.values())
-    with reading(path), _open(path) as file:
-        for start in itertools.count(0, _LINES):
-            lines = list(itertools.islice(file, _LINES))
+def _head(path: Path) -> tuple[list[bytes], int | None]:
+    """The lines up to the first point and some after it, without the byte order mark, and the number of that line."""
+    lines: list[bytes] = []
+    first, others = None, 0
+    with reading(path):
+        for line in itertools.chain.from_iterable(_blocks(path)):
             if not lines:
-                return
-            data = [line for line in lines[max(layout.first - start, 0) :] if _holds_data(line)]
-            if start == 0 and data:
-                data[0] = data[0].removeprefix(_MARK)
-            values = np.zeros((0, len(used)))
-            if data:
-                try:
-                    values = np.loadtxt(data, delimiter=layout.delimiter, usecols=used, ndmin=2, quotechar='"')
-                except ValueError as error:
-                    reason = _first_bad_line(lines, start, layout) or error
-                    raise InputError(f"{path}: {reason}") from error
-            yield lines, values
+                if line.startswith((b"\xff\xfe", b"\xfe\xff")):
+                    raise InputError(f"{path}: the text is UTF-16; save it as UTF-8")
+                line = _unmarked(line)
+            lines.append(line)
+            if first is None and _holds_data(line):
+                if _is_point(line):
+                    first = len(lines) - 1
+                others += 1
+            if (len(lines) - first > _PROBED) if first is not None else (others > _PREAMBLE):
+                break
+    return lines, first
 
 
-def _first_bad_line(lines: list[str], start: int, layout: Layout) -> str | None:
-    for number, line in enumerate(lines, start):
-        if number < layout.first or not _holds_data(line):
-            continue
-        tokens = _tokens(line.removeprefix(_MARK), layout.delimiter)
-        for name, column in layout.columns.items():
-            try:
-                float(tokens[column])
-            except IndexError:
-                return f"line {number + 1} has {len(tokens)} columns, {name} is in column {column + 1}"
-            except ValueError:
-                return f"line {number + 1}: {name} is {tokens[column]!r}, not a number"
-    return None
+def _unmarked(line: bytes) -> bytes:
+    """The first line of a file with blanks for the byte order mark."""
+    return line.replace(_MARK, b" " * len(_MARK), 1) if line.startswith(_MARK) else line
 
 
-def _appended(line: str, text: str, layout: Layout) -> str:
-    body = line.rstrip()
-    return body + (layout.delimiter or ("\t" if "\t" in body else " ")) + text + (_ending(line) or "\n")
+def _is_comment(line: bytes) -> bool:
+    return line.lstrip(_BLANK).startswith(b"#")
 
 
-def _replaced(line: str, column: int, text: str, layout: Layout) -> str:
-    if layout.delimiter is not None:
-        cells = line.rstrip("\r\n").split(layout.delimiter)
-        cells[column] = text
-        return layout.delimiter.join(cells) + _ending(line)
-    token = next(itertools.islice(re.finditer(r"\S+", line), column, None))
-    return line[: token.start()] + text + line[token.end() :]
+def _holds_data(line: bytes) -> bool:
+    held = line.lstrip(_BLANK)
+    return bool(held) and held[0] != 0x23  # not a comment
 
 
-def _ending(line: str) -> str:
-    return line[len(line.rstrip("\r\n")) :]
+def _is_point(line: bytes) -> bool:
+    """Whether at least three of its columns are numbers, which no line of names has."""
+    return sum(_NUMBER.fullmatch(token) is not None for token in re.split(rb'[\s,;"]+', line)) >= 3
+
+
+def _shown(cell: bytes) -> str:
+    """Bytes of a file, for messages."""
+    return repr(cell.strip(_BLANK)[:60].decode("utf-8", "replace"))
+
+
+# cells
+
+
+def _plain(lines: bytes, delimiter: bytes | None) -> bytes:
+    """Whole lines, byte for byte as long, which split into cells at every delimiter.
+
+    A cell that begins with a quote ends with the next one that is not doubled (RFC 4180, section 2); blanks may surround
+    it. Its quotes become blanks, and whatever in it has a meaning outside of quotes becomes a question mark, which no
+    number has; so do bytes that are not ASCII. Other control characters than tabs and ends of lines become zeros. A
+    quote where a cell begins is left only if it does not close in its line, or if more than blanks follow in the cell.
+    """
+    if b'"' not in lines:
+        return lines.translate(_TABLE)
+    if 2 * len(_simply_quoted(delimiter).findall(b"\n" + lines)) == lines.count(b'"'):  # much faster, and the same
+        return lines.translate(_TABLE_WITHOUT_QUOTES)
+    return _quoted(delimiter).sub(_unquoted, b"\n" + lines)[1:].translate(_TABLE)
+
+
+_TABLE = bytes(0x3F if i > 0x7E else 0 if i < 0x20 and i not in _BLANK else i for i in range(256))
+_TABLE_WITHOUT_QUOTES = _TABLE.replace(b'"', b" ")
+_PROTECTED = bytes.maketrans(b' \t,;"', b"?????")  # in quotes
+_ENDS = {b";": rb";\r\n", b",": rb",\r\n", b"\t": rb"\t\r\n", None: rb" \t\r\n"}  # what a cell ends with
+_PADS = {b";": rb"[ \t]*", b",": rb"[ \t]*", b"\t": rb" *", None: rb""}  # blanks around it
+
+
+@functools.cache
+def _simply_quoted(delimiter: bytes | None) -> re.Pattern[bytes]:
+    """Quoted cells without blanks around them, and in which nothing needs the quotes; each has an end before it."""
+    return re.compile(rb'[%b]"[^" \t\r\n,;]+"(?=[%b]|\Z)' % (_ENDS[delimiter], _ENDS[delimiter]))
+
+
+@functools.cache
+def _quoted(delimiter: bytes | None) -> re.Pattern[bytes]:
+    ends, pad = _ENDS[delimiter], _PADS[delimiter]
+    return re.compile(rb'([%b]%b)"((?:[^"\r\n]++|"")*+)"(?=%b(?:[%b]|\Z))' % (ends, pad, pad, ends))
+
+
+@functools.cache
+def _open_quote(delimiter: bytes | None) -> re.Pattern[bytes]:
+    return re.compile(rb'[%b]%b"' % (_ENDS[delimiter], _PADS[delimiter]))
+
+
+def _unquoted(match: re.Match[bytes]) -> bytes:
+    before, content = match.groups()
+    kept = content.strip(b" \t")
+    if not kept:
+        return before + b"?" * (len(content) + 2)
+    begin = 1 + len(content) - len(content.lstrip(b" \t"))
+    return before + b" " * begin + kept.translate(_PROTECTED) + b" " * (len(content) + 2 - begin - len(kept))
+
+
+def _check_line(path: Path, number: int, line: bytes, plain: bytes, delimiter: bytes | None) -> None:
+    """Raises InputError naming the line (number from 0) where :func:`_plain` says that it cannot be split."""
+    if b"\0" in plain:
+        value = line[plain.index(b"\0")]
+        raise InputError(f"{path}: line {number + 1} holds the control character 0x{value:02x}; remove it")
+    if found := _open_quote(delimiter).search(b"\n" + plain):
+        column = len(_cells(plain[: found.end() - 1], delimiter))
+        raise InputError(
+            f"{path}: line {number + 1}: the quote at the start of column {column} does not close at the end of a cell in "
+            "this line; take line breaks out of cells, and double the quotes within them"
+        )
+
+
+def _spans(plain: bytes, delimiter: bytes | None) -> list[slice]:
+    """Where in a plain line its cells are, without the blanks around them."""
+    if delimiter is None:
+        return [slice(*token.span()) for token in re.finditer(rb"[^ \t\r\n]+", plain)]
+    spans, at = [], 0
+    for cell in plain.split(delimiter):
+        begin = at + len(cell) - len(cell.lstrip(_BLANK))
+        spans.append(slice(begin, max(begin, at + len(cell.rstrip(_BLANK)))))
+        at += len(cell) + 1
+    return spans
+
+
+def _cells(plain: bytes, delimiter: bytes | None) -> list[bytes]:
+    """The cells of a plain line, without the blanks around them."""
+    return plain.split() if delimiter is None else [cell.strip(_BLANK) for cell in plain.split(delimiter)]
+
+
+@functools.cache
+def _cell(column: int, delimiter: bytes | None) -> re.Pattern[bytes]:
+    """What matches a plain line from its start, with a cell that holds a number as group 1; faster than the spans."""
+    if delimiter is None:
+        return re.compile(rb"[ \t]*(?:[^ \t]+[ \t]+){%d}([^ \t\r\n]+)" % column)
+    pad, ends = _PADS[delimiter], _ENDS[delimiter]
+    return re.compile(rb"(?:[^%b]*%b){%d}%b([^%b \t]+)" % (delimiter, delimiter, column, pad, ends))
+
+
+def _appended(line: bytes, text: bytes, layout: Layout) -> bytes:
+    """A line with one more cell."""
+    if layout.delimiter is None:
+        body = line.rstrip(_BLANK)
+        return b"%b%b%b%b" % (body, b"\t" if b"\t" in body else b" ", text, line[len(body) :])
+    body = line.rstrip(b"\r\n")
+    return b"%b%b%b%b" % (body, layout.delimiter, text, line[len(body) :])
+
+
+# names
+
+
+def _plain_names(line: bytes, delimiter: bytes | None) -> bytes:
+    """A line that may name columns, plain and with blanks for the signs of a comment before it."""
+    prefix = re.match(rb"[/# \t]*", line)[0]  # type: ignore[index]
+    return _plain(b" " * len(prefix) + line[len(prefix) :], delimiter)
+
+
+def _names(line: bytes, delimiter: bytes | None) -> list[bytes]:
+    return [line[span] for span in _spans(_plain_names(line, delimiter), delimiter)]
+
+
+def _meaning(name: bytes) -> str | None:
+    return _NAMES.get(re.sub(r"[^a-z0-9]", "", name.decode("latin-1").lower()))
+
+
+def _columns(path: Path, header: int | None, cells: list[bytes]) -> dict[str, int]:
+    """Positions of the columns that are understood. Raises InputError where two have one meaning."""
+    columns: dict[str, int] = {}
+    for i, cell in enumerate(cells):
+        name = _meaning(cell)
+        if name in columns and header is not None:
+            raise InputError(
+                f"{path}: line {header + 1}: the columns {_shown(cells[columns[name]])} and {_shown(cell)} both name the "
+                f"{name.replace('_', ' ')}; rename the one that does not count"
+            )
+        if name is not None:
+            columns[name] = i
+    return columns
+
+
+# numbers
+
+
+class Run(NamedTuple):
+    """Some whole lines of a file.
+
+    Attributes:
+        start: number of the first line, from 0.
+        lines: as in the file.
+        at: which of them hold data.
+        plain: those lines as :func:`_plain` gives them.
+        values: f64[data lines, named columns], the named columns in the order of ``Layout.columns``.
+    """
+
+    start: int
+    lines: list[bytes]
+    at: list[int]
+    plain: list[bytes]
+    values: np.ndarray
+
+    def place(self, row: int) -> str:
+        """The line of a row of ``values``, for messages."""
+        return f"line {self.start + self.at[row] + 1}"
+
+
+def _axes(layout: Layout) -> list[int]:
+    return [list(layout.columns).index(axis) for axis in "xyz"]
+
+
+def _runs(path: Path, layout: Layout) -> Iterator[Run]:
+    start = 0
+    with reading(path):
+        for lines in _blocks(path):
+            clean = lines if start else [_unmarked(lines[0]), *lines[1:]]
+            skip = max(layout.first - start, 0)
+            at = [i for i, line in enumerate(clean[skip:], skip) if _holds_data(line)]
+            data = clean if len(at) == len(clean) else [clean[i] for i in at]
+            whole = _plain(b"".join(data), layout.delimiter)
+            plain = whole.splitlines(keepends=True) if len(whole) else []
+            run = Run(start, lines, at, plain, np.zeros((len(at), len(layout.columns))))
+            _check_cells(path, layout, run, whole)
+            if at:
+                yield run._replace(values=_numbers(path, layout, run, whole))
+            else:
+                yield run
+            start += len(lines)
+
+
+def _check_cells(path: Path, layout: Layout, run: Run, whole: bytes) -> None:
+    """Raises InputError for the first line that cannot be split, or has not as many columns as the layout."""
+    if b"\0" in whole or (b'"' in whole and _open_quote(layout.delimiter).search(b"\n" + whole)):
+        for i, line in zip(run.at, run.plain, strict=True):
+            _check_line(path, run.start + i, run.lines[i], line, layout.delimiter)
+    if layout.delimiter is None:
+        widths = [len(line.split()) for line in run.plain]
+    else:
+        widths = [line.count(layout.delimiter) + 1 for line in run.plain]
+    if widths.count(layout.width) < len(widths):
+        row = next(row for row, width in enumerate(widths) if width != layout.width)
+        i = run.at[row]
+        model = layout.first if layout.header is None else layout.header
+        raise InputError(
+            f"{path}: line {model + 1} has {layout.width} columns, "
+            f"{_ragged(run.start + i, run.lines[i], widths[row], layout.delimiter)}"
+        )
+
+
+def _ragged(number: int, line: bytes, width: int, delimiter: bytes | None) -> str:
+    """What to say of a line that has another number of columns than it should."""
+    hints = ["give every line as many"]
+    if b"#" in line:
+        hints.append("give comments lines of their own")
+    if delimiter == b",":
+        hints.append("write decimals with a point")
+    hints.append(f"put quotes around cells that hold {_WORDS[delimiter]}")
+    return f"line {number + 1} has {width}, {_shown(line)}; {', '.join(hints)}"
+
+
+def _numbers(path: Path, layout: Layout, run: Run, whole: bytes) -> np.ndarray:
+    """The named columns, by the C parser of pandas where it knows all cells, else one by one."""
+    import pandas as pd  # late: it takes half a second, which LAS does not need
+
+    used = list(layout.columns.values())
+    _numbers_one_by_one(path, layout, run, 1)  # a column of the words True and False alone would be numbers to pandas
+    try:
+        table = pd.read_csv(
+            io.BytesIO(whole.replace(b"\r\n", b"\n").replace(b"\r", b"\n")),
+            sep=r"\s+" if layout.delimiter is None else layout.delimiter.decode(),
+            header=None,
+            usecols=used,
+            dtype=np.float64,
+            engine="c",
+            quoting=csv.QUOTE_NONE,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            keep_default_na=False,
+            na_values=["nan", "NaN", "NAN"],
+            low_memory=False,
+        )
+    except ValueError:
+        return _numbers_one_by_one(path, layout, run, len(run.at))
+    return table[used].to_numpy()
+
+
+def _numbers_one_by_one(path: Path, layout: Layout, run: Run, count: int) -> np.ndarray:
+    """The named columns of the first lines. Raises InputError with line and name of the first cell that is no number."""
+    values = np.empty((count, len(layout.columns)))
+    for row, line in enumerate(run.plain[:count]):
+        cells = _cells(line, layout.delimiter)
+        for i, (name, column) in enumerate(layout.columns.items()):
+            if not _NUMBER.fullmatch(cells[column]):
+                cell = run.lines[run.at[row]][_spans(line, layout.delimiter)[column]]
+                hint = "; write decimals with a point and nothing between thousands" if re.search(b"[, ]", cell) else ""
+                raise InputError(f"{path}: {run.place(row)}: {name} is {_shown(cell)}, not a number{hint}")
+            values[row, i] = float(cells[column])
+    return values
+
+
+def _decimals(lines: list[bytes], delimiter: bytes | None, columns: dict[str, int]) -> int:
+    rows = [_cells(_plain(line, delimiter), delimiter) for line in lines if _holds_data(line)]
+    cells = [row[columns[axis]] for row in rows if len(row) > max(columns.values()) for axis in "xyz"]
+    return max(len(re.match(rb"[^.]*\.?(\d*)", cell)[1]) for cell in cells)  # type: ignore[index]

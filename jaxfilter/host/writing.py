@@ -220,8 +220,7 @@ def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Label
 def _fresh_header(path: Path, cloud: PointCloud) -> Header:
     decimals = 3
     if cloud.source is not None:
-        layout = text.layout_of(cloud.source.path)
-        decimals = 4 if layout is not None and layout.decimals > 3 else 3
+        decimals = 4 if text.layout_of(cloud.source.path).decimals > 3 else 3
     wkt = None
     if cloud.crs is not None:
         try:
@@ -277,24 +276,22 @@ def _coordinates(cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
         for chunk in _replayed(read_records(header, source.bounds, every_field=False), replay):
             yield records.coordinates(chunk, header)
     else:
-        layout = text.layout_of(source.path)
-        for xyz, _ in () if layout is None else text.read_text(source.path, layout, source.bounds):
+        for xyz, _ in text.read_text(source.path, text.layout_of(source.path), source.bounds):
             replay.add(xyz)
             yield xyz
 
 
 def _write_text(path: Path, temporary: Path, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
     source: Source | None = cloud.source
-    with open(temporary, "x", encoding="latin-1", newline="") as file:
+    with open(temporary, "xb") as file:
         if source is not None and source.kind == "text":
             layout = text.layout_of(source.path)
-            if layout is not None:
-                text.rewrite_text(source.path, layout, file, source.bounds, labels.texts, labels.classes, replay)
+            text.rewrite_text(source.path, layout, file, source.bounds, labels.texts, labels.classes, replay)
             return
         decimals = 3 if source is None else _decimals(read_header(source.path).scales)
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
-            file.write("x,y,z,label\n")
+            file.write(b"x,y,z,label\n")
         start = 0
         for xyz in _coordinates(cloud, replay):
             text.write_table(file, xyz, labels.ground[start : start + len(xyz)], decimals, delimiter)

@@ -19,12 +19,14 @@ class ScaledPlanes:
     Attributes:
         distance: f32[m], metres along the normal, negative below the plane; height: f32[m], metres upward.
         slope: f32[m], degrees.
+        size: f32[m], metres: side of the cell that the plane was accepted for.
         accepted: planes; divided: cells whose plane was not reliable.
     """
 
     distance: np.ndarray
     height: np.ndarray
     slope: np.ndarray
+    size: np.ndarray
     accepted: int
     divided: int
 
@@ -57,7 +59,7 @@ def progressive_planes(
     Raises: InputError if the extent needs too many cells.
     """
     xyz = points.xyz
-    distance, height, slope = (np.full(len(xyz), np.nan, np.float32) for _ in range(3))
+    distance, height, slope, side = (np.full(len(xyz), np.nan, np.float32) for _ in range(4))
     rows, accepted, divided = np.arange(len(xyz)), 0, 0
     size = rows_of(len(xyz))
     while True:
@@ -69,7 +71,7 @@ def progressive_planes(
         cells, count = np.unique(owner, return_counts=True)
         enough = count >= min_points
         if not enough.any():
-            return ScaledPlanes(distance, height, slope, accepted, divided)
+            return ScaledPlanes(distance, height, slope, side, accepted, divided)
         members = members[np.repeat(enough, count)]
         cells, start = cells[enough], np.append(0, np.cumsum(count[enough]))
         parts = []
@@ -92,11 +94,12 @@ def progressive_planes(
         distance[i] = np.einsum("ni,ni->n", xyz[i] - centre[own], normal[own])
         height[i] = distance[i] / normal[own, 2]
         slope[i] = np.rad2deg(np.arccos(np.clip(normal[own, 2], 0, 1)))
+        side[i] = cell
         divide = np.zeros(grid.nx * grid.ny, bool)
         divide[cells[plane & ~reliable]] = True
         rows = rows[divide[at]]
         if len(rows) == 0:
-            return ScaledPlanes(distance, height, slope, accepted, divided)
+            return ScaledPlanes(distance, height, slope, side, accepted, divided)
         cell /= 2
 
 
