@@ -28,6 +28,7 @@ COMMANDS = (
         "python experiments/tiles/run.py --out experiments/tiles/results",
         "every method on six labelled tiles",
     ),
+    ("python experiments/defaults/run.py", "defaults that are chosen on simulated scenes and tiles"),
     ("python experiments/ablations/run.py", "choices within the methods"),
     ("python experiments/papers/<paper>.py", "each paper's tables, measured beside printed"),
     ("python experiments/outliers/run.py --out experiments/outliers/results", "search for clusters of low points"),
@@ -74,6 +75,7 @@ def page(folder: Path, link: str) -> str:
     ]
     for name, rows in chosen.items():
         text += [f"## {name.capitalize()} protocol", tables.MEANING[name], tables.summary(rows)]
+        text += [tables.shared_note(tables.order(rows)).replace("docs/fidelity.md", "[fidelity.md](../fidelity.md)")]
         for key in ("total", "kappa"):
             text += [f"{tables.TITLES[key].capitalize()} per sample:", tables.per_sample(rows, key)]
         if name == "fixed":

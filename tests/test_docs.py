@@ -11,6 +11,9 @@ from jaxfilter import FILTERS
 from jaxfilter.core.params import declared
 
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "filters"
+sys.path.insert(0, str(PAGES.parents[1]))
+
+from experiments.defaults import table  # noqa: E402
 
 
 def row(field):
@@ -37,6 +40,17 @@ def test_every_preset_says_what_it_is_and_paper_what_is_not_as_printed(name):
         assert values.note and "\n" not in values.note, preset
     paper = FILTERS[name].PRESETS["paper"].note
     assert re.match(r"as (printed|reported)\b", paper), paper
+
+
+def test_the_table_of_defaults_names_every_field_with_its_present_default():
+    text = (PAGES.parent / "fidelity.md").read_text()
+    assert text == table.page(text), "run experiments/defaults/table.py"
+    lines = [line.split(" | ") for line in text.partition(table.START)[2].splitlines() if line.startswith("| `")]
+    listed = [(name, cells[1], cells[2]) for cells in lines for name in re.findall(r"`(\w+)`", cells[0])]
+    for name in FILTERS:
+        for field in declared(FILTERS[name]):
+            default = f"{field.default:g}" if isinstance(field.default, float) else f"{field.default}"
+            assert listed.count((name, f"`{field.name}`", default)) == 1, (name, field.name, default)
 
 
 def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):

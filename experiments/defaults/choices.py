@@ -17,7 +17,8 @@ Make = Callable[[float], dict[str, Any]]
 class Choice:
     """Alternatives for some fields of a method; all other fields are those of ``for_cloud``.
 
-    ``present``: the alternative that the library has. ``on``: the groups of clouds whose means decide.
+    ``present``: the alternative that the library has. ``on``: the groups of clouds it is run on, whose means decide; all if
+    none is named.
     """
 
     name: str
@@ -25,16 +26,11 @@ class Choice:
     alternatives: Mapping[str, Make]
     present: str
     on: tuple[str, ...] = ()
-    tie: str = ""
 
-    def filter(self, alternative: str, cloud: jf.PointCloud, spacing: float) -> jf.Filter:
-        """The filter of an alternative for a cloud."""
-        return jf.FILTERS[self.method].for_cloud(cloud, **self.alternatives[alternative](spacing))
-
-
-def values(field: str, *given: Any) -> dict[str, Make]:
-    """An alternative for each value of one field."""
-    return {f"{field} {value}": _constant({field: value}) for value in given}
+    def filter(self, alternative: str, spacing: float) -> jf.Filter:
+        """The filter of an alternative for a cloud with this spacing."""
+        cls = jf.FILTERS[self.method]
+        return cls(**{**cls.from_spacing(spacing, None), **self.alternatives[alternative](spacing)})
 
 
 def _constant(fields: dict[str, Any]) -> Make:
@@ -88,4 +84,62 @@ def _windows() -> list[Choice]:
     return out
 
 
-CHOICES: list[Choice] = [*_cells(), *_windows()]
+def _rules() -> list[Choice]:
+    """Whether what follows from the spacing is of use."""
+    out = []
+    for method in jf.FILTERS:
+        plain = {field.name: field.default for field in dataclasses.fields(jf.FILTERS[method])}
+        rules = {"for_cloud": _constant({}), "plain defaults": _constant(plain)}
+        out.append(Choice(f"{method}: rule", method, rules, "for_cloud"))
+    return out
+
+
+SPARSE = ("0.3 per m2", "1 per m2")
+DENSE = ("15 per m2", "tiles")
+
+
+def _thresholds() -> list[Choice]:
+    """Thresholds and switches, one at a time."""
+    degrees = {f"{a} degrees, {h:g} m": _constant({"slope": s, "max_height": h})
+               for a, s, h in ((15, 0.268, 3.0), (20, 0.364, 4.0), (30, 0.577, 6.0), (40, 0.839, 9.0))}  # fmt: skip
+    openings = {f"slope {s:g}, {h:g} m": _constant({"slope": s, "max_distance": h})
+                for s, h in ((0.15, 2.5), (0.268, 3.0), (0.5, 3.0))}  # fmt: skip
+    adaptive = {
+        f"adaptive, {d:g} deviations": _constant({"thresholds": "adaptive", "deviations": d}) for d in (2.0, 5.0, 15.0)
+    }
+    constant = {"constant": _constant({"thresholds": "constant"})}
+    out = [
+        Choice("msf: slope", "msf", degrees, "30 degrees, 6 m", SPARSE),
+        Choice("pmf: slope", "pmf", openings, "slope 0.268, 3 m", SPARSE),
+        Choice("atin: thresholds", "atin", constant | adaptive, "constant", SPARSE),
+        Choice("atin: deviations", "atin", adaptive, "adaptive, 15 deviations", SPARSE),
+    ]
+    tried: dict[str, dict[str, tuple[Any, ...]]] = {
+        "spf": {"max_angle": (15.0, 20.0, 25.0, 30.0), "slope": (0.3, 0.5, 0.7)},
+        "stin": {"max_angle": (20.0, 25.0, 30.0, 35.0), "max_distance": (1.0, 1.4, 2.0), "mirror": ("off", "nearest"),
+                 "outlier_surface": ("local", "quadratic", "off")},
+        "iptd": {"max_angle": (20.0, 25.0, 30.0), "tolerance": (0.5, 1.0, 2.0), "plane_error": (0.4, 0.8, 1.2),
+                 "k": (50, 100, 200), "translation": ("none", "lowest")},
+        "csf": {"surface": ("nearest", "lowest"), "rigidness": (1, 2, 3), "resolution": (0.5, 1.0, 1.5)},
+        "ppdf": {"reference_cell": (0.5, 1.0, 2.0), "reference_distance": (0.3, 0.5, 0.7), "max_distance": (0.2, 0.3, 0.4, 0.5),
+                 "window": (0.0, 18.0, 30.0), "slope": (0.2, 0.3, 0.5)},
+    }  # fmt: skip
+    for method, fields in tried.items():
+        for field, given in fields.items():
+            alternatives = {f"{field} {_text(value)}": _constant({field: value}) for value in given}
+            present = f"{field} {_text(getattr(jf.FILTERS[method](), field))}"
+            out.append(Choice(f"{method}: {field}", method, alternatives, present, SPARSE))
+    for field, values, present in (
+        ("noise_floor", (0.0, 0.05, 0.1, 0.2), 0.1),
+        ("vertex_spacing", (0.0, 0.5, 0.7, 1.0), 0.7),
+    ):
+        alternatives = {f"{field} {value:g}": _constant({field: value}) for value in values}
+        out += [Choice(f"{m}: {field}", m, alternatives, f"{field} {present:g}", DENSE) for m in ("fptd", "ptd")]
+    return out
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+CHOICES: list[Choice] = [*_cells(), *_windows(), *_rules(), *_thresholds()]

@@ -20,6 +20,8 @@ from jaxfilter.core.compilation import use_persistent_cache
 from jaxfilter.core.points import canonical_points
 
 HERE = Path(__file__).parent
+TIE = 0.05
+"""Percent; alternatives whose means differ by less count as equally good."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -35,7 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
     kept = {_key(row): row for row in (read_csv(path) if path.exists() and not options.fresh else [])}
     rows = []
     for known in clouds.clouds(folder, [n for n in clouds.names() if not options.groups or n[0] in options.groups]):
-        rows += run(known, asked, kept)
+        rows += run(known, asked, kept, only_kept=options.at_hand)
         write_csv(path, list(kept.values()))
         print(f"{known.group} {known.name}: done", file=sys.stderr, flush=True)
     command = shlex.join(["python", "experiments/defaults/run.py", *given])
@@ -46,7 +48,9 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"{choice.name}\n{_markdown(lines)}\n")
 
 
-def run(known: clouds.Known, asked: Sequence[choices.Choice], kept: dict[tuple[str, ...], Row]) -> list[Row]:
+def run(
+    known: clouds.Known, asked: Sequence[choices.Choice], kept: dict[tuple[str, ...], Row], *, only_kept: bool = False
+) -> list[Row]:
     """A row for every alternative of every choice on one cloud. Filters that are in ``kept`` are not run again."""
     spacing = canonical_points(known.cloud).spacing()
     rows = []
@@ -54,8 +58,10 @@ def run(known: clouds.Known, asked: Sequence[choices.Choice], kept: dict[tuple[s
         if choice.on and known.group not in choice.on:
             continue
         for alternative in choice.alternatives:
-            filter_ = choice.filter(alternative, known.cloud, spacing)
+            filter_ = choice.filter(alternative, spacing)
             head: Row = {"group": known.group, "cloud": known.name, "parameters": search.digest(filter_)}
+            if only_kept and _key(head) not in kept:
+                continue
             if _key(head) not in kept:
                 try:
                     counts = (
@@ -74,8 +80,13 @@ def _key(row: Row) -> tuple[str, ...]:
 
 
 def table(choice: choices.Choice, rows: Sequence[Row]) -> list[Row]:
-    """A line per alternative: mean total error per group of clouds, and over the groups that decide."""
-    groups = list(dict.fromkeys(row["group"] for row in rows))
+    """A line per alternative: mean total error per group of clouds, and over the groups. Groups of which some alternative
+    has not been run on every cloud are left out."""
+    groups = [
+        group
+        for group in dict.fromkeys(row["group"] for row in rows)
+        if len({sum((r["group"], r["alternative"]) == (group, a) for r in rows) for a in choice.alternatives}) == 1
+    ]
     lines = []
     for alternative in choice.alternatives:
         line: Row = {"choice": choice.name, "alternative": alternative}
@@ -88,9 +99,13 @@ def table(choice: choices.Choice, rows: Sequence[Row]) -> list[Row]:
         line["mean"] = statistics.fmean(deciding) if deciding else None
         lines.append(line)
     found = [line for line in lines if line["mean"] is not None and not line["failed"]]
-    best = min(found, key=lambda line: line["mean"], default={})
+    least = min((line["mean"] for line in found), default=0.0)
+    alike = [line["alternative"] for line in found if line["mean"] < least + TIE]
     for line in lines:
-        line["note"] = ", ".join(["best"] * (line is best) + ["default"] * (line["alternative"] == choice.present))
+        good, ours = line["alternative"] in alike, line["alternative"] == choice.present
+        line["note"] = (
+            ("**default**, among the best" if good else "**default**, not the best") if ours else "best" * good
+        )
     return lines
 
 
@@ -115,10 +130,11 @@ def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]], com
         "# Defaults chosen on simulated scenes and tiles",
         f"`{command}` on {machine()}.",
         "Mean total errors in percent: ten layouts at each density (last echoes), and the labelled tiles that "
-        "`experiments/tiles` does not have (all echoes). Fields that are not named are those of `for_cloud`.",
+        "`experiments/tiles` does not have (all echoes). Fields that are not named are those of `for_cloud`. The last column of "
+        f"numbers is the mean of those before it; within {TIE:g} points of the least it counts as among the best.",
     ]
     for choice, lines in zip(asked, tables, strict=True):
-        text += [f"## {choice.name}", _markdown(lines)]
+        text += [f"## {choice.name}", _markdown(lines) if lines[0]["mean"] is not None else "Not run yet."]
     return "\n\n".join(text) + "\n"
 
 
@@ -130,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         "--choices", nargs="+", metavar="NAME", help="beginnings of their names, such as 'smrf: ' [all]"
     )
     parser.add_argument("--groups", nargs="+", metavar="GROUP", help="of clouds, such as '1 per m2' tiles [all]")
+    parser.add_argument("--at-hand", action="store_true", help="run nothing; tables of what earlier runs left")
     parser.add_argument("--fresh", action="store_true", help="run again what is at hand")
     return parser
 

@@ -29,6 +29,36 @@ MEANING = {
 }
 
 
+MARK = "‡"
+SHARED = {
+    "smrf": "its authors chose the set on these 15 samples",
+    "fptd": "its limits are those of class D2, which its authors chose on sample 71",
+    "agptd": "`relative_slope` from the reference ground of 14 samples; constant terrain angle for the errors here",
+    "stin": "no mirroring, and outliers against the local trend, for the errors on samples 11, 12, 23, 52 and 71",
+    "atin": "constant limits and no mirroring: the errors on samples 11, 12, 23, 52 and 71 were known",
+    "iptd": "planes as fitted: the errors on samples 11, 12, 23, 52 and 71 were known",
+    "ptd": "borders that follow the ground: the errors here were known",
+    "ptdf": "borders that follow the ground, and 0.1 m downward: the errors here were known",
+    "csf": "the equation of gravity in place of the program's: the errors here were known",
+}
+"""By method: which of its defaults were chosen on these samples or with their errors in view (docs/fidelity.md)."""
+
+
+def marked(method: str) -> str:
+    """A method's name in a table of results, marked if its defaults share data with the samples."""
+    return f"{method} {MARK}" if method in SHARED else method
+
+
+def shared_note(methods: Sequence[str]) -> str:
+    """What the marks mean, for the methods of a table."""
+    told = "; ".join(f"{name}: {SHARED[name]}" for name in methods if name in SHARED)
+    rest = (
+        "The search for clusters of low points (all methods but SMRF) was designed with samples 24 and 41 in view. "
+        "Every default and its origin: docs/fidelity.md."
+    )
+    return f"{MARK} Defaults that share data with the samples. {told}. {rest}" if told else rest
+
+
 CLAIMS_NOTE = (
     "Every method and PTD under one protocol: the same outlier stage, samples and tries. Matched: the "
     'fixed set with PTD\'s limits of angle and distance, since defaults differ. "Confirmed": better in the mean, on more '
@@ -108,6 +138,7 @@ def of_method(rows: Sequence[Row], method: str) -> list[Row]:
 def summary(rows: Sequence[Row]) -> str:
     """One line per method: mean, median and pooled figures."""
     lines = [protocols.summary(of_method(rows, method)) for method in order(rows)]
+    lines = [line | {"method": marked(line["method"])} for line in lines]
     columns: list[Column] = [("method", "method", "")]
     for prefix, title in (("", "mean"), ("median_", "median"), ("pooled_", "pooled")):
         for key, name in (("type1", "T.I"), ("type2", "T.II"), ("total", "TE"), ("kappa", "kappa")):
@@ -128,7 +159,7 @@ def per_sample(rows: Sequence[Row], key: str) -> str:
     methods = order(rows)
     lines = with_averages(pivot(rows, key), "sample")
     form = ".3f" if key == "seconds" else ".2f"
-    return markdown([("sample", "sample", ""), *((m, m.upper(), form) for m in methods)], lines)
+    return markdown([("sample", "sample", ""), *((m, marked(m).upper(), form) for m in methods)], lines)
 
 
 def pivot(rows: Sequence[Row], key: str) -> list[Row]:
@@ -301,7 +332,7 @@ def report(
             "(ranges in the last section)."
         )
     for name, rows in tables.items():
-        text += [f"## {name.capitalize()} protocol", summary(rows)]
+        text += [f"## {name.capitalize()} protocol", summary(rows), shared_note(order(rows))]
         for key in protocols.SCORES + (("seconds",) if name == "fixed" else ()):
             text += [f"### {TITLES[key][0].upper() + TITLES[key][1:]} per sample, {name}", per_sample(rows, key)]
     if claim_rows:
