@@ -116,11 +116,15 @@ def test_fields_of_every_kind_become_flags():
     assert flags.describe(dataclasses.fields(Toy)[0]) == "a number [> 0 m; default 1.0]"
 
 
-def test_presets_and_the_largest_building_set_parameters(folder):
-    result = ground(folder, "--preset", "recommended", "--largest-building", 25, "--json")
-    spacing = FILTERS["fptd"].for_cloud(read(folder / "scene.laz", units="m"), 25.0, preset="recommended")
+@pytest.mark.parametrize("options, width", [(("--largest-building", 25), 25.0), (("--for-cloud",), None)])
+def test_presets_and_the_cloud_set_parameters(folder, scene, options, width):
+    np.savetxt(folder / "sparse.txt", scene.xyz[::12], fmt="%.3f")
+    arguments = ("--preset", "recommended", "--json", *options)
+    result = ground(folder, *arguments, source="sparse.txt", target="out.txt", method="smrf")
+    expected = FILTERS["smrf"].for_cloud(read(folder / "sparse.txt"), width, preset="recommended")
+    assert expected.cell > FILTERS["smrf"].preset("recommended").cell, "the spacing decides something"
     given = json.loads(result.stdout)["parameters"]
-    for name, value in dataclasses.asdict(spacing).items():
+    for name, value in dataclasses.asdict(expected).items():
         assert given[name] == value or float(given[name]) == value  # infinity is a string in JSON
 
 

@@ -87,11 +87,12 @@ def _ground_command(method: type[Filter]) -> click.Command:
         click.Argument(["target"], metavar="[OUT]", type=path, required=False),
         *flags.options(method),
         click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters."),
+        click.Option(["--for-cloud"], is_flag=True, help="Set what depends on point spacing from the cloud."),
         click.Option(
             ["--largest-building"],
             type=click.FloatRange(0, min_open=True),
             metavar="METRES",
-            help="Set what depends on point spacing and on this width from the cloud.",
+            help="As --for-cloud, and set what depends on this width as well.",
         ),
         click.Option(
             ["--units"],
@@ -158,6 +159,7 @@ def _ground(
     source: Path,
     target: Path | None,
     preset: str | None,
+    for_cloud: bool,
     largest_building: float | None,
     quiet: bool,
     as_json: bool,
@@ -178,7 +180,7 @@ def _ground(
         check_reading(reading["units"], reading["returns"])
         with session.step("read"):
             cloud = read(source, **reading)
-        if largest_building is not None:
+        if for_cloud or largest_building is not None:
             filter_ = method.for_cloud(cloud, largest_building, preset=preset, **changes)
         with session.step("filter"):
             result = filter_(cloud, workers=workers, progress=session.progress)
