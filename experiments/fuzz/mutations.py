@@ -311,8 +311,7 @@ def _crs(content: bytearray, rng: np.random.Generator) -> bytearray:
             text = rng.choice(["1e300", "0", "-1", "1e-300", "nan", "inf", "2", "0.3", "1e4", "9", "x", ""]).encode()
             content[start + one.start(2) : start + one.end(2)] = text[:size].ljust(size)
             return content
-        content[start + int(rng.integers(length))] = int(rng.integers(256))
-        return content
+        return _put(content, "B", start + int(rng.integers(length)), rng)
     return _field(content, rng)
 
 
