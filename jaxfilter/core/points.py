@@ -84,10 +84,11 @@ def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
     middle, (width, height) = np.median(every, axis=0), np.ptp(every, axis=0) / 1000
     stray = int((np.abs(every - middle) > EXTENT / 2).any(axis=1).sum())
     at = ", ".join(f"{v:.10g}" for v in cloud.origin[:2] + middle / cloud.units.xy)
+    name = "the cloud" if cloud.source is None else cloud.source.path
     raise InputError(
-        f"the points extend over {width:.6g} x {height:.6g} km, and clouds are filtered up to {EXTENT / 1000:.0f} km: "
+        f"{name}: the points extend over {width:.6g} x {height:.6g} km, and clouds are filtered up to {EXTENT / 1000:.0f} km: "
         f"{stray:,} of {len(every):,} lie more than {EXTENT / 2000:.0f} km from the median position ({at}); remove these "
-        "stray points, or read the rest with bounds="
+        "stray points, or pass bounds= to read the rest"
     )
 
 
