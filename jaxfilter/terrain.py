@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from .core.cloud import QUANTUM, PointCloud, as_cloud
-from .core.errors import InputError, JaxfilterWarning, ParameterError
+from .core.errors import InputError, ParameterError, warn
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points, check_extent
 from .core.result import FilterResult, Progress
@@ -77,7 +76,7 @@ def dtm(
     north = (corner[1] + shape[0]) * cell
     transform = (cell, 0.0, corner[0] * cell, 0.0, -cell, north)
     if not len(cloud):
-        warnings.warn("dtm: the cloud has no points, so no cell has a height", JaxfilterWarning, stacklevel=2)
+        warn("dtm: the cloud has no points, so no cell has a height")
         return Raster(np.full(shape, np.nan, np.float32), transform, cloud.crs)
     if not points.has_area():
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"

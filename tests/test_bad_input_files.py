@@ -346,8 +346,9 @@ def test_coordinates_that_las_cannot_hold(tmp_path):
 
 def test_no_crs(tmp_path):
     make_las(tmp_path / "in.las", 6, crs=None)
-    with pytest.warns(JaxfilterWarning, match=r"in.las: no CRS states the units, metres are assumed"):
+    with pytest.warns(JaxfilterWarning, match=r"in.las: no CRS states the units, metres are assumed") as caught:
         cloud = read(tmp_path / "in.las")
+    assert {warning.filename for warning in caught} == {__file__}, "the caller's line is named"
     assert cloud.units.xy == cloud.units.z == 1 and cloud.crs is None
     with warnings.catch_warnings():
         warnings.simplefilter("error", JaxfilterWarning)

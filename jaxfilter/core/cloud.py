@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from .errors import InputError, JaxfilterWarning
+from .errors import InputError, warn
 from .units import (
     GEOKEYS,
     PROJECTION,
@@ -132,11 +131,7 @@ class PointCloud:
                     f"{name}: {bad} of {len(xyz)} points have NaN or infinite coordinates; remove them, or pass "
                     "drop_invalid=True to label them non-ground"
                 )
-            warnings.warn(
-                f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground",
-                JaxfilterWarning,
-                stacklevel=2,
-            )
+            warn(f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
         low, high = _extremes(xyz)
@@ -397,10 +392,8 @@ def _near(
                 f"drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
             )
         far = distance > limit / 2
-        warnings.warn(
-            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground",
-            JaxfilterWarning,
-            stacklevel=4,
+        warn(
+            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
         )
         near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
     return near
@@ -448,19 +441,11 @@ def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str
         return np.ones(n, bool)
     empty = (number == 0) & (total == 0)
     if empty.all():
-        warnings.warn(
-            f"{name}: return number and number of returns are 0 throughout, so all points are candidates",
-            JaxfilterWarning,
-            stacklevel=3,
-        )
+        warn(f"{name}: return number and number of returns are 0 throughout, so all points are candidates")
         return np.ones(n, bool)
     odd = (number == 0) | (total == 0) | (number > total)
     if odd.any():
-        warnings.warn(
-            f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns",
-            JaxfilterWarning,
-            stacklevel=3,
-        )
+        warn(f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns")
     mask = np.zeros(n, bool)
     several = (total > 1) & ~odd
     if "only" in wanted:

@@ -1,5 +1,8 @@
 """Errors and warnings. Each message names the file, field or parameter, the offending value and what to do."""
 
+import sys
+import warnings
+
 
 class JaxfilterError(Exception):
     """Base of every error that jaxfilter raises on purpose."""
@@ -23,3 +26,12 @@ class ForkError(JaxfilterError, RuntimeError):
 
 class JaxfilterWarning(UserWarning):
     """Something unusual was met and handled as the message says."""
+
+
+def warn(message: str) -> None:
+    """Give a :class:`JaxfilterWarning` for the line outside this package that led here."""
+    package = __name__.partition(".")[0]
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, JaxfilterWarning, stacklevel=level)

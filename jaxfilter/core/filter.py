@@ -6,7 +6,6 @@ import collections
 import dataclasses
 import math
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, Self
@@ -15,7 +14,7 @@ import numpy as np
 
 from .cloud import PointCloud, as_cloud
 from .compilation import on_same_device
-from .errors import JaxfilterWarning, ParameterError
+from .errors import ParameterError, warn
 from .forks import need_threads
 from .params import Preset, check_fields, declared, plain_fields
 from .points import Points, canonical_points, check_extent, plain_points
@@ -189,7 +188,7 @@ class Filter:
         if labels is None:
             labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
         else:
-            warnings.warn(f"{type(self).__name__}: {labels.status.message}", JaxfilterWarning, stacklevel=2)
+            warn(f"{type(self).__name__}: {labels.status.message}")
         return expand(cloud, points, labels)
 
 

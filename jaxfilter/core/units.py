@@ -6,13 +6,12 @@ import dataclasses
 import functools
 import math
 import struct
-import warnings
 from typing import Any
 
 import numpy as np
 import pyproj
 
-from .errors import InputError, JaxfilterWarning
+from .errors import InputError, warn
 
 METRES_PER_UNIT = (1e-3, 1e4)
 """Least and largest metres per coordinate unit that are believed."""
@@ -125,11 +124,7 @@ def reference_of(records: dict[int, bytes], name: str) -> Reference:
         except (pyproj.exceptions.CRSError, ValueError, struct.error) as error:
             kind = "WKT" if number == WKT else "GeoTIFF keys"
             reason = str(error).splitlines()[0]
-            warnings.warn(
-                f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}",
-                JaxfilterWarning,
-                stacklevel=4,
-            )
+            warn(f"{name}: the {kind} of its CRS cannot be understood and is kept as it is: {reason}")
     return Reference()
 
 
@@ -143,11 +138,7 @@ def linear_units(reference: Reference, asked: Units | None, name: str) -> Units:
     if reference.problem is not None:
         raise InputError(f"{name}: {reference.problem}, or pass units= if the CRS record is wrong")
     if reference.units is None:
-        warnings.warn(
-            f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong",
-            JaxfilterWarning,
-            stacklevel=4,
-        )
+        warn(f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong")
         return Units()
     return reference.units
 
@@ -213,11 +204,7 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
             )
         known = _known_unit(unit)
         if known is not None and not math.isclose(factor, known, rel_tol=1e-3):
-            warnings.warn(
-                f"{name}: its CRS ({crs.name}) has {factor:g} metres in a {unit}, which has {known:g}: used",
-                JaxfilterWarning,
-                stacklevel=6,
-            )
+            warn(f"{name}: its CRS ({crs.name}) has {factor:g} metres in a {unit}, which has {known:g}: used")
     return Reference(crs, _units(xy, z))
 
 
@@ -256,11 +243,7 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
     if xy is None:
         return found
     if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
-        warnings.warn(
-            f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used",
-            JaxfilterWarning,
-            stacklevel=5,
-        )
+        warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
     return dataclasses.replace(found, units=_units(xy, z or xy))
 
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-import warnings
 from collections.abc import Iterator
 from typing import BinaryIO
 
 import lazrs
 import numpy as np
 
-from ..core.errors import InputError, JaxfilterWarning
+from ..core.errors import InputError, warn
 from ..core.forks import need_threads
 from .files import Bounds
 from .header import Header
@@ -78,10 +77,8 @@ def nodes_within(header: Header, file: BinaryIO, bounds: Bounds) -> list[Node]:
         last = low + (corner + 1) * edge + header.scales
     points = _first_points(header, file, nodes)
     if not ((points >= first) & (points <= last)).all():
-        warnings.warn(
-            f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds",
-            JaxfilterWarning,
-            stacklevel=4,
+        warn(
+            f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds"
         )
         return sorted(nodes)
     met = (first[:, 0] < bounds[2]) & (last[:, 0] >= bounds[0]) & (first[:, 1] < bounds[3]) & (last[:, 1] >= bounds[1])

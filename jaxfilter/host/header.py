@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import struct
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -19,7 +18,7 @@ import lazrs
 import numpy as np
 
 from ..core.cloud import check_scales
-from ..core.errors import InputError, JaxfilterWarning, OutputError
+from ..core.errors import InputError, OutputError, warn
 from .files import CHANGED_IN_READING, Identity
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -298,11 +297,7 @@ def read_header(path: Path) -> Header:
             if count:
                 header = dataclasses.replace(header, evlrs=_read_evlrs(path, file, start, count, size))
     if header.extra_dimensions() is None:
-        warnings.warn(
-            f"{path}: the description of its extra bytes is damaged; they are kept as they are",
-            JaxfilterWarning,
-            stacklevel=4,
-        )
+        warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are")
     return header
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, is_laspy
-from ..core.errors import InputError, JaxfilterWarning
+from ..core.errors import InputError, warn
 from ..core.points import canonical_points
 from ..core.units import (
     GEOKEYS,
@@ -109,7 +108,7 @@ def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any
     asked = None if units is None else parse_units(units)
     header, reference = _open_las(path) if _is_las(path) else (None, Reference())
     angular = asked is None and reference.problem is not None
-    suspect = _warn if asked is None and not angular else None
+    suspect = warn if asked is None and not angular else None
     if header is not None:
         scale = Units(1.0, 1.0, reference.shown) if angular else linear_units(reference, asked, str(path))
         cloud = _las_cloud(header, reference, scale, None, {"drop_invalid": True}, suspect)
@@ -164,16 +163,12 @@ def _open_las(path: Path) -> tuple[Header, Reference]:
                     file.seek(record.payload)
                     stated[record.number] = file.read(size)
         for remark in header.remarks():
-            _warn(f"{path}: {remark}")
+            warn(f"{path}: {remark}")
         return header, reference_of(stated, str(path))
 
 
 def _refuse(message: str) -> None:
     raise InputError(message)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, JaxfilterWarning, stacklevel=5)
 
 
 def _laspy_cloud(las: Any, asked: Units | None, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
@@ -265,7 +260,7 @@ def _text_cloud(
 
 def _warn_empty(name: str, cut: Bounds | None) -> None:
     where = "" if cut is None else f" within bounds {cut}"
-    warnings.warn(f"{name}: holds no points{where}", JaxfilterWarning, stacklevel=4)
+    warn(f"{name}: holds no points{where}")
 
 
 def _counts(values: np.ndarray | None) -> dict[int, int] | None:

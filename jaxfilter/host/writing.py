@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
-import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -15,7 +14,7 @@ import numpy as np
 import pyproj
 
 from ..core.cloud import GROUND_CLASS, PointCloud
-from ..core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
 from .files import Replay, Source, new_file
@@ -179,9 +178,7 @@ def _write_las(path: Path, file: BinaryIO, cloud: PointCloud, labels: _Labels, r
     drop = ("copc",) if header.is_copc else ()
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
-        warnings.warn(
-            f"{path}: the input is COPC, the output is plain {kind}, without an octree", JaxfilterWarning, stacklevel=4
-        )
+        warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
     recount = not from_las or source.bounds is not None  # type: ignore[union-attr]
     writer = Writer(file, header.rewritten(compressor, added, drop), recount)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
@@ -226,9 +223,7 @@ def _fresh_header(path: Path, cloud: PointCloud) -> Header:
         try:
             wkt = cloud.crs.to_wkt("WKT1_GDAL")
         except pyproj.exceptions.CRSError as error:
-            warnings.warn(
-                f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}", JaxfilterWarning, stacklevel=4
-            )
+            warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}")
     today = datetime.date.today()
     created = (today.timetuple().tm_yday, today.year)
     return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, JaxfilterWarning, ParameterError
+from ..core.errors import InputError, ParameterError, warn
 from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.result import Progress, silent
@@ -125,7 +125,7 @@ class Study:
         self.points = filter_.points_of(cloud)
         self.same = degenerate(cloud, self.points)
         if self.same is not None:
-            warnings.warn(f"{type(filter_).__name__}: {self.same.status.message}", JaxfilterWarning, stacklevel=2)
+            warn(f"{type(filter_).__name__}: {self.same.status.message}")
         fold = _folds(cloud.xyz[known], folds, block)
         self.folds = int(fold.max()) + 1
         self.truth, self.fold = truth[known], fold
