@@ -137,6 +137,9 @@ def test_truncated_extended_records(tmp_path):
     assert_refused(path, "extended record 1 of 1")
     patch(path, "I", 243, 2**31)
     assert_refused(path, "announces 2147483648 extended records")
+    make_las(path, 6)
+    patch(path, "Q", 235, offset_to_points(path) + 199 * 30)
+    assert_refused(path, "extended records begin at byte .*, before the end of the points")
 
 
 def test_truncated_copc(tmp_path):

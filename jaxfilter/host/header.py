@@ -294,6 +294,12 @@ def read_header(path: Path) -> Header:
             header = dataclasses.replace(header, unread=_check_chunk_table(header, file))
         if minor >= 4:
             start, count = struct.unpack_from("<QI", head, 235)
+            points = len(head) if header.compressed else header.points_end
+            if count and start < points:
+                raise InputError(
+                    f"{path}: extended records begin at byte {start}, before the end of the points ({points}); the header "
+                    "is damaged"
+                )
             if count:
                 header = dataclasses.replace(header, evlrs=_read_evlrs(path, file, start, count, size))
     if header.extra_dimensions() is None:
