@@ -372,12 +372,20 @@ def test_cut_of_las_1_3_with_point_format_6(tmp_path, suffix):
     assert struct.unpack_from("<I", (tmp_path / "out.las").read_bytes(), 107)[0] == keep.sum()
 
 
-def test_start_of_waveforms_that_is_not_in_the_file(tmp_path):
-    las = make_las(tmp_path / "in.laz", 6)
+@pytest.mark.parametrize("point_format", [4, 6])
+def test_start_of_waveforms_that_is_not_in_the_file(tmp_path, point_format):
+    las = make_las(tmp_path / "in.laz", point_format)
     patch(tmp_path / "in.laz", "Q", 227, 2**64 - 5)
     cloud = jf.read(tmp_path / "in.laz")
     jf.write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
     np.testing.assert_array_equal(laspy.read(tmp_path / "out.las").points.array, las.points.array)
+
+
+def test_a_reserved_bit_of_the_point_format_is_kept(tmp_path):
+    make_las(tmp_path / "in.las", 6)
+    patch(tmp_path / "in.las", "B", 104, 0x40 | 6)
+    jf.write(tmp_path / "out.las", jf.read(tmp_path / "in.las"), np.zeros(200, bool), reset="none")
+    assert (tmp_path / "out.las").read_bytes() == (tmp_path / "in.las").read_bytes()
 
 
 # coordinate reference systems

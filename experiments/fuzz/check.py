@@ -107,6 +107,8 @@ def _check_cloud(cloud: jf.PointCloud) -> None:
 
 def _check_against_laspy(path: Path, cloud: jf.PointCloud, said: str) -> None:
     """Points and attributes as laspy sees them, if it can read the file."""
+    if _chunk_size(path) > 10_000_000:  # laspy takes memory for a whole chunk, whatever the file holds, and dies of it
+        return
     try:
         las = laspy.read(path)
         columns = {name: np.asarray(las[name]) for name in ("classification", "return_number", "number_of_returns")}
@@ -136,8 +138,19 @@ def _check_against_laspy(path: Path, cloud: jf.PointCloud, said: str) -> None:
             raise Wrong(f"{name} differs from laspy's")
 
 
+def _chunk_size(path: Path) -> int:
+    """Points of a chunk as the laszip record says; 0 if there is none, or if chunks vary in size."""
+    content = path.read_bytes()
+    at = content.find(b"laszip encoded", 0, struct.unpack_from("<I", content, 96)[0])
+    size = struct.unpack_from("<I", content, at + 52 + 12)[0] if 0 <= at <= len(content) - 68 else 0
+    return 0 if size == 2**32 - 1 else size
+
+
 def _check_bounds(path: Path, cloud: jf.PointCloud, options: dict[str, Any], number: int) -> None:
-    """Within bounds are those points of the whole that lie there, in their order or, for COPC, in any."""
+    """Within bounds are those points of the whole that lie there, in their order or, for COPC, in any.
+
+    A point that damage has moved out of its node of an octree is found only where the node is read.
+    """
     xy = cloud.coordinates()[:, :2]
     rng = np.random.default_rng(number)
     step = QUANTUM / cloud.units.xy
@@ -153,7 +166,8 @@ def _check_bounds(path: Path, cloud: jf.PointCloud, options: dict[str, Any], num
     inside = ((xy >= a) & (xy < b)).all(axis=1)
     if cloud.valid is not None:
         inside, near = inside & cloud.valid, near | ~cloud.valid
-    if not int((inside & ~near).sum()) <= len(part) <= int((inside | near).sum()):
+    least = 0 if cloud.source.format.startswith("COPC") else int((inside & ~near).sum())
+    if not least <= len(part) <= int((inside | near).sum()):
         raise Wrong(f"{len(part)} points within bounds that enclose {int(inside.sum())}")
 
 
@@ -206,7 +220,7 @@ def _compare_bytes(before: bytes, after: bytes, cloud: jf.PointCloud) -> None:
     row, place = changed // length, changed % length
     if not len(changed):
         return
-    if changed.min() < 0 or row.max() >= len(cloud) or (place != CLASS_BYTE[kind >= 6]).any():
+    if changed.min() < 0 or row.max() >= len(cloud) or (place != CLASS_BYTE[kind % 64 >= 6]).any():
         raise Wrong("other bytes than classes differ")
     if not cloud.candidate[row].all():
         raise Wrong("classes of points that are set aside differ")

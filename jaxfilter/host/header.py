@@ -173,7 +173,7 @@ class Header:
         """Where that begins which follows the points (EVLRs, waveforms) and is copied as it stands."""
         if not self.compressed:
             return self.points_end
-        starts = [s for s in (self.waveform_start, self.evlr_start) if s >= len(self.head)]
+        starts = [s for s in (self.waveform_start, self.evlr_start) if len(self.head) <= s <= self.file_size]
         return min(starts, default=self.file_size)
 
     @property
@@ -249,7 +249,7 @@ class Header:
             blocks.append(vlr(*_LASZIP, compressor))
         gap = self.head[self.vlrs[-1].end if self.vlrs else self.size :]
         head = bytearray(self.head[: self.size] + b"".join(blocks) + gap)
-        kind = self.point_format | (0x80 if compressor is not None else 0)
+        kind = self.point_format | (0x80 if compressor is not None else self.head[104] & 0x40)  # LASzip's bits
         struct.pack_into("<IIBH", head, 96, len(head), len(blocks), kind, length)
         return _parse(self.path, bytes(head), None)
 
