@@ -378,7 +378,7 @@ def test_start_of_waveforms_that_is_not_in_the_file(tmp_path, point_format):
     patch(tmp_path / "in.laz", "Q", 227, 2**64 - 5)
     cloud = jf.read(tmp_path / "in.laz")
     jf.write(tmp_path / "out.las", cloud, np.zeros(200, bool), reset="none")
-    np.testing.assert_array_equal(laspy.read(tmp_path / "out.las").points.array, las.points.array)
+    assert laspy.read(tmp_path / "out.las").points.array.tobytes() == las.points.array.tobytes()
 
 
 def test_a_reserved_bit_of_the_point_format_is_kept(tmp_path):
