@@ -103,3 +103,15 @@ def test_nearest_fill_takes_a_nearest_known_cell(kind):
 def test_nearest_fill_without_known_cells_changes_nothing():
     z, known = terrain("dots")
     np.testing.assert_array_equal(fill_nearest(z, np.zeros_like(known), np.ones_like(known)), z)
+
+
+@pytest.mark.parametrize("shape", [(4000, 5), (3, 9000)])
+def test_a_membrane_over_a_corridor_takes_no_more_memory_than_its_cells(shape):
+    """Held at both ends it is a straight line; the short axis is not padded to the coarsening of the long one."""
+    place = np.indices(shape)[int(np.argmax(shape))]
+    ramp = (40 * place / place.max()).astype(np.float32)
+    known = (place == 0) | (place == place.max())
+    arguments = (np.where(known, ramp, 0), known, np.ones(shape, bool), 1e-4)
+    np.testing.assert_allclose(fill_membrane(*arguments).z, ramp, atol=0.1)
+    memory = fill_membrane.lower(*arguments).compile().memory_analysis()
+    assert memory.temp_size_in_bytes < 250 * ramp.size

@@ -443,6 +443,14 @@ def test_arrays_to_las_and_text(tmp_path):
     np.testing.assert_allclose(table.coordinates(), xyz, atol=2e-3)
 
 
+def test_las_to_text_shows_odd_offsets(tmp_path):
+    las = make_las(tmp_path / "in.las", 6)
+    patch(tmp_path / "in.las", "d", 163, -4750000.5929769)
+    write(tmp_path / "out.txt", read(tmp_path / "in.las"), np.zeros(200, bool))
+    y = np.asarray(las.Y) * SCALES[1] - 4750000.5929769
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "out.txt")[:, 1], y, rtol=0, atol=1e-6)
+
+
 def test_las_to_text_shows_the_scale(tmp_path):
     las = make_las(tmp_path / "in.las", 1)
     cloud = read(tmp_path / "in.las")

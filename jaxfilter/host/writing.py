@@ -283,7 +283,7 @@ def _write_text(path: Path, temporary: Path, cloud: PointCloud, labels: _Labels,
             layout = text.layout_of(source.path)
             text.rewrite_text(source.path, layout, file, source.bounds, labels.texts, labels.classes, replay)
             return
-        decimals = 3 if source is None else _decimals(read_header(source.path).scales)
+        decimals = 3 if source is None else _decimals(read_header(source.path))
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
@@ -293,10 +293,11 @@ def _write_text(path: Path, temporary: Path, cloud: PointCloud, labels: _Labels,
             start += len(xyz)
 
 
-def _decimals(scales: np.ndarray) -> int:
-    """Decimals that show multiples of the scales exactly, 12 at most."""
+def _decimals(header: Header) -> int:
+    """Decimals that show the coordinates of a file: its scales exactly, 12 at most, and no less than 6 for odd offsets."""
     for decimals in range(12):
-        steps = scales * 10.0**decimals
+        steps = header.scales * 10.0**decimals
         if np.allclose(steps, np.rint(steps), rtol=1e-9, atol=0) and (np.rint(steps) > 0).all():
-            return decimals
+            lag = header.offsets * 10.0**decimals
+            return decimals if np.allclose(lag, np.rint(lag), rtol=1e-12, atol=1e-6) else max(decimals, 6)
     return 12

@@ -17,11 +17,15 @@ import jax.numpy as jnp
 from jax import lax
 
 _COARSEST = 96, 24  # rows and columns at which coarsening stops, for one grid and for many
-_FACTOR = 2  # cells of one level along the side of a cell of the next
+_FACTOR = 2  # cells of one level along the side of a cell of the next; 1 along an axis that is a single cell long
 _DAMPING = 0.8  # of the Jacobi smoother
 _SWEEPS = 2  # of it before and after a correction
 _COARSE_SWEEPS = 150, 40  # on the last level; for one grid cheaper than to compile two more levels
 _STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0))
+
+
+_Factors = tuple[int, int]
+"""Cells of one level along the rows and columns of a cell of the next."""
 
 
 class Membrane(NamedTuple):
@@ -55,18 +59,18 @@ def _shifted(a: jax.Array, rows: int, columns: int) -> jax.Array:
     return lax.pad(a, jnp.zeros((), a.dtype), ((-rows, rows, 0), (-columns, columns, 0), *others))
 
 
-def _block_sums(a: jax.Array, axis: int) -> jax.Array:
-    return sum(lax.slice_in_dim(a, k, None, _FACTOR, axis) for k in range(_FACTOR))  # type: ignore[return-value]
+def _block_sums(a: jax.Array, axis: int, factor: int) -> jax.Array:
+    return sum(lax.slice_in_dim(a, k, None, factor, axis) for k in range(factor))  # type: ignore[return-value]
 
 
-def _pool(a: jax.Array) -> jax.Array:
+def _pool(a: jax.Array, factors: _Factors) -> jax.Array:
     """Sums over the cells that make up one of the next level."""
-    return _block_sums(lax.optimization_barrier(_block_sums(a, 0)), 1)
+    return _block_sums(lax.optimization_barrier(_block_sums(a, 0, factors[0])), 1, factors[1])
 
 
-def _spread(a: jax.Array) -> jax.Array:
+def _spread(a: jax.Array, factors: _Factors) -> jax.Array:
     """The transpose of :func:`_pool`: every cell's value for the cells that it is made of."""
-    return jnp.repeat(jnp.repeat(a, _FACTOR, axis=1), _FACTOR, axis=0)
+    return jnp.repeat(jnp.repeat(a, factors[1], axis=1), factors[0], axis=0)
 
 
 def _springs(hole: jax.Array, inside: jax.Array) -> _Springs:
@@ -77,14 +81,14 @@ def _springs(hole: jax.Array, inside: jax.Array) -> _Springs:
     return _Springs(count(_shifted(hole, 0, 1)), count(_shifted(hole, 1, 0)), total)
 
 
-def _coarser(springs: _Springs) -> _Springs:
+def _coarser(springs: _Springs, factors: _Factors) -> _Springs:
     """Springs of the next level: those that cross between its cells, weakened in proportion to their new length."""
     right, up, total = springs
     assert right is not None and up is not None
     to_holes = right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0)
-    anchors = _pool(total - to_holes)
-    right = _block_sums(right[:, _FACTOR - 1 :: _FACTOR], 0) / _FACTOR
-    up = _block_sums(up[_FACTOR - 1 :: _FACTOR], 1) / _FACTOR
+    anchors, (tall, wide) = _pool(total - to_holes, factors), factors
+    right = _block_sums(right[:, wide - 1 :: wide], 0, tall) / wide
+    up = _block_sums(up[tall - 1 :: tall], 1, wide) / tall
     return _Springs(right, up, anchors + right + _shifted(right, 0, -1) + up + _shifted(up, -1, 0))
 
 
@@ -105,7 +109,7 @@ def _forces(springs: _Springs, x: jax.Array) -> jax.Array:
     return total * x - neighbours
 
 
-def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], force: jax.Array) -> jax.Array:
+def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], plan: list[_Factors], force: jax.Array) -> jax.Array:
     """Approximate solution of ``forces(x) = force``; linear and symmetric in ``force``."""
     springs, inverse = levels[0], inverses[0]
 
@@ -118,21 +122,21 @@ def _v_cycle(levels: list[_Springs], inverses: list[jax.Array], force: jax.Array
         return lax.fori_loop(0, _COARSE_SWEEPS[force.ndim - 2], smooth, jnp.zeros_like(force))
     x = lax.fori_loop(1, _SWEEPS, smooth, _DAMPING * inverse * force)
     rest = lax.optimization_barrier(force - _forces(springs, x))
-    correction = _spread(_v_cycle(levels[1:], inverses[1:], _pool(rest)))
+    correction = _spread(_v_cycle(levels[1:], inverses[1:], plan[1:], _pool(rest, plan[0])), plan[0])
     return lax.fori_loop(0, _SWEEPS, smooth, x + jnp.where(inverse > 0, correction, 0))
 
 
-def _first_guess(z: jax.Array, known: jax.Array, depth: int) -> jax.Array:
+def _first_guess(z: jax.Array, known: jax.Array, plan: list[_Factors]) -> jax.Array:
     """Known cells averaged over ever larger blocks, then spread back into the holes ("pull-push")."""
     sums, counts = [jnp.where(known, z, 0)], [known.astype(z.dtype)]
-    for _ in range(depth):
-        sums.append(_pool(sums[-1]))
-        counts.append(_pool(counts[-1]))
+    for factors in plan:
+        sums.append(_pool(sums[-1], factors))
+        counts.append(_pool(counts[-1], factors))
     mean = sums[-1].sum(axis=(0, 1)) / jnp.maximum(counts[-1].sum(axis=(0, 1)), 1)
     guess = jnp.broadcast_to(mean, sums[-1].shape)
-    for level in range(depth, -1, -1):
-        if level < depth:
-            guess = _spread(guess)
+    for level in range(len(plan), -1, -1):
+        if level < len(plan):
+            guess = _spread(guess, plan[level])
         guess = jnp.where(counts[level] > 0, sums[level] / jnp.maximum(counts[level], 1), guess)
     return guess
 
@@ -170,7 +174,9 @@ def fill_membrane(
     """
     (rows, columns), many = z.shape, known.ndim - 2
     depth = max(0, math.ceil(math.log(max(rows, columns) / _COARSEST[many], _FACTOR)))
-    margin = [(0, -n % _FACTOR**depth) for n in (rows, columns)]
+    halvings = [min(depth, math.ceil(math.log(n, _FACTOR))) for n in (rows, columns)]  # until one cell is left
+    plan = [(_FACTOR if k < halvings[0] else 1, _FACTOR if k < halvings[1] else 1) for k in range(depth)]
+    margin = [(0, -n % _FACTOR**k) for n, k in zip((rows, columns), halvings, strict=True)]
 
     def prepared(a: jax.Array) -> jax.Array:
         a = jnp.pad(a, [*margin, *[(0, 0)] * (a.ndim - 2)])
@@ -180,11 +186,11 @@ def fill_membrane(
     known = known & inside
     hole = inside & ~known
 
-    first = _first_guess(z, known, depth) if guess is None else prepared(guess)
+    first = _first_guess(z, known, plan) if guess is None else prepared(guess)
     start = jnp.where(hole, first, jnp.where(known, z, 0))
     levels = [_springs(hole, inside)]
-    for _ in range(depth):
-        levels.append(_coarser(levels[-1]))
+    for factors in plan:
+        levels.append(_coarser(levels[-1], factors))
     levels[0] = levels[0]._replace(right=None, up=None)
     inverses = [jnp.where(s.total > 0, 1 / jnp.maximum(s.total, 1e-6), 0) for s in levels]
     levels, inverses = lax.optimization_barrier((levels, inverses))
@@ -201,7 +207,7 @@ def fill_membrane(
     def advance(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         x, force, direction, product, before, rounds = state
         open_ = before > tolerance  # a grid that is done stays as it is until the others are
-        step = lax.optimization_barrier(_v_cycle(levels, inverses, force))
+        step = lax.optimization_barrier(_v_cycle(levels, inverses, plan, force))
         new_product = _dot(force, step)
         direction = lax.optimization_barrier(step + jnp.where(open_, new_product / product, 0) * direction)
         pull = lax.optimization_barrier(_forces(levels[0], direction))
