@@ -157,7 +157,8 @@ def _ablations(folder: Path, link: str) -> list[str]:
     path = f"{link}/ablations/results/results.md"
     return [
         "## Choices within the methods",
-        f"Mean total error when one choice is made otherwise, all else as in the fixed set. All variants: [{path}]({path}).",
+        f"Mean total error when one choice is made otherwise, all else the same, as [its README]({link}/ablations/README.md) "
+        f"says. All variants: [{path}]({path}).",
         markdown(columns, lines),
     ]
 
