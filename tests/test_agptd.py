@@ -1,6 +1,7 @@
-"""AGPTD: the adaptive grid against a plain loop, its seeds, the terrain angle, and the switch that uses labels."""
+"""AGPTD: the adaptive grid against a plain loop, its seeds, the terrain angle, and what its printed errors hang on."""
 
 import csv
+import sys
 from pathlib import Path
 
 import jax
@@ -13,7 +14,11 @@ from jaxfilter.ops.refinement import MAX_SLOPE, cell_slopes
 from jaxfilter.stages.adaptive_grid import lowest_per_adaptive_cell
 from jaxfilter.stages.outliers import bar_outliers
 
-PUBLISHED = Path(__file__).resolve().parents[1] / "experiments" / "isprs" / "published"
+ROOT = Path(__file__).resolve().parents[1]
+PUBLISHED = ROOT / "experiments" / "isprs" / "published"
+sys.path.insert(0, str(ROOT))
+
+from experiments.papers.oracle import without_labelled_objects  # noqa: E402
 
 
 def hills(count=4000, seed=3, extent=(170.0, 130.0)):
@@ -156,28 +161,36 @@ def test_points_of_odd_elevation_are_no_seeds():
 def test_labelled_objects_are_taken_away_reproducibly(rng):
     xyz, truth = hills()
     cloud = jf.PointCloud.from_arrays(xyz, reference=truth)
-    research = jf.AGPTD(oracle_removal=0.6, seed_cell=12.0)
-    result = research(cloud)
-    removed = result.decision == jf.Decision.SET_ASIDE
-    assert result.info["uses_labels"] and not truth[removed].any()
-    assert removed.sum() == round(0.6 * (~truth).sum())
-    assert (research(cloud, key=jax.random.key(0)).decision == result.decision).all()
-    assert (research(cloud, key=jax.random.key(1)).decision != result.decision).any()
+    key, other = jax.random.key(0), jax.random.key(1)
+    left = without_labelled_objects(cloud, 0.6, key).candidate
+    assert not truth[~left].any() and (~left).sum() == round(0.6 * (~truth).sum())
+    assert (without_labelled_objects(cloud, 0.6, key).candidate == left).all()
+    assert (without_labelled_objects(cloud, 0.6, other).candidate != left).any()
     order = rng.permutation(len(xyz))
-    shuffled = research(jf.PointCloud.from_arrays(xyz[order], reference=truth[order]))
-    assert (shuffled.decision == result.decision[order]).all()
-    assert jf.evaluate(jf.AGPTD(oracle_removal=1.0, seed_cell=12.0)(cloud), truth).type2 == 0
+    shuffled = jf.PointCloud.from_arrays(xyz[order], reference=truth[order])
+    assert (without_labelled_objects(shuffled, 0.6, key).candidate == left[order]).all()
+    result = jf.AGPTD(seed_cell=12.0)(without_labelled_objects(cloud, 0.6, key))
+    assert ((result.decision == jf.Decision.SET_ASIDE) == ~left).all() and not result.ground[~left].any()
+    assert jf.evaluate(jf.AGPTD(seed_cell=12.0)(without_labelled_objects(cloud, 1.0, key)), truth).type2 == 0
     assert cloud.candidate.all()
 
 
-def test_without_labels_it_refuses_to_use_them():
+def test_labelled_objects_that_coincide_with_ground_stay():
+    xyz = [[0.0, 0, 0], [0, 0, 0], [5, 0, 1], [5, 0, 1], [0, 5, 2], [5, 5, 3]]
+    cloud = jf.PointCloud.from_arrays(xyz, reference=np.array([True, False, False, False, True, True]))
+    left = without_labelled_objects(cloud, 1.0, jax.random.key(0)).candidate
+    assert left.tolist() == [True, True, False, False, True, True]
+
+
+def test_objects_are_not_taken_away_without_labels_and_the_filter_reads_none():
     xyz, truth = hills()
-    with pytest.raises(jf.ParameterError, match=r"oracle_removal.*reference labels"):
-        jf.AGPTD(oracle_removal=0.5)(xyz)
-    with pytest.raises(jf.ParameterError, match="oracle_removal"):
-        jf.AGPTD(oracle_removal=1.2)
-    plain, labelled = jf.AGPTD()(xyz), jf.AGPTD()(jf.PointCloud.from_arrays(xyz, reference=truth))
-    assert not labelled.info["uses_labels"] and (plain.ground == labelled.ground).all()
+    labelled = jf.PointCloud.from_arrays(xyz, reference=truth)
+    with pytest.raises(ValueError, match="no reference labels"):
+        without_labelled_objects(jf.PointCloud.from_arrays(xyz), 0.5, jax.random.key(0))
+    for share in (1.2, -0.1, float("nan")):
+        with pytest.raises(ValueError, match=f"share={share}"):
+            without_labelled_objects(labelled, share, jax.random.key(0))
+    assert (jf.AGPTD()(xyz).ground == jf.AGPTD()(labelled).ground).all()
 
 
 def test_presets_hold_the_values_of_table_1():
@@ -198,8 +211,8 @@ def test_the_printed_errors_need_the_labels(data, number, share, total, kappa):
     """Tables 3 and 6: within half a point of the printed error with the objects of Table 3 taken away, far off without."""
     cloud = jf.read(data / "isprs" / f"samp{number}.txt")
     method = jf.AGPTD.preset(f"samp{number}")
-    with_labels = jf.evaluate(method.replace(oracle_removal=share / 100)(cloud), cloud.reference)
-    without = jf.evaluate(method(cloud), cloud.reference)
+    left = without_labelled_objects(cloud, share / 100, jax.random.key(0))
+    with_labels, without = (jf.evaluate(method(seen), cloud.reference) for seen in (left, cloud))
     assert abs(with_labels.total - total) < 0.5 and abs(with_labels.kappa - kappa) < 1.5
     assert without.total > 2.5 * total
 

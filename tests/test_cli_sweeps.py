@@ -214,9 +214,7 @@ def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, wor
     assert not (folder / "out").exists()
 
 
-def test_oracles_cannot_be_swept_and_methods_are_named(folder):
-    result = run("sweep", "agptd", folder / "truth.laz", folder / "out", "--axis", "oracle_removal=0.1,0.2")
-    assert_one_line(result, 2, "oracle_removal", "cannot be swept")
+def test_unknown_methods_and_files_for_folders_are_usage_errors(folder):
     assert_one_line(run("sweep", "nosuch", folder / "truth.laz", folder / "out", *AXES), 2, "nosuch", "smrf")
     assert run("sweep", "smrf", folder / "truth.laz", folder / "scene.laz", *AXES).exit_code == 2  # OUT_DIR is a file
 

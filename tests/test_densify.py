@@ -1,17 +1,22 @@
 """Densification against a plain loop that triangulates everything anew in every round."""
 
 import dataclasses
+import signal
+import time
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
+from triangulation import Mesh, in_circle
 
 from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import Decision
-from jaxfilter.host.tin import perturbed
+from jaxfilter.host.tin import Tin, lattice
 from jaxfilter.ops.facets import Rule
-from jaxfilter.stages.densify import Adaptive, Mirror, densify
+from jaxfilter.stages.densify import Densification, densify
+from jaxfilter.stages.growth import Adaptive, Border, Growth, Mirror, Network, Vertices
 from jaxfilter.stages.network import block_networks, border_positions, one_network
 
 
@@ -38,7 +43,16 @@ def seeds_of(points, barred=None, cell=15.0):
 def network_of(points, late=None):
     late = np.zeros(len(points), bool) if late is None else late
     border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
-    return one_network(points, seeds_of(points, late), border, late)
+    return one_network(points, seeds_of(points, late), border, late, late)
+
+
+def grown(net, max_rounds=100, workers=None, keep_labels=False, follow=False, in_tests=True, spacing=0.0, **policies):
+    """The outcome of a growth with the rule, and what else is given."""
+    fields = {name: policies.pop(name) for name in ("mirror", "adaptive", "insertion") if name in policies}
+    growth = Growth(
+        Rule(**policies), **fields, vertices=Vertices(spacing), border=Border(follow, in_tests), max_rounds=max_rounds
+    )
+    return densify(net, growth, workers=workers, keep_labels=keep_labels)
 
 
 def plain(
@@ -55,7 +69,7 @@ def plain(
 ):
     """The same method without any of the machinery: float64, one triangulation and all open points in every round."""
     xyz = net.xyz.astype(np.float64)
-    xy = perturbed(net.xyz)
+    xy = lattice(net.xyz).astype(np.int64)
     ground = net.seed.copy()
     virtual = np.flatnonzero(net.row < 0)
     while True:
@@ -65,12 +79,12 @@ def plain(
         if refresh:
             real = vertices[net.row[vertices] >= 0]
             xyz[virtual, 2] = xyz[real[cKDTree(xy[real]).query(xy[virtual])[1]], 2]
-        mesh = Delaunay(xy[vertices])
+        mesh = Mesh(xy[vertices])
         open_ = np.flatnonzero(net.open & ~ground)
 
         def judge(p, where, mesh=mesh, vertices=vertices):
-            f = xyz[vertices[mesh.simplices[where]]]
-            counts = net.row[vertices[mesh.simplices[where]]] >= (0 if bare else -1)
+            f = xyz[vertices[mesh.triangles[where]]]
+            counts = net.row[vertices[mesh.triangles[where]]] >= (0 if bare else -1)
             counts[~counts.any(1)] = True
             n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
             n *= (np.sign(n[:, 2]) / np.linalg.norm(n, axis=1))[:, None]
@@ -85,14 +99,16 @@ def plain(
                 d, angle = np.abs(d), np.abs(angle)
             return (angle <= max_angle) & (v <= max_elevation) & (d <= max_distance), f, n
 
-        where = mesh.find_simplex(xy[open_])
+        where = mesh.find(xy[open_])
         ok, f, n = judge(xyz[open_], where)
+        image_in = np.full(len(open_), -1)
         if mirror is not None:
             steep = np.flatnonzero(np.degrees(np.arccos(n[:, 2])) > mirror.slope)
             top = f[steep, f[steep, :, 2].argmax(1)]
             image = np.column_stack([2 * top[:, :2] - xyz[open_[steep], :2], xyz[open_[steep], 2]])
-            there = mesh.find_simplex(image[:, :2])
+            there = mesh.find(lattice(image))
             steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
+            image_in[steep] = there
             second = judge(image, there)[0]
             ok[steep] = {"or": ok[steep] | second, "and": ok[steep] & second, "replace": second}[mirror.mode]
         if not ok.any():
@@ -106,37 +122,40 @@ def plain(
                 ok[rivals] = False
                 ok[rivals[height[rivals].argmin()]] = True
         if one_by_one:  # from below, over the facets of this round: what an earlier one has changed waits for the next
-            taken, changed = {tuple(v) for v in net.xyz[vertices, :2]}, np.zeros(len(mesh.simplices), bool)
+            taken, changed = (
+                {tuple(v) for v in net.xyz[vertices, :2]},
+                np.zeros(len(mesh.triangles) + 1, bool),
+            )  # and no facet
             fresh = np.array([tuple(v) not in taken for v in net.xyz[open_, :2]])
-            chosen, relied = ok & ~fresh, np.zeros(len(mesh.simplices), bool)
+            chosen = ok & ~fresh
             seen = set()
             for i in np.flatnonzero(ok & fresh)[np.argsort(xyz[open_[ok & fresh], 2], kind="stable")]:
                 if where[i] in seen:
                     continue
                 seen.add(where[i])
-                circle = in_circles(xy[vertices][mesh.simplices], xy[open_[i]])
-                if not changed[where[i]] and not (circle & relied).any():
-                    chosen[i], relied[where[i]] = True, True
-                    changed |= circle
+                if not changed[where[i]] and not changed[image_in[i]]:
+                    chosen[i] = True
+                    changed[:-1] |= in_circles(xy[vertices][mesh.triangles], xy[open_[i]])
             ok = chosen
         ground[open_[ok]] = True
 
 
 def in_circles(corners, p):
-    """bool[t]: the circumcircles of triangles f64[t, 3, 2] that hold p, by centre and radius."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    d = 2 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    u, v = ((b - a) ** 2).sum(1), ((c - a) ** 2).sum(1)
-    x = (u * (c - a)[:, 1] - v * (b - a)[:, 1]) / d
-    y = (v * (b - a)[:, 0] - u * (c - a)[:, 0]) / d
-    return np.hypot(*(p - a - np.column_stack([x, y])).T) < np.hypot(x, y)
+    """bool[t]: the circumcircles of triangles i64[t, 3, 2], counter-clockwise, that hold p; ties in Python's integers."""
+    (ax, ay), (bx, by), (cx, cy) = (corners - p).astype(float).transpose(1, 2, 0)
+    a, b, c = ax**2 + ay**2, bx**2 + by**2, cx**2 + cy**2
+    value = a * (bx * cy - by * cx) - b * (ax * cy - ay * cx) + c * (ax * by - ay * bx)
+    inside = value > 0
+    for t in np.flatnonzero(abs(value) < 1e-9 * (a * b + b * c + a * c)):
+        inside[t] = in_circle(*map(tuple, corners[t].tolist()), tuple(p.tolist()))
+    return inside
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("refresh", [False, True])
 def test_signed_rule_equals_plain_loop(seed, refresh):
     net = network_of(scene(seed))
-    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1), refresh_border=refresh)
+    out = grown(net, max_angle=15, max_elevation=0.9, signed=1, follow=refresh)
     assert out.converged
     expected = plain(net, 15, 0.9, refresh=refresh)
     assert 0.4 < expected[net.row >= 0].mean() < 0.95
@@ -147,34 +166,66 @@ def test_signed_rule_equals_plain_loop(seed, refresh):
 def test_two_sided_rule_with_mirroring_equals_plain_loop(mode):
     net = network_of(scene(2))
     mirror = Mirror(20.0, "highest", mode)
-    out = densify(net, Rule(max_angle=12, max_distance=0.8), mirror=mirror)
+    out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
     expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
     assert (out.ground != expected).sum() <= 4
-    without = densify(net, Rule(max_angle=12, max_distance=0.8))
+    without = grown(net, max_angle=12, max_distance=0.8)
     assert (out.ground != without.ground).sum() > 10
+
+
+def blocks_of(points):
+    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
+    none = np.zeros(len(points), bool)
+    return block_networks(points, seeds_of(points), border, none, none, size=30.0, overlap=5.0, reach=63.6)
+
+
+def sheet_of(net, number):
+    """One sheet of a network, as a network of its own."""
+    part = net.sheet == number
+    columns = {name: getattr(net, name)[part] for name in ("xyz", "row", "seed", "open", "late")}
+    return dataclasses.replace(net, sheet=np.zeros(part.sum(), np.int32), **columns)
 
 
 def test_blocks_are_independent_and_equal_a_plain_loop_on_each():
     points = scene(3)
-    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
-    net = block_networks(
-        points, seeds_of(points), border, np.zeros(len(points), bool), size=30.0, overlap=5.0, reach=63.6
-    )
+    net = blocks_of(points)
     assert int(net.sheet[-1]) == 8
     opened = np.bincount(net.row[net.open], minlength=len(points))
     assert opened.min() == 1 and opened.max() == 4
-    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1), refresh_border=True)
-    for sheet in (0, 4, 8):
-        part = net.sheet == sheet
-        single = type(net)(*(getattr(net, f)[part] for f in ("xyz", "sheet", "row", "seed", "open", "late")))
-        assert (out.ground[part] != plain(single, 15, 0.9)).sum() <= 1
+    out = grown(net, max_angle=15, max_elevation=0.9, signed=1, follow=True)
+    for number in (0, 4, 8):
+        assert (out.ground[net.sheet == number] != plain(sheet_of(net, number), 15, 0.9)).sum() <= 1
+
+
+@pytest.mark.parametrize("policy", ["batch", "one_per_facet", "sequential", "spacing", "grids"])
+def test_blocks_together_equal_each_alone(policy):
+    points = scene(18, n=2500)
+    net = blocks_of(points)
+    policies = {"insertion": policy}
+    if policy == "spacing":
+        policies = {"vertices": Vertices(spacing=2.0)}
+    if policy == "grids":
+        grids = [grid_over(points.xyz, cell, points.offset(cell), name="cell") for cell in (8.0, 4.0, 2.0)]
+        policies = {"vertices": Vertices(grids=grids)}
+    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, "nearest", "or"), max_rounds=1000, **policies)
+    out = densify(net, growth, workers=3)
+    assert out.converged
+    numbers = range(int(net.sheet[-1]) + 1)
+    alone = [densify(sheet_of(net, number), growth, workers=1) for number in numbers]
+    assert len(numbers) > 3 and len({len(one.trace) for one in alone}) > 1
+    for name in ("ground", "decision"):
+        assert np.array_equal(getattr(out, name), np.concatenate([getattr(one, name) for one in alone]))
+    for name in ("height", "slope", "angle", "elevation", "margin"):  # kernels of other sizes round differently
+        together = np.concatenate([getattr(one, name) for one in alone])
+        np.testing.assert_allclose(getattr(out, name), together, atol=2e-3)
+    assert len(out.tin) == sum(len(one.tin) for one in alone)
 
 
 def test_threads_and_trace_do_not_change_labels():
     net = network_of(scene(4))
-    rule = Rule(max_angle=15, max_elevation=0.9, signed=1)
-    one = densify(net, rule, workers=1)
-    two = densify(net, rule, workers=3, keep_labels=True)
+    rule = {"max_angle": 15, "max_elevation": 0.9, "signed": 1}
+    one = grown(net, **rule, workers=1)
+    two = grown(net, **rule, workers=3, keep_labels=True)
     assert (one.ground == two.ground).all()
     counts = [step["ground"].sum() for step in two.trace]
     assert counts == sorted(counts) and (two.trace[-1]["ground"] == two.ground).all()
@@ -183,14 +234,15 @@ def test_threads_and_trace_do_not_change_labels():
 
 def test_heights_are_over_the_final_surface():
     net = network_of(scene(5))
-    out = densify(net, Rule(max_angle=15, max_elevation=0.9, signed=1))
+    out = grown(net, max_angle=15, max_elevation=0.9, signed=1)
     lowest = np.flatnonzero(out.ground)
     _, at = np.unique(net.xyz[lowest, :2], axis=0, return_index=True)
     vertices = lowest[np.sort(at)]
-    mesh = Delaunay(perturbed(net.xyz)[vertices])
+    xy = lattice(net.xyz)
+    mesh = Mesh(xy[vertices])
     others = np.flatnonzero(~out.ground)
-    where = mesh.find_simplex(perturbed(net.xyz)[others])
-    f = net.xyz[vertices[mesh.simplices[where]]].astype(float)
+    where = mesh.find(xy[others])
+    f = net.xyz[vertices[mesh.triangles[where]]].astype(float)
     n = np.cross(f[:, 1] - f[:, 0], f[:, 2] - f[:, 0])
     height = ((net.xyz[others] - f[:, 0]) * n).sum(1) / n[:, 2]
     np.testing.assert_allclose(out.height[others], height, atol=2e-3)
@@ -200,9 +252,9 @@ def test_heights_are_over_the_final_surface():
 def test_vertex_spacing_keeps_one_vertex_per_square_and_nearly_the_labels():
     points = scene(6, n=20000)
     net = network_of(points)
-    rule = Rule(max_angle=15, max_elevation=0.9, noise_floor=0.1, signed=1)
-    dense, thin = densify(net, rule), densify(net, rule, vertex_spacing=1.5)
-    assert thin.vertices <= 60 * 60 + 100 < dense.vertices
+    rule = {"max_angle": 15, "max_elevation": 0.9, "noise_floor": 0.1, "signed": 1}
+    dense, thin = grown(net, **rule), grown(net, **rule, spacing=1.5)
+    assert thin.tin.vertex.sum() <= 60 * 60 + 100 < dense.tin.vertex.sum()
     assert (thin.ground != dense.ground).mean() < 0.03
 
 
@@ -212,7 +264,7 @@ def test_late_points_wait_and_must_lie_near_the_surface():
     points.xyz[pit[:3], 2] -= 6.0  # suspected, rightly
     late = np.zeros(len(points), bool)
     late[pit] = True
-    out = densify(network_of(points, late), Rule(max_angle=15, max_elevation=0.9, signed=1))
+    out = grown(network_of(points, late), max_angle=15, max_elevation=0.9, signed=1)
     assert not out.ground[pit[:3]].any()
     assert out.ground[pit[3:]].any()
     assert out.decision[pit[0]] in (Decision.ANGLE, Decision.ELEVATION)
@@ -222,14 +274,14 @@ def test_the_lowest_of_coinciding_points_is_the_vertex():
     points = scene(8)
     twin = np.flatnonzero((np.diff(points.xyz[:, 0]) == 0) & (np.diff(points.xyz[:, 1]) == 0))
     assert len(twin) > 5
-    out = densify(network_of(points), Rule(max_angle=15, max_elevation=0.9, signed=1, noise_floor=0.05))
+    out = grown(network_of(points), max_angle=15, max_elevation=0.9, signed=1, noise_floor=0.05)
     both = twin[out.ground[twin] & out.ground[twin + 1]]
     assert len(both)
     assert (out.height[both] == 0).all() and (out.height[both + 1] > 0).all()
 
 
 def test_round_limit_is_reported():
-    out = densify(network_of(scene(9)), Rule(max_angle=15, max_elevation=0.9, signed=1), max_rounds=2)
+    out = grown(network_of(scene(9)), max_angle=15, max_elevation=0.9, signed=1, max_rounds=2)
     assert not out.converged and len(out.trace) == 2
 
 
@@ -243,47 +295,47 @@ def steep_scene(seed):
 @pytest.mark.parametrize("seed", [2, 3])
 def test_points_over_a_border_that_moved_are_tested_again(seed):
     net = network_of(steep_scene(seed))
-    out = densify(net, Rule(max_angle=12, max_elevation=0.7, signed=1), refresh_border=True)
+    out = grown(net, max_angle=12, max_elevation=0.7, signed=1, follow=True)
     assert (out.ground == plain(net, 12, 0.7)).all()
 
 
 @pytest.mark.parametrize("seed", [12, 13])
 def test_one_point_per_facet_equals_a_plain_loop(seed):
     net = network_of(scene(seed, n=1200, side=60.0))
-    rule = Rule(max_angle=14, max_distance=0.8)
-    out = densify(net, rule, insertion="one_per_facet", max_rounds=1000)
+    rule = {"max_angle": 14, "max_distance": 0.8}
+    out = grown(net, **rule, insertion="one_per_facet", max_rounds=1000)
     assert out.converged
     expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_each=True)
     assert (out.ground != expected).sum() <= 2
-    assert (out.ground != densify(net, rule).ground).sum() > 10
+    assert (out.ground != grown(net, **rule).ground).sum() > 10
 
 
-def test_points_one_by_one_equal_a_plain_loop():
+@pytest.mark.parametrize("mirror", [None, Mirror(5.0, "highest", "replace")], ids=["plain", "mirrored"])
+def test_points_one_by_one_equal_a_plain_loop(mirror):
     net = network_of(scene(12, n=400, side=36.0))
-    rule = Rule(max_angle=14, max_distance=0.8)
-    out = densify(net, rule, insertion="sequential", max_rounds=1000, keep_labels=True)
+    rule = {"max_angle": 14, "max_distance": 0.8, "mirror": mirror}
+    out = grown(net, **rule, insertion="sequential", max_rounds=1000, keep_labels=True)
     assert out.converged
-    expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, one_by_one=True)
+    expected = plain(net, 14, np.inf, 0.8, signed=False, refresh=False, mirror=mirror, one_by_one=True)
     assert (out.ground != expected).sum() <= 2
-    assert (out.ground != densify(net, rule).ground).sum() > 10
-    assert len(out.trace) > len(densify(net, rule, insertion="one_per_facet", max_rounds=1000).trace)
+    assert (out.ground != grown(net, **rule).ground).sum() > 10
+    assert len(out.trace) > len(grown(net, **rule, insertion="one_per_facet", max_rounds=1000).trace)
 
 
 def test_each_point_of_a_sequence_passes_in_the_triangulation_of_all_before_it():
     net = network_of(scene(17, n=500, side=40.0))
     mirror = Mirror(2.0, "highest", "replace")
-    rule = Rule(max_angle=14, max_distance=0.8)
-    out = densify(net, rule, mirror=mirror, insertion="sequential", max_rounds=1000, keep_labels=True)
+    rule = {"max_angle": 14, "max_distance": 0.8}
+    out = grown(net, **rule, mirror=mirror, insertion="sequential", max_rounds=1000, keep_labels=True)
     before, replayed = net.seed, 0
     for step in out.trace[:4]:
         new = np.flatnonzero(step["ground"] & ~before)
-        for turn in (new, new[::-1]):  # in any order: they do not influence each other
-            ground = before.copy()
-            for node in turn:
-                one = dataclasses.replace(net, seed=ground, open=np.arange(len(net.xyz)) == node)
-                assert densify(one, rule, mirror=mirror, max_rounds=1).ground[node]
-                ground[node] = True
-                replayed += 1
+        ground = before.copy()
+        for node in new[np.lexsort((new, net.xyz[new, 2]))]:
+            one = dataclasses.replace(net, seed=ground, open=np.arange(len(net.xyz)) == node)
+            assert grown(one, **rule, mirror=mirror, max_rounds=1).ground[node]
+            ground[node] = True
+            replayed += 1
         before = step["ground"]
     assert replayed > 30
 
@@ -291,18 +343,18 @@ def test_each_point_of_a_sequence_passes_in_the_triangulation_of_all_before_it()
 @pytest.mark.parametrize("signed", [False, True])
 def test_border_nodes_that_do_not_count_only_carry_planes(signed):
     net = network_of(steep_scene(4))
-    rule = Rule(max_angle=14, max_elevation=0.7, signed=signed)
-    out = densify(net, rule, border_in_tests=False)
+    rule = {"max_angle": 14, "max_elevation": 0.7, "signed": signed}
+    out = grown(net, **rule, in_tests=False)
     expected = plain(net, 14, 0.7, signed=signed, refresh=False, bare=True)
     assert (out.ground != expected).sum() <= 1
-    assert (out.ground != densify(net, rule).ground).sum() > 5
+    assert (out.ground != grown(net, **rule).ground).sum() > 5
 
 
 @pytest.mark.parametrize("mode", ["replace", "or", "and"])
 def test_points_whose_mirror_facet_changed_are_tested_again(mode):
     net = network_of(scene(14, n=2500, side=70.0))
     mirror = Mirror(5.0, "highest", mode)
-    out = densify(net, Rule(max_angle=12, max_distance=0.8), mirror=mirror)
+    out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
     expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
     assert (out.ground != expected).sum() <= 3
 
@@ -310,9 +362,9 @@ def test_points_whose_mirror_facet_changed_are_tested_again(mode):
 def test_loosened_thresholds_test_all_points_again():
     net = network_of(scene(15, n=2500, side=70.0))
     steps = iter([Rule(max_angle=6, max_distance=0.3)] * 3 + [Rule(max_angle=12, max_distance=0.8)] * 100)
-    late = densify(net, Rule(), adaptive=Adaptive(lambda distance, angle: next(steps)))
-    loose = densify(net, Rule(max_angle=12, max_distance=0.8))
-    tight = densify(net, Rule(max_angle=6, max_distance=0.3))
+    late = grown(net, adaptive=Adaptive(lambda distance, angle: next(steps)))
+    loose = grown(net, max_angle=12, max_distance=0.8)
+    tight = grown(net, max_angle=6, max_distance=0.3)
     assert tight.ground.sum() + 100 < late.ground.sum() <= loose.ground.sum() + 20
     assert [step["tested"] > 500 for step in late.trace[2:5]].count(True)
 
@@ -325,19 +377,19 @@ def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to
         seen.append((distance, angle))
         return Rule(max_angle=10, max_distance=0.5)
 
-    out = densify(net, Rule(), adaptive=Adaptive(keep))
+    out = grown(net, adaptive=Adaptive(keep))
     assert len(seen) == len(out.trace) + 1
     distance, angle = seen[-1]
     real = out.ground & (net.row >= 0)
     rows = np.flatnonzero(out.ground)
     _, at = np.unique(net.xyz[rows, :2], axis=0, return_index=True)
     vertices = rows[np.sort(at)]
-    mesh = Delaunay(perturbed(net.xyz)[vertices])
+    mesh = Mesh(lattice(net.xyz)[vertices])
     xyz = net.xyz.astype(float)
     expected = []
-    for facet, beyond in zip(mesh.simplices, mesh.neighbors, strict=True):
+    for facet, beyond in zip(mesh.triangles, mesh.neighbours, strict=True):
         for other in beyond[beyond >= 0]:
-            apex = np.setdiff1d(mesh.simplices[other], facet)[0]
+            apex = np.setdiff1d(mesh.triangles[other], facet)[0]
             nodes = vertices[np.append(facet, apex)]
             if real[nodes].all():
                 a, b, c, p = xyz[nodes]
@@ -348,3 +400,45 @@ def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to
     assert len(distance) == len(expected) > 500
     np.testing.assert_allclose(np.sort(distance), np.sort(expected[:, 0]), atol=1e-3)
     np.testing.assert_allclose(np.sort(angle), np.sort(expected[:, 1]), atol=0.05)
+
+
+@pytest.fixture(scope="module")
+def plain_of_millions():
+    """A network of 1800 x 1800 nodes, one in each square metre, that all pass in the first round: seconds of growth."""
+    rng = np.random.default_rng(7)
+    k = 1800 * 1800
+    xy = np.indices((1800, 1800)).reshape(2, -1).T + rng.integers(0, 1000, (k, 2)) / 1024
+    corners = [[-1, -1, 0], [1801, -1, 0], [1801, 1801, 0], [-1, 1801, 0]]
+    xyz = np.concatenate([np.column_stack([xy, rng.normal(0, 0.02, k)]), corners]).astype(np.float32)
+    seed = np.arange(k + 4) >= k
+    points = canonical_points(PointCloud.from_arrays(xyz[::100000]))
+    row, late = np.where(seed, -1, 0), np.zeros(k + 4, bool)
+    return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers that raise signals here")
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("step", ["_test", "insert"])
+def test_an_interrupt_is_obeyed_within_a_second(step, workers, plain_of_millions, monkeypatch):
+    of, due = (Densification if step == "_test" else Tin), []
+    work = getattr(of, step)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    def begun(self, nodes):
+        if len(nodes):
+            signal.setitimer(signal.ITIMER_REAL, 0.6)
+            due.append(time.monotonic() + 0.6)
+        return work(self, nodes)
+
+    monkeypatch.setattr(of, step, begun)
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            densify(plain_of_millions, Growth(Rule(max_angle=90.0)), workers=workers)
+        seconds = time.monotonic() - due[-1]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert seconds < 1.0

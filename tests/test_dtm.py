@@ -78,7 +78,7 @@ def test_linear_methods_are_exact_on_planes(rng, method):
     raster = model(scattered(rng, plane), method=method)
     inside = np.isfinite(raster.values)
     assert inside.mean() > 0.9
-    # Coordinates are known to a quantum, and the triangulation moves positions by less than half of one.
+    # Coordinates are known to a quantum.
     np.testing.assert_allclose(raster.values[inside], plane(*at_centres(raster)[inside].T), rtol=0, atol=1.2 * QUANTUM)
 
 

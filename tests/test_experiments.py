@@ -336,6 +336,20 @@ def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_p
     assert (tmp_path / "total.png").exists() and "**FPTD: signed" in (tmp_path / "results.md").read_text()
 
 
+def test_static_borders_are_those_of_the_switch_and_steps_that_do_not_exist_are_errors(town):
+    made = {v.name: v.make("samp11") for v in ablations.variants() if v.name.startswith("PTD: every")}
+    static = made["PTD: every 60 m, static"](town.cloud)
+    follows = made["PTD: every 60 m, follow the ground"]
+    switched = follows.replace(refresh_border=False)(town.cloud)
+    assert np.array_equal(static.height, switched.height, equal_nan=True)
+    assert not np.array_equal(static.height, follows(town.cloud).height, equal_nan=True)
+    dense = made["PTD: every 5 m, static"](town.cloud).info["border_points"]
+    sides = np.ptp(town.cloud.xyz[town.cloud.candidate, :2], axis=0)
+    assert dense == 2 * (sides // 5).sum() > static.info["border_points"]
+    with pytest.raises(AttributeError, match="no_such_step"):
+        ablations._modified("ptd", no_such_step=print)("samp11")
+
+
 def test_points_that_an_ablation_leaves_out_are_objects():
 
     from jaxfilter import scenes
@@ -653,5 +667,9 @@ def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two
     cloud = jf.read(samples.sample_path(two_samples, "53"))
     axes = {"max_angle": [29.0], "max_distance": [1.4]}
     swept = agptd2024.sweep_trial("research", {"samp53": cloud}, axes)
-    alone = jf.evaluate(agptd2024.filters("samp53")["research"](cloud), cloud.reference)
-    assert float(swept.total.squeeze()) == pytest.approx(alone.total)
+    method, left = agptd2024.filters("samp53")["research"], agptd2024.seen("research_three", "samp53", cloud)
+    assert float(swept.total.squeeze()) == pytest.approx(jf.evaluate(method(left), cloud.reference).total)
+    gone, objects = cloud.candidate & ~left.candidate, (~cloud.reference).sum()
+    assert not cloud.reference[gone].any()
+    assert 100 * gone.sum() / objects == pytest.approx(34.27, abs=100 / objects)  # printed in Table 3
+    assert agptd2024.seen("as_printed", "samp53", cloud) is cloud

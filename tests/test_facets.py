@@ -1,11 +1,13 @@
 """The facet kernel against plain float64 geometry."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxfilter.core.result import Decision
-from jaxfilter.ops.facets import Rule, judge, mirrored
+from jaxfilter.ops.facets import QUANTITIES, FacetScore, Rule, judge, mirrored
 
 
 def plain(p, f):
@@ -34,7 +36,7 @@ def scene():
 
 def run(rule, points, facets, late=None):
     late = np.zeros(len(points), bool) if late is None else late
-    return judge(Rule(*map(np.float32, rule)), late, points, facets)
+    return SimpleNamespace(**judge(Rule(*map(np.float32, rule)), late, points, facets))
 
 
 def test_scores_equal_float64_geometry_also_far_from_the_origin(scene):
@@ -42,16 +44,27 @@ def test_scores_equal_float64_geometry_also_far_from_the_origin(scene):
     expected = np.array([plain(p, f) for p, f in zip(points, facets, strict=True)]).T
     for shift in (0.0, 8192.0):
         move = np.float32([shift, shift, 0])
-        s = run(Rule(), points + move, facets + move).score
+        s = run(Rule(), points + move, facets + move)
         for got, want in zip((s.distance, s.height, s.angle, s.elevation, s.slope), expected, strict=True):
             np.testing.assert_allclose(got, want, atol=2e-3, rtol=2e-4)
+
+
+def test_quantities_are_those_that_are_named(scene):
+    points, facets = scene
+    late = np.zeros(len(points), bool)
+    every = judge(Rule(max_angle=np.float32(20)), late, points, facets)
+    assert sorted(every) == sorted(QUANTITIES)
+    some = judge(Rule(max_angle=np.float32(20)), late, points, facets, names=("slope", "accepted"))
+    assert sorted(some) == ["accepted", "slope"]
+    for name, values in some.items():
+        np.testing.assert_allclose(values, every[name], rtol=1e-6)
 
 
 def test_order_of_vertices_does_not_matter(scene):
     points, facets = scene
     a = run(Rule(max_angle=20, max_elevation=1), points, facets)
     b = run(Rule(max_angle=20, max_elevation=1), points, facets[:, [2, 1, 0]])
-    np.testing.assert_allclose(a.score.angle, b.score.angle, atol=2e-2)
+    np.testing.assert_allclose(a.angle, b.angle, atol=2e-2)
     assert (np.asarray(a.accepted) == np.asarray(b.accepted)).mean() > 0.99
 
 
@@ -106,13 +119,13 @@ def test_facets_without_a_plane_accept_nothing_and_give_finite_numbers():
     point = np.float32([[1, 0.5, 0.1]] * 2)
     v = run(Rule(), point, np.stack([vertical, line]))
     assert not np.asarray(v.accepted).any()
-    assert all(np.isfinite(np.asarray(a)).all() for a in v.score)
+    assert all(np.isfinite(getattr(v, name)).all() for name in FacetScore._fields)
 
 
 def test_a_point_on_a_vertex_has_angle_zero():
     facet = np.float32([[[0, 0, 1], [8, 0, 3], [0, 8, 2]]])
     v = run(Rule(max_angle=5, max_elevation=1, signed=1), facet[:, 0], facet)
-    assert bool(v.accepted[0]) and float(v.score.angle[0]) == 0.0
+    assert bool(v.accepted[0]) and float(v.angle[0]) == 0.0
 
 
 def test_mirror_images():

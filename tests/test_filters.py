@@ -188,6 +188,39 @@ def test_too_few_points_or_points_on_a_line(method, xyz):
     assert result.ground.tolist() == lowest
 
 
+def heap(spots, count=10_000):
+    """So many points above each of a few positions f64[n, 2]."""
+    xy = np.repeat(np.array(spots, float), count, axis=0)
+    return np.column_stack([xy, np.arange(len(xy)) % count * 0.01])
+
+
+@pytest.mark.parametrize(
+    "xyz",
+    [
+        heap([[7.0, 3.0]]),
+        heap([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]),
+        heap([[0.0, 0.0], [9.0, 3.0], [18.0, 6.0], [27.0, 9.0]]),
+        np.column_stack([k := np.arange(10_000) * 0.003, k / 3, k % 1]).round(3),
+    ],
+    ids=["one spot", "three spots", "four spots on a line", "line in millimetres"],
+)
+def test_ten_thousand_points_without_an_area_are_too_few(method, xyz):
+    with pytest.warns(jf.JaxfilterWarning, match="fewer than four"):
+        result = method()(xyz)
+    assert result.status == jf.Status.TOO_FEW_POINTS
+    position, spot = np.unique(xyz[:, :2], axis=0, return_inverse=True)
+    lowest = np.full(len(position), np.inf)
+    np.minimum.at(lowest, spot, xyz[:, 2])
+    assert (result.ground == (xyz[:, 2] == lowest[spot])).all()
+
+
+def test_ten_thousand_points_on_one_spot_of_a_cloud_are_filtered_like_one(method, small):
+    many = np.concatenate([small[0], heap([[41.0, 61.0]]) + [0, 0, 0.3]])
+    result = method()(many)
+    assert result.status == jf.Status.CONVERGED
+    assert (result.ground[:6000] == labels(method, np.concatenate([small[0], many[6000:6001]]))[:6000]).mean() > 0.98
+
+
 def test_four_points(method):
     assert len(method()(np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2], [9, 9, 0.3]]))) == 4
 

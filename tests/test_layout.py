@@ -57,6 +57,7 @@ def test_imports_go_downward_only(path):
         ("laspy", {"host"}),
         ("scipy", {"host", "stages", "filters", "plots", "sweeps"}),
         ("jax", {"core", "ops", "stages", "filters"}),
+        ("numba", {"host"}),
     ],
 )
 def test_libraries_stay_in_their_rooms(library, rooms):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import pytest
 from jaxfilter.citing import citation
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.params import check_fields, filter_params, param, static
-from jaxfilter.filters import FILTERS, SMRF
+from jaxfilter.filters import FILTERS, SMRF, papers
 
 METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
 
@@ -145,6 +146,8 @@ def test_every_method_is_documented_cited_and_has_both_presets(method):
     assert {"paper", "recommended"} <= set(method.PRESETS)
     assert "=" not in method.__doc__.splitlines()[0], "a dataclass without docstring gets its signature"
     assert "@article{" in citation(method()) == citation(method.__name__)
+    doi = re.findall(r"doi:(10\.[^\s,]+[^\s,.])", method.__doc__)
+    assert all(f"{{{one}}}" in method.BIBTEX for one in doi), doi
     for f in dataclasses.fields(method):
         assert f.metadata.get("doc"), f"{method.__name__}.{f.name} says nothing"
         assert "static" in f.metadata
@@ -179,3 +182,15 @@ def test_every_method_survives_the_pytree_round_trip(method):
 def test_an_unknown_citation_names_the_known_ones():
     with pytest.raises(ParameterError, match=r"no citation for 'nosuch'; .*fptd"):
         citation("nosuch")
+    with pytest.raises(ParameterError, match=r"no citation for Toy: .*BIBTEX"):
+        citation(Toy)
+
+
+def test_every_paper_is_written_once_and_cited():
+    entries = [entry for name, entry in vars(papers).items() if name.isupper()]
+    keys = [re.match(r"@article\{(\w+),\n", entry)[1] for entry in entries]
+    assert len(set(keys)) == len(keys) == 12
+    cited = [key for name in FILTERS for key in re.findall(r"^@article\{(\w+),$", citation(name), re.MULTILINE)]
+    assert set(cited) == set(keys) and len(cited) == 16
+    blocks = {block for name in FILTERS for block in citation(name).split("\n\n")}
+    assert blocks == set(entries)

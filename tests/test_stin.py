@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
+from triangulation import Mesh
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host.tin import perturbed
+from jaxfilter.host.tin import lattice
 from jaxfilter.host.trend import quadratic_trend
 
 TABLE_2 = {  # initial grid m, slope %, distance m, angle degrees
@@ -39,18 +40,18 @@ def lowest(xyz, rows, cell):
 
 def plain(points, f, barred=None, lost=None):
     """The method without any machinery: float64, a new triangulation and all points in every round."""
-    xyz, xy, n = points.xyz.astype(float), perturbed(points.xyz), len(points)
+    xyz, xy, n = points.xyz.astype(float), lattice(points.xyz), len(points)
     barred = np.zeros(n, bool) if barred is None else barred
     lost = np.zeros(n, bool) if lost is None else lost
     seeds = lowest(xyz, np.flatnonzero(~barred), f.seed_cell)
     (west, south), (east, north) = xyz[:, :2].min(0) - 10, xyz[:, :2].max(0) + 10
     corner = np.float32([[west, south], [east, south], [east, north], [west, north]]).astype(float)
-    corner = np.column_stack([corner, xyz[seeds[cKDTree(xy[seeds]).query(corner)[1]], 2]])
+    corner = np.column_stack([corner, xyz[seeds[cKDTree(xyz[seeds, :2]).query(corner)[1]], 2]])
     ground = np.isin(np.arange(n), seeds)
     far, steep, cell = f.max_distance, f.max_angle, f.seed_cell
 
     def judge(p, where, far, steep):
-        facet = nodes[mesh.simplices[where]]
+        facet = nodes[mesh.triangles[where]]
         normal = np.cross(facet[:, 1] - facet[:, 0], facet[:, 2] - facet[:, 0])
         normal *= (np.sign(normal[:, 2]) / np.linalg.norm(normal, axis=1))[:, None]
         d = np.abs(((p - facet[:, 0]) * normal).sum(1))
@@ -64,23 +65,22 @@ def plain(points, f, barred=None, lost=None):
         while True:
             vertices = lowest(xyz, np.flatnonzero(ground), cell)
             nodes = np.concatenate([xyz[vertices], corner])
-            flat = np.concatenate([xy[vertices], corner[:, :2]])
-            mesh, middle = Delaunay(flat - flat.mean(0)), flat.mean(0)
+            mesh = Mesh(lattice(nodes))
             if start and f.thresholds == "quantile" and cell < f.seed_cell:
                 others = np.setdiff1d(np.flatnonzero(ground), vertices)
-                _, d, angle, *_ = judge(xyz[others], mesh.find_simplex(xy[others] - middle), far, steep)
+                _, d, angle, *_ = judge(xyz[others], mesh.find(xy[others]), far, steep)
                 far, steep = (
                     min(f.max_distance, np.quantile(d, f.quantile)),
                     min(f.max_angle, np.quantile(angle, f.quantile)),
                 )
             start = False
             rest = np.flatnonzero(~ground & ~lost)
-            ok, _, _, facet, normal, gap = judge(xyz[rest], mesh.find_simplex(xy[rest] - middle), far, steep)
+            ok, _, _, facet, normal, gap = judge(xyz[rest], mesh.find(xy[rest]), far, steep)
             if f.mirror != "off":
                 over = np.flatnonzero(np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2] > f.max_terrain_slope / 100)
                 about = facet[over, gap[over].argmin(1)]
                 image = np.column_stack([2 * about[:, :2] - xyz[rest[over], :2], xyz[rest[over], 2]])
-                there = mesh.find_simplex(image[:, :2] - middle)
+                there = mesh.find(lattice(image))
                 over, image, there = over[there >= 0], image[there >= 0], there[there >= 0]
                 second = judge(image, there, far, steep)[0]
                 ok[over] = {"or": ok[over] | second, "and": ok[over] & second, "replace": second}[f.mirror_mode]
@@ -92,7 +92,7 @@ def plain(points, f, barred=None, lost=None):
         cell = max(cell / 2, f.final_cell)
     if f.retest:
         rest = np.setdiff1d(np.arange(n), vertices)
-        ground[rest] = judge(xyz[rest], mesh.find_simplex(xy[rest] - middle), far, steep)[0]
+        ground[rest] = judge(xyz[rest], mesh.find(xy[rest]), far, steep)[0]
     return ground
 
 

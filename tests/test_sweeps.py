@@ -13,9 +13,8 @@ from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
-from jaxfilter.host.tin import Tin
 from jaxfilter.ops.inpaint import fill_membrane
-from jaxfilter.stages import lanes
+from jaxfilter.stages import tin_filter
 
 
 @pytest.fixture(scope="module")
@@ -120,17 +119,40 @@ def test_points_at_the_position_of_a_vertex_have_one_label_whatever_the_history(
 
 
 @pytest.mark.parametrize("limit", [1, 2, 3])
-def test_lanes_stop_at_the_limit_of_rounds(limit, hills):
+def test_sets_stop_at_the_limit_of_rounds(limit, hills):
     sets = product(jf.FPTD(window=30.0, max_rounds=limit), max_angle=(4.0, 30.0), max_elevation=(0.4, 1.4))
     for one, ground in zip(sets, labels_of(sets[0], sets, hills), strict=True):
         assert np.array_equal(one(hills).ground, ground)
 
 
-def test_lanes_do_not_depend_on_how_many_fit_into_memory(hills, monkeypatch):
+@pytest.mark.parametrize(("workers", "memory", "at_once"), [(1, 2e9, 1), (3, 2e9, 3), (3, 1.0, 1)])
+def test_sets_share_the_start_and_grow_in_threads_as_memory_allows(workers, memory, at_once, hills, monkeypatch):
     sets = product(jf.FPTD(window=30.0), max_angle=(4.0, 15.0, 30.0), max_elevation=(0.4, 1.4))
-    whole = labels_of(sets[0], sets, hills)
-    monkeypatch.setattr(lanes, "MOST", 2)
-    assert np.array_equal(labels_of(sets[0], sets, hills), whole)
+    alone = [one(hills).ground for one in sets]
+    starts, growths, start, densify = [], [], jf.FPTD.start, tin_filter.densify
+
+    def started(self, *arguments):
+        starts.append(self)
+        return start(self, *arguments)
+
+    def grown(*arguments, **options):
+        growths.append(options["workers"])
+        return densify(*arguments, **options)
+
+    monkeypatch.setattr(jf.FPTD, "start", started)
+    monkeypatch.setattr(tin_filter, "densify", grown)
+    points = canonical_points(hills)
+    found = dict(sets[0].ground_each(points, sets, key=None, workers=workers, memory=memory))
+    assert len(starts) == 1 and growths == [workers // at_once] * len(sets)
+    for number, ground in enumerate(alone):
+        assert np.array_equal(found[number][points.member], ground[points.index])
+
+
+def test_a_fixed_limit_is_that_of_each_set(hills):
+    filter_ = jf.FPTD(window=30.0, block_limit="fixed")
+    sets = product(filter_, max_angle=(4.0, 30.0), max_elevation=(0.1, 1.4))
+    for one, ground in zip(sets, labels_of(filter_, sets, hills), strict=True):
+        assert np.array_equal(one(hills).ground, ground)
 
 
 @pytest.mark.parametrize(
@@ -201,34 +223,6 @@ def test_threads_keep_the_device_of_their_caller():
         with jax.default_device(device):
             assert pool.submit(used, 0).result() is None, "threads do not inherit it"
             assert pool.submit(on_same_device(used), 0).result() == device
-
-
-def test_copies_of_a_triangulation_are_the_same_and_apart(rng):
-    from concurrent.futures import ThreadPoolExecutor
-
-    xyz = (rng.random((600, 3)) * 50).astype(np.float32)
-    sheet = np.repeat([0, 1], 300).astype(np.int32)
-    with ThreadPoolExecutor(1) as pool:
-        tin = Tin(xyz.copy(), sheet, np.r_[0:60, 300:360], pool)
-        of_nodes = np.where(tin.vertex, -1, tin.where)
-        other, moved = tin.copies(np.array([1, 0, 1]), of_nodes)
-        other.insert(np.arange(400, 450))
-        again, _ = tin.copies(np.array([1, 0]), of_nodes)
-        again.insert(np.arange(400, 450))
-    assert len(other.xyz) == 900 and other.sheet.tolist() == np.repeat([0, 1, 2], 300).tolist()
-
-    def corners(t, number, shift):
-        mine = t.sheet[t.triangles[:, 0]] == number
-        return {tuple(sorted(row)) for row in (t.triangles[mine] - shift).tolist()}
-
-    for number, (source, shift) in enumerate([(1, 300), (0, 0), (1, 300)]):
-        if number != 1:  # the second copy got new vertices
-            assert corners(other, number, 300 * number) == corners(tin, source, shift)
-    assert corners(other, 1, 300) == corners(again, 1, 300) != corners(tin, 0, 0)
-    inside = moved[:300] >= 0
-    a = tin.xyz[tin.triangles[of_nodes[300:][inside]]]
-    b = tin.copies(np.array([1]), of_nodes)[0]
-    assert np.array_equal(b.xyz[b.triangles[b.where[:300][inside]]], a)
 
 
 def test_many_membranes_at_once_equal_single_ones(rng):
@@ -316,15 +310,6 @@ def test_bad_axes_are_named_before_anything_runs(axes, options, named, cloud, mo
     monkeypatch.setattr(jf.SMRF, "ground_each", None)
     with pytest.raises(jf.ParameterError, match=named):
         jf.sweep(jf.SMRF(), cloud, axes, **options)
-
-
-def test_a_field_that_does_not_act_through_the_labels_cannot_be_swept(cloud):
-    for filter_, axes in (
-        (jf.AGPTD(), {"oracle_removal": [0.0, 0.5]}),
-        (jf.AGPTD(oracle_removal=0.5), {"max_angle": [9.0]}),
-    ):
-        with pytest.raises(jf.ParameterError, match="oracle_removal"):
-            jf.sweep(filter_, cloud, axes)
 
 
 def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):

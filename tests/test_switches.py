@@ -55,6 +55,17 @@ def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
     assert found[0] != found[1]
 
 
+@pytest.mark.parametrize("insertion", ["batch", "one_per_facet", "sequential"])
+def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other(insertion):
+    rng = np.random.default_rng(0)
+    xy = rng.integers(0, 30, (1500, 2)).astype(float)
+    xyz = np.column_stack([xy, 0.1 * xy[:, 0] + rng.normal(0, 0.3, 1500)]).round(2)
+    result = jf.FPTD(insertion=insertion, max_rounds=1000, window=15.0, stride=5.0)(xyz)
+    positions = np.unique(xyz[result.ground, :2], axis=0)
+    assert result.info["vertices"] == len(positions) + result.info["border_points"]
+    assert len(positions) < 0.95 * result.ground.sum() and not result.ground.all()
+
+
 def test_removed_outliers_are_as_if_they_had_not_been_there(hills):
     filter_ = SWITCHED["removed"].replace(low_clusters=False)
     low, high = hills[:, :2].min(0), hills[:, :2].max(0)
@@ -105,7 +116,7 @@ def test_a_signed_ptd_is_the_plain_loop_with_signed_tests(hills):
     filter_ = jf.PTD(
         signed=True, mirror="off", refresh_border=False, seed_cell=12.0, low_clusters=False, max_distance=0.4
     )
-    network = filter_.start(points, 1, silent).network
+    network = filter_.start(points, 1, silent)
     expected = plain(network, 15.0, np.inf, 0.4, signed=True, refresh=False)[: len(points)]
     found = filter_(hills).ground
     assert (found[points.index] != expected[points.member]).sum() <= 2

@@ -1,184 +1,588 @@
-"""The growing triangulation against SciPy's triangulation of all vertices at once."""
+"""The growing triangulation against the one made anew of all its vertices, in any order, batches, history and threads."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial import Delaunay
+from triangulation import Mesh, in_circle, power, triangulation, turn
 
 from jaxfilter.core.cloud import QUANTUM
 from jaxfilter.core.points import morton
+from jaxfilter.host import flips
 from jaxfilter.host import tin as tin_module
-from jaxfilter.host.tin import Tin, delaunay, perturbed
+from jaxfilter.host.tin import Tin
+
+FAR = 2**26
+"""Half of the largest distance along an axis that is tried, in quanta."""
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def pool():
-    with ThreadPoolExecutor(2) as executor:
+    with ThreadPoolExecutor(3) as executor:
         yield executor
 
 
-def nodes(rng, n, side, step):
-    """Distinct lattice positions (many cocircular), in Morton order, with four corners around them."""
-    xy = np.unique(np.rint(rng.uniform(0, side, (n, 2)) / step) * step, axis=0)
-    xyz = np.column_stack([xy, rng.uniform(0, 9, len(xy))])
-    xyz = (np.rint(xyz / QUANTUM) * QUANTUM).astype(np.float32)
-    corners = np.array([[-1, -1, 0], [side + 1, -1, 0], [side + 1, side + 1, 0], [-1, side + 1, 0]], np.float32)
-    return np.concatenate([xyz[np.argsort(morton(xyz))], corners + np.float32([0, 0, 1])])
+def random(rng, n):
+    """No four on a circle, nearly surely."""
+    return rng.integers(0, 2**17, (n, 2))
 
 
-def triples(triangles):
-    return {tuple(sorted(t)) for t in triangles.tolist()}
+def grid(rng, n):
+    """Many of them on every circle."""
+    return rng.integers(0, 8, (n, 2)) * rng.choice([1, 2, 1024])
 
 
-def assert_sound(tin):
-    """Same triangles as from scratch, counter-clockwise, mutual neighbours, every other node inside its triangle."""
+def circles(rng, n):
+    """Lattice positions on circles around one centre, corners of squares among them, and the centre."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(-65, 66), np.arange(-65, 66)))
+    on = np.isin(x * x + y * y, rng.choice([25, 50, 325, 425, 625, 1105, 4225], 3))
+    return np.append(rng.permutation(np.column_stack([x, y])[on])[:n], [[0, 0]], axis=0) * rng.choice([1, 7, 2**18])
+
+
+def lines(rng, n):
+    """Runs of positions along a few lines, some of them parallel, all of them crossing or touching others."""
+    step = np.array([[1, 0], [0, 1], [1, 1], [2, 1], [-1, 3]]) * 16
+    return step[rng.integers(0, 5, n)] * rng.integers(-n // 3, n // 3, n)[:, None] + rng.choice([0, 0, 48], (n, 1))
+
+
+def clusters(rng, n):
+    """Positions a few quanta apart, kilometres from the next ones."""
+    return rng.integers(-2, 3, (4, 2))[rng.integers(0, 4, n)] * 2**20 + rng.integers(-2, 3, (n, 2))
+
+
+def far(rng, n):
+    """A crowd within a few millimetres, and others as far away as is allowed."""
+    crowd, others = rng.integers(-3, 4, (n, 2)), rng.integers(-8, 9, (n // 6, 2)) * (FAR // 8)
+    return np.concatenate([crowd, others, [[-FAR, -FAR], [FAR, FAR], [FAR, -FAR]]])
+
+
+def of_size(rng, n):
+    """Positions on an integer lattice of a random size."""
+    return rng.integers(0, rng.choice([3, 30, 3000]), (n, 2))
+
+
+KINDS = [random, grid, circles, lines, clusters, far, of_size]
+
+
+def nodes(rng, xy, twins=True):
+    """f32[k, 3]: nodes at these positions i64[n, 2], one at each and some again, shuffled."""
+    xy = np.unique(xy, axis=0)
+    xy = np.concatenate([xy, xy[rng.random(len(xy)) < 0.3 * twins]])
+    out = np.column_stack([xy * QUANTUM, rng.uniform(0, 9, len(xy))]).astype(np.float32)
+    assert (np.rint(out[:, :2].astype(float) / QUANTUM) == xy).all()
+    return out[rng.permutation(len(out))]
+
+
+def single(xy, chosen):
+    """Of ascending nodes the first at each position i32[k, 2]."""
+    return np.sort(chosen[np.unique(xy[chosen], axis=0, return_index=True)[1]])
+
+
+def has_area(xy):
+    """Whether positions i32[k, 2] are not on a line."""
+    if len(xy) < 3:
+        return False
+    x, y = (xy - xy[0]).astype(np.int64).T
+    most = np.argmax(x * x + y * y)
+    return bool((x * y[most] != y * x[most]).any())
+
+
+def assert_canonical(tin):
+    """Each sheet has the triangles of the reference, all tables say the same, and so does the count."""
+    triangles, neighbours = tin.facets()
+    of = tin.sheet[triangles[:, 0]]
+    first = 0
     for sheet in range(int(tin.sheet[-1]) + 1):
         vertices = np.flatnonzero(tin.vertex & (tin.sheet == sheet))
-        mine = tin.triangles[tin.sheet[tin.triangles[:, 0]] == sheet]
-        assert triples(mine) == triples(vertices[Delaunay(tin.xy[vertices] - tin.xy[vertices].mean(0)).simplices])
-    a, b, c = (tin.xy[tin.triangles[:, k]] for k in range(3))
-    u, v = b - a, c - a
-    assert (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0).all()
-    row, edge = np.nonzero(tin.neighbours >= 0)
-    other = tin.neighbours[row, edge]
-    assert (tin.neighbours[other] == row[:, None]).any(axis=1).all()
-    shared = [len(set(tin.triangles[i]) & set(tin.triangles[j])) for i, j in zip(row[:500], other[:500], strict=True)]
-    assert set(shared) == {2}
-    free = np.flatnonzero(~tin.vertex)
-    corner = tin.xy[tin.triangles[tin.where[free]]] - tin.xy[free][:, None]
-    ahead = np.roll(corner, -1, axis=1)
-    assert (corner[..., 0] * ahead[..., 1] - corner[..., 1] * ahead[..., 0] > -1e-7).all()
+        mesh = Mesh(tin.xy[vertices])
+        assert np.array_equal(triangles[of == sheet], vertices[mesh.triangles])
+        assert np.array_equal(neighbours[of == sheet], np.where(mesh.neighbours < 0, -1, mesh.neighbours + first))
+        hull = int((mesh.neighbours < 0).sum())
+        assert len(mesh.triangles) == 2 * len(vertices) - 2 - hull  # Euler
+        first += len(mesh.triangles)
+    assert len(tin) == first
+    vertices = np.flatnonzero(tin.vertex)
+    assert (tin.triangles[tin.where[vertices]] == vertices[:, None]).any(axis=1).all()
 
 
-@pytest.mark.parametrize("chunk", [8192, 150])
-@pytest.mark.parametrize("step", [0.25, 2.0])
-def test_batches_of_insertions_equal_a_triangulation_from_scratch(pool, monkeypatch, chunk, step):
+def assert_located(tin, chosen):
+    """Each node is in its triangle, or outside the hull in sight of an edge, after a step of (e, e^2)."""
+    corner = tin.triangles[tin.where[chosen]]
+    assert (tin.sheet[np.maximum(corner, corner.max(axis=1)[:, None])] == tin.sheet[chosen][:, None]).all()
+    for k in range(3):
+        a, b = corner[:, k], corner[:, (k + 1) % 3]
+        for node, i, j in zip(*(v[(a >= 0) & (b >= 0)].tolist() for v in (chosen, a, b)), strict=True):
+            p, q, r = (tuple(tin.xy[v].tolist()) for v in (i, j, node))
+            assert (turn(p, q, r), p[1] - q[1], q[0] - p[0]) > (0, 0, 0)  # the terms of 1, e and e^2
+
+
+def assert_empty_circles(xy, triangles):
+    """No circle has a position in it, the triangles cover the hull, and that is convex."""
+    p = [tuple(q) for q in xy.tolist()]
+    assert all(power(p[a], p[b], p[c], q) <= 0 for a, b, c in triangles.tolist() for q in p)
+    areas = [turn(p[a], p[b], p[c]) for a, b, c in triangles.tolist()]
+    assert min(areas) > 0
+    edges = {(t[k], t[k - 2]) for t in triangles.tolist() for k in range(3)}
+    rim = [(a, b) for a, b in edges if (b, a) not in edges]
+    assert all(turn(p[a], p[b], q) >= 0 for a, b in rim for q in p)
+    assert sum(areas) == sum(p[a][0] * p[b][1] - p[b][0] * p[a][1] for a, b in rim)
+
+
+def inner(tin):
+    """i64[v]: vertices that are not on the hull of their sheet."""
+    triangles, neighbours = tin.facets()
+    row, k = np.nonzero(neighbours < 0)
+    rim = np.append(triangles[row, (k + 1) % 3], triangles[row, (k + 2) % 3])
+    return np.setdiff1d(np.flatnonzero(tin.vertex), rim)
+
+
+def stamped(tin, change, *arguments):
+    """Do something in a round of its own: what keeps its corners is not stamped, and nothing else."""
+    before, kinds = tin.triangles.copy(), {tuple(t) for t in tin.facets()[0].tolist()}
+    tin.now += 1
+    out = change(*arguments)
+    same = tin.stamp != tin.now
+    assert np.array_equal(tin.triangles[same], before[same])
+    new = tin.triangles[(tin.stamp == tin.now) & (tin.triangles >= 0).all(axis=1)]
+    new = np.take_along_axis(new, (new.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    assert kinds.isdisjoint(map(tuple, new.tolist()))
+    return out
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    size=st.integers(20, 70),
+    rounds=st.integers(1, 3),
+    chunk=st.sampled_from([65536, 5]),
+    most=st.sampled_from([10_000_000, 0, 3]),
+    workers=st.sampled_from([1, 3]),
+)
+def test_any_history_has_the_triangulation_of_its_vertices(kind, pool, seed, size, rounds, chunk, most, workers):
+    rng = np.random.default_rng(seed)
+    xyz = nodes(rng, kind(rng, size))
+    xy, sheet = tin_module.lattice(xyz), np.zeros(len(xyz), np.int32)
+    every = single(xy, np.arange(len(xyz)))
+    if not has_area(xy[every]):
+        return
+    start = single(xy, np.sort(rng.permutation(len(xyz))[: rng.integers(3, size)]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tin_module, "CHUNK", chunk)
+        patch.setattr(tin_module, "_MADE", most)
+        tin = Tin(xyz, sheet, start if has_area(xy[start]) else every, pool, workers)
+        assert_canonical(tin)
+        for _ in range(rounds):
+            assert_located(tin, np.flatnonzero(~tin.vertex))
+            free = np.flatnonzero(~tin.vertex)
+            free = free[tin.twins(free) < 0]
+            stamped(tin, tin.insert, single(xy, free[rng.random(len(free)) < 0.5]))
+            assert_canonical(tin)
+            out = inner(tin)
+            stamped(tin, tin.remove, out[rng.random(len(out)) < 0.6])
+            assert_canonical(tin)
+            tin.locate(np.flatnonzero(~tin.vertex))
+        free = np.flatnonzero(~tin.vertex)
+        stamped(tin, tin.insert, single(xy, free[tin.twins(free) < 0]))
+        assert_canonical(tin)
+    order = rng.permutation(len(xyz))
+    other = Tin(xyz[order], sheet, single(xy[order], np.arange(len(order))), pool)
+    assert positions(other) == positions(tin)
+    assert_empty_circles(xy, tin.facets()[0])
+    if kind is random:
+        mesh = Delaunay(xy[every] - xy[every].mean(axis=0))
+        assert positions(tin) == {tuple(sorted(map(tuple, xy[every[t]].tolist()))) for t in mesh.simplices}
+
+
+def positions(tin):
+    """The triangles by the positions of their corners, whatever the numbers of the nodes."""
+    return {tuple(sorted(map(tuple, t))) for t in tin.xy[tin.facets()[0]].tolist()}
+
+
+def test_large_networks_have_the_triangulation_of_scipy_or_of_the_reference(pool, rng):
+    for xy, unique in ((random(rng, 30000), True), (rng.integers(0, 60, (9000, 2)) * 256, False)):
+        xyz = nodes(rng, xy, twins=False)
+        xyz = xyz[np.argsort(morton(xyz))]
+        tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+        assert tin.vertex.all() and len(tin) == len(tin.facets()[0])
+        if unique:
+            mesh = Delaunay(tin.xy - tin.xy.mean(axis=0))
+            assert {tuple(sorted(t)) for t in tin.facets()[0].tolist()} == {
+                tuple(sorted(t)) for t in mesh.simplices.tolist()
+            }
+        else:
+            assert np.array_equal(tin.facets()[0], triangulation(tin.xy))
+
+
+@pytest.mark.parametrize(
+    "kinds", [(random, grid, lines, of_size), (random,), (of_size,)], ids=["sheets", "random", "of_size"]
+)
+@pytest.mark.parametrize("chunk", [65536, 300])
+def test_threads_and_parts_change_nothing(rng, monkeypatch, chunk, kinds):
+    parts = [nodes(rng, kind(rng, 12000 // len(kinds))) for kind in kinds]
+    parts = [part[np.argsort(morton(part - part.min(axis=0)))] for part in parts]
+    sheet = np.repeat(np.arange(len(parts)), [len(part) for part in parts]).astype(np.int32)
+    xyz, xy = np.concatenate(parts), tin_module.lattice(np.concatenate(parts))
+    every = np.concatenate([single(xy, np.flatnonzero(sheet == n)) for n in range(len(parts))])
+    found = []
+    for threads in (1, 4):
+        monkeypatch.setattr(tin_module, "CHUNK", 65536 if threads == 1 else chunk)
+        with ThreadPoolExecutor(threads) as executor:
+            tin = Tin(xyz, sheet, every[::2], executor, threads)
+            tin.now += 1
+            tin.insert(every[1::2])
+            tin.remove(inner(tin)[::2])
+            tin.locate(np.flatnonzero(~tin.vertex))
+        found.append([*tin.facets(), tin.vertex, tin.corners(tin.where[np.flatnonzero(~tin.vertex)])])
+    assert all(np.array_equal(one, two) for one, two in zip(*found, strict=True))
+
+
+@settings(max_examples=30, deadline=None, derandomize=True, database=None)
+@given(seed=st.integers(0, 2**32 - 1), kinds=st.tuples(*[st.sampled_from(KINDS)] * 3), size=st.integers(15, 40))
+def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
+    rng = np.random.default_rng(seed)
+    parts = [nodes(rng, kind(rng, size)) for kind in kinds]
+    parts = [part for part in parts if has_area(tin_module.lattice(part))]
+    if not parts:
+        return
+    sheet = np.repeat(np.arange(len(parts)), [len(part) for part in parts]).astype(np.int32)
+    first = np.searchsorted(sheet, np.arange(len(parts)))
+    xyz = np.concatenate(parts)
+    xy = tin_module.lattice(xyz)
+
+    def of(number, chosen):
+        return chosen[sheet[chosen] == number]
+
+    start = []
+    for number in range(len(parts)):
+        every = single(xy, np.flatnonzero(sheet == number))
+        some = every[rng.random(len(every)) < 0.5]
+        start.append(some if has_area(xy[some]) else every)
+    together = Tin(xyz, sheet, np.concatenate(start), pool)
+    alone = [Tin(part, np.zeros(len(part), np.int32), start[n] - first[n], pool) for n, part in enumerate(parts)]
+    for _ in range(4):
+        out = inner(together)
+        out = out[(rng.random(len(out)) < 0.5) & (sheet[out] != rng.integers(0, 3))]
+        free = np.flatnonzero(~together.vertex)
+        free = free[(together.twins(free) < 0) & (rng.random(len(free)) < 0.5)]
+        new = np.concatenate([single(xy, of(number, free)) for number in range(len(parts))])
+        for number, network in enumerate([together, *alone]):
+            network.now += 1
+            network.remove(out if number == 0 else of(number - 1, out) - first[number - 1])
+            network.insert(new if number == 0 else of(number - 1, new) - first[number - 1])
+            network.locate(np.flatnonzero(~network.vertex))
+        assert_canonical(together)
+        assert_located(together, np.flatnonzero(~together.vertex))
+        for number, network in enumerate(alone):
+            assert_canonical(network)
+            others = np.flatnonzero(~network.vertex)
+            corners = together.corners(together.where[others + first[number]])
+            assert np.array_equal(network.corners(network.where[others]), corners - first[number])
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), size=st.integers(20, 60), sheets=st.integers(1, 2))
+def test_each_is_inserted_unless_what_it_relies_on_has_changed(pool, seed, kind, size, sheets):
+    rng = np.random.default_rng(seed)
+    part = nodes(rng, kind(rng, size))
+    if not has_area(tin_module.lattice(part)):
+        return
+    k = len(part)
+    xyz, sheet = np.concatenate([part] * sheets), np.repeat(np.arange(sheets), k).astype(np.int32)
+    every = np.concatenate([single(tin_module.lattice(part), np.arange(k)) + k * s for s in range(sheets)])
+    xy = tin_module.lattice(xyz)
+    start = every[rng.random(len(every)) < 0.3]
+    tin = Tin(xyz, sheet, start if all(has_area(xy[start[sheet[start] == s]]) for s in range(sheets)) else every, pool)
+    start = np.flatnonzero(tin.vertex)
+    rest = np.setdiff1d(every, start)
+    rest = rng.permutation(rest[(tin.twins(rest) < 0) & (tin.triangles[tin.where[rest]] >= 0).all(axis=1)])
+    other = tin.where[rng.permutation(rest)]  # as for mirror images
+    other = np.where(
+        (tin.sheet[tin.triangles[other].max(axis=1)] == sheet[rest]) & (rng.random(len(rest)) < 0.5), other, -1
+    )
+    relied = np.column_stack([tin.where[rest], other])
+    corners = np.where(relied[..., None] < 0, -1, tin.triangles[relied])
+    tin.now += 1
+    done = tin.insert_each(rest, relied)
+    grown = start
+    for node, kept, facets in zip(rest, done, corners, strict=True):
+        own = np.sort(grown[sheet[grown] == sheet[node]])
+        now = {tuple(sorted(t)) for t in own[triangulation(tin.xy[own])].tolist()}
+        assert kept == all(tuple(sorted(t)) in now for t in facets.tolist() if t[0] >= 0)
+        if kept:
+            grown = np.append(grown, node)
+    assert np.array_equal(np.flatnonzero(tin.vertex), np.sort(grown))
+    assert_canonical(tin)
+    tin.locate(np.flatnonzero(~tin.vertex))
+    assert_located(tin, np.flatnonzero(~tin.vertex))
+    tin.now += 1
+    tin.insert(np.sort(rest[~done]))  # in rows that were not used
+    assert_canonical(tin)
+
+
+@pytest.mark.parametrize("chunk", [65536, 500])
+def test_nodes_are_located_as_by_an_exact_walk_in_the_reference(pool, rng, monkeypatch, chunk):
     monkeypatch.setattr(tin_module, "CHUNK", chunk)
-    rng = np.random.default_rng(3)
-    xyz = nodes(rng, 4000, 60, step)
+    xyz = nodes(rng, rng.integers(0, 40, (3000, 2)) * 128)
+    xyz = xyz[np.argsort(morton(xyz))]
+    every = single(tin_module.lattice(xyz), np.arange(len(xyz)))
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), every[::5], pool)
+    for _ in range(2):
+        vertices, rest = np.flatnonzero(tin.vertex), np.flatnonzero(~tin.vertex)
+        mesh = Mesh(tin.xy[vertices])
+        found, expected = np.sort(tin.corners(tin.where[rest]), axis=1), mesh.find(tin.xy[rest])
+        outside = expected < 0
+        assert np.array_equal(outside, tin.triangles[tin.where[rest]].min(axis=1) < 0) and 0 < outside.sum() < 300
+        assert_behind(tin, tin.corners(tin.where[rest[outside]]), tin.xy[rest[outside]])
+        assert np.array_equal(found[~outside], np.sort(vertices[mesh.triangles[expected[~outside]]], axis=1))
+        at = {tuple(tin.xy[v]): v for v in vertices}
+        assert tin.twins(rest).tolist() == [at.get(tuple(p), -1) for p in tin.xy[rest]]
+        tin.now += 1
+        tin.insert(single(tin.xy, rest[tin.twins(rest) < 0])[::2])
+        tin.locate(np.flatnonzero(~tin.vertex))
+
+
+def test_walks_end_in_the_triangle_or_behind_an_edge_in_sight(pool, rng):
+    xyz = nodes(rng, random(rng, 3000), twins=False)
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    at = rng.uniform(-40, 168, (4000, 2))
+    found = tin.walk(at, rng.choice(np.flatnonzero(tin.triangles.min(axis=1) >= 0), len(at)))
+    at = np.rint(at / QUANTUM).astype(int)  # positions count to a quantum
+    mesh = Mesh(tin.xy)
+    expected = mesh.find(at)
+    inside = expected >= 0
+    assert ((found >= 0) == inside).all() and 0.2 < inside.mean() < 0.8
+    corners = np.sort(tin.triangles[found[inside]], axis=1)
+    assert np.array_equal(corners, np.sort(mesh.triangles[expected[inside]], axis=1))
+    assert_behind(tin, tin.corners(-1 - found[~inside]), at[~inside])
+
+
+def assert_behind(tin, corners, at):
+    """Each of the triangles, by their corners, has an edge on the hull that is in sight from a position, or holds it."""
+    triangles, neighbours = tin.facets()
+    row, k = np.nonzero(neighbours < 0)
+    rim = set(zip(triangles[row, (k + 1) % 3].tolist(), triangles[row, (k + 2) % 3].tolist(), strict=True))
+    for t, p in zip(corners.tolist(), at.tolist(), strict=True):
+        edges = [(t[k - 2], t[k - 1]) for k in range(3) if (t[k - 2], t[k - 1]) in rim]
+        assert any(turn(tin.xy[a].tolist(), tin.xy[b].tolist(), p) <= 0 for a, b in edges)
+
+
+def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):
+    xyz = nodes(rng, grid(rng, 60), twins=False)
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    for chosen in (np.arange(len(xyz))[::9], np.arange(0)):
+        tin.now += 1
+        tin.touch(chosen)
+        assert np.array_equal(tin.stamp == tin.now, np.isin(tin.triangles, chosen).any(axis=1))
+
+
+def test_changed_are_nodes_in_a_stamped_triangle_or_with_an_image_in_one(pool, rng):
+    xyz = nodes(rng, random(rng, 400), twins=False)
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(0, len(xyz), 4), pool)
+    tin.now += 1
+    tin.insert(np.arange(2, len(xyz), 40))
+    rest = np.flatnonzero(~tin.vertex)
+    image = np.where(rng.random(len(xyz)) < 0.5, rng.permutation(tin.where), -1).astype(np.int32)
+    expected = [tin.stamp[tin.where[v]] == 1 or (image[v] >= 0 and tin.stamp[image[v]] == 1) for v in rest]
+    assert tin.changed(rest, image).tolist() == expected and 0.1 < np.mean(expected) < 0.9
+
+
+@pytest.mark.parametrize("kind", [random, grid, circles, clusters], ids=lambda kind: kind.__name__)
+def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
+    parts = [nodes(rng, kind(rng, 120), twins=False) for _ in range(2)]
+    sheet = np.repeat(np.int32([0, 1]), [len(part) for part in parts])
+    tin = Tin(np.concatenate(parts), sheet, np.arange(len(sheet)), pool)
+    tin.remove(inner(tin)[::3])
+    vertices, xy = np.flatnonzero(tin.vertex), tin.xy.astype(np.int64)
+    for share in (1.0, 0.2, 0.0):
+        counts = rng.random(len(sheet)) < share
+        expected = []
+        for v in vertices:
+            others = [u for u in vertices if counts[u] and u != v and sheet[u] == sheet[v]]
+            expected.append(min(others, key=lambda u: (((xy[u] - xy[v]) ** 2).sum(), *xy[u]), default=-1))
+        assert tin.nearest(vertices, counts).tolist() == expected
+
+
+def test_a_copy_grows_apart_from_its_original(pool, rng):
+    xyz = nodes(rng, np.concatenate([grid(rng, 80), [[-1, -1], [9000, -1], [9000, 9000], [-1, 9000]]]), twins=False)
+    tin = Tin(
+        xyz,
+        np.zeros(len(xyz), np.int32),
+        np.flatnonzero(np.isin(xyz[:, :2], [-QUANTUM, 9000 * QUANTUM]).all(axis=1)),
+        pool,
+    )
+    tin.now += 1
+    tin.insert(np.flatnonzero(~tin.vertex)[::2])
+    names = ("xyz", "sheet", "triangles", "neighbours", "vertex", "where", "stamp")
+    before = {name: getattr(tin, name).copy() for name in names}
+    length, now = len(tin), tin.now
+    other = tin.copy()
+    other.now += 1
+    other.remove(inner(other)[::2])
+    other.insert(np.flatnonzero(~other.vertex & ~tin.vertex))
+    other.xyz[:, 2] = 1.0
+    assert_canonical(other)
+    assert len(tin) == length and tin.now == now
+    for name in names:
+        assert np.array_equal(getattr(tin, name), before[name])
+    tin.insert(np.flatnonzero(~tin.vertex))
+    assert_canonical(tin)
+    assert_canonical(other)
+    assert positions(other) != positions(tin)
+
+
+def corners_and_more(*more):
+    """A square of 9 m with its middle, the middle of its lower side, and further positions in metres."""
+    xy = np.array([[0, 0], [9, 0], [9, 9], [0, 9], [4.5, 0], [4.5, 4.5], *more])
+    return np.column_stack([xy, np.zeros(len(xy))]).astype(np.float32)
+
+
+@pytest.mark.parametrize("again", range(6))
+def test_a_position_that_is_taken_is_an_error(pool, again):
+    xyz = corners_and_more()
+    xyz = np.concatenate([xyz, xyz[[again]]])
+    tin = Tin(xyz, np.zeros(7, np.int32), np.arange(6), pool)
+    assert tin.twins(np.array([6])).tolist() == [again]
+    with pytest.raises(ValueError, match="node 6 is at the position of a vertex"):
+        tin.insert(np.array([6]))
+
+
+@pytest.mark.parametrize("vertex", range(5))
+def test_a_vertex_of_the_hull_cannot_be_taken_out(pool, vertex):
+    tin = Tin(corners_and_more([3.0, 4.0]), np.zeros(7, np.int32), np.arange(6), pool)
+    with pytest.raises(ValueError, match=f"node {vertex} is on the hull"):
+        tin.remove(np.array([vertex]))
+    tin.remove(np.array([5]))
+    assert_canonical(tin)
+
+
+def test_spans_for_which_the_circle_test_is_not_proven_are_refused(pool):
+    Tin(corners_and_more([0.0, 139_000.0]), np.zeros(7, np.int32), np.arange(7), pool)
+    for more in ([0.0, 141_000.0], [-141_000.0, 0.0]):
+        with pytest.raises(ValueError, match="140 km apart"):
+            Tin(corners_and_more(more), np.zeros(7, np.int32), np.arange(7), pool)
+
+
+def doubt(a, b, c, p):
+    """Below this, times 2^-53, floating point cannot tell on which side of the circle p lies."""
+    (a1, a2), (b1, b2), (c1, c2) = ((abs(q[0] - p[0]), abs(q[1] - p[1])) for q in (a, b, c))
+    parts = (
+        (a1 * a1 + a2 * a2, b1 * c2 + c1 * b2),
+        (b1 * b1 + b2 * b2, c1 * a2 + a1 * c2),
+        (c1 * c1 + c2 * c2, a1 * b2 + b1 * a2),
+    )
+    return sum(u * v for u, v in parts)
+
+
+def quadruples(rng):
+    """Positions up to 2^27 apart: anywhere, on a circle, next to one, and three close together with one far away."""
+    unit = [(x, y) for x in range(-65, 66) for y in range(-65, 66) if x * x + y * y == 4225]
+    for _ in range(1500):
+        yield [tuple(q) for q in rng.integers(-FAR, FAR + 1, (4, 2)).tolist()]
+        scale = int(rng.integers(1, FAR // 65))
+        ring = [(x * scale, y * scale) for x, y in (unit[i] for i in rng.permutation(len(unit))[:4])]
+        width, height = rng.integers(1, 2 * FAR, 2).tolist()
+        box = [
+            (x - FAR, y - FAR) for x, y in rng.permutation([(0, 0), (width, 0), (0, height), (width, height)]).tolist()
+        ]
+        for tied in (ring, box):
+            yield tied
+            x, y = tied[3]
+            dx, dy = rng.integers(-1, 2, 2).tolist()
+            yield [*tied[:3], (min(max(x + dx, -FAR), FAR), min(max(y + dy, -FAR), FAR))]
+        reach = 2 ** int(rng.integers(1, 12))
+        close = (rng.integers(0, reach, (3, 2)) - FAR).tolist()
+        yield [*map(tuple, close), (FAR, FAR - int(rng.integers(0, 2**20)))]
+        one, two = rng.integers(0, 40, (2, 2))
+        yield [
+            (0, 0),
+            tuple((one * 2**20).tolist()),
+            tuple((two * 2**20 + 1).tolist()),
+            tuple(((one + two) * 2**20 + 1).tolist()),
+        ]
+
+
+def test_the_circle_test_equals_that_in_integers_of_any_size(rng):
+    ties = wrapped = told = 0
+    largest = 0
+    for a, b, c, p in quadruples(rng):
+        if turn(a, b, c) == 0 or p in (a, b, c):
+            continue
+        b, c = (b, c) if turn(a, b, c) > 0 else (c, b)
+        value = power(a, b, c, p)
+        ties += value == 0
+        if abs(value) * 2**53 < 8 * doubt(a, b, c, p):
+            wrapped += value != 0 and doubt(a, b, c, p) > 2**63
+            largest = max(largest, abs(value))
+        else:
+            told += 1
+        assert flips.in_circle(*a, *b, *c, *p) == in_circle(a, b, c, p), (a, b, c, p)
+    assert ties > 2500 and told > 2500 and wrapped > 500 and largest > 2**60
+
+
+def test_the_symbolic_rule_makes_one_triangulation_of_any_ties(rng):
+    """Of four on a circle exactly one of the two diagonals is right, whichever of the corners asks."""
+    for a, b, c, p in quadruples(rng):
+        if len({a, b, c, p}) == 4 and turn(a, b, c) != 0 and power(a, b, c, p) == 0:
+            order = sorted((a, b, c, p), key=lambda q: np.arctan2(2 * q[1] - a[1] - c[1], 2 * q[0] - a[0] - c[0]))
+            if all(turn(order[k - 2], order[k - 1], order[k]) > 0 for k in range(4)):
+                a, b, c, d = order
+                one = [flips.in_circle(*a, *b, *c, *d), flips.in_circle(*c, *d, *a, *b)]
+                two = [flips.in_circle(*b, *c, *d, *a), flips.in_circle(*d, *a, *b, *c)]
+                assert one in ([True] * 2, [False] * 2) and two == [not one[0]] * 2
+
+
+def crowd(rng):
+    """10^4 positions within a decimetre, and four as far away as is allowed."""
+    return np.concatenate(
+        [np.indices((100, 100)).reshape(2, -1).T, [[-FAR, -FAR], [FAR, -FAR], [FAR, FAR], [-FAR, FAR]]]
+    )
+
+
+def two_lines(rng):
+    """Two parallel lines of 20,000 positions, a kilometre apart."""
+    along = np.arange(20_000) * 64
+    return np.concatenate(
+        [np.column_stack([along, np.zeros(20_000, int)]), np.column_stack([along, np.full(20_000, 2**20)])]
+    )
+
+
+def cross(rng):
+    """A vertical and a horizontal line of 20,000 positions each that cross."""
+    along = (np.arange(20_000) - 10_000) * 64
+    return np.concatenate([np.column_stack([along, 0 * along]), np.column_stack([0 * along, along])])
+
+
+def hub(rng):
+    """10^4 positions as near to a circle of 100 km as the lattice lets them, and its centre."""
+    angle = rng.uniform(0, 2 * np.pi, 10_000)
+    return np.concatenate([np.rint(5e7 * np.column_stack([np.cos(angle), np.sin(angle)])).astype(int) & ~7, [[0, 0]]])
+
+
+@pytest.mark.parametrize("kind", [crowd, two_lines, cross, hub], ids=lambda kind: kind.__name__)
+def test_bad_inputs_finish_quickly(kind, pool, rng):
+    xyz = nodes(rng, kind(rng), twins=False)
+    xyz = xyz[np.argsort(morton(xyz - xyz.min(axis=0)))]
     k = len(xyz)
-    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 97), np.arange(k - 4, k)), pool)
-    for share in (0.5, 0.3, 0.02, 0.5):
-        free = np.flatnonzero(~network.vertex)
-        before = triples(network.triangles)
-        rows = network.triangles.copy()
-        changed = network.insert(free[rng.random(len(free)) < share])
-        assert triples(network.triangles[changed]).isdisjoint(before)
-        assert (network.triangles[: len(rows)][~changed[: len(rows)]] == rows[~changed[: len(rows)]]).all()
-        assert_sound(network)
-    assert network.rebuilt == 0
-
-
-@pytest.mark.parametrize("chunk", [8192, 60])
-@pytest.mark.parametrize("step", [0.25, 2.0])
-def test_vertices_can_be_taken_out_again(pool, monkeypatch, chunk, step):
-    for name in ("CHUNK", "_SMALLEST_CHUNK"):
-        monkeypatch.setattr(tin_module, name, chunk)
-    rng = np.random.default_rng(13)
-    xyz = nodes(rng, 4000, 60, step)
-    k = len(xyz)
-    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 2), np.arange(k - 4, k)), pool)
-    for share in (0.02, 0.4, 0.8, 1.0):
-        inner = np.flatnonzero(network.vertex[: k - 4])
-        rows, before = network.triangles.copy(), triples(network.triangles)
-        out = inner[rng.random(len(inner)) < share]
-        changed = network.remove(out)
-        assert not network.vertex[out].any() and network.vertex.sum() == len(inner) - len(out) + 4
-        n = len(changed)
-        assert (network.triangles[~changed] == rows[:n][~changed]).all()
-        assert triples(network.triangles) - before <= triples(network.triangles[changed])
-        assert_sound(network)
-        network.insert(np.flatnonzero(~network.vertex)[::3])
-        assert_sound(network)
-    assert network.rebuilt == 0
-
-
-def test_sheets_do_not_touch_and_equal_single_runs(pool):
-    rng = np.random.default_rng(5)
-    one, two = nodes(rng, 800, 30, 0.5), nodes(rng, 1200, 40, 0.5)
-    xyz = np.concatenate([one, two])
-    sheet = np.repeat(np.int32([0, 1]), [len(one), len(two)])
-    start = np.concatenate([np.arange(len(one) - 4, len(one)), np.arange(len(xyz) - 4, len(xyz))])
-    both = Tin(xyz, sheet, start, pool)
-    both.insert(np.flatnonzero(~both.vertex)[::2])
-    assert_sound(both)
-    assert (sheet[both.triangles] == sheet[both.triangles[:, :1]]).all()
-
-
-def test_many_seeds_are_triangulated_from_a_sparse_root(pool):
-    xyz = nodes(np.random.default_rng(7), 30000, 200, 0.25)
-    network = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    assert network.vertex.all()
-    assert_sound(network)
-
-
-def test_a_failed_patch_is_repaired_by_a_rebuild(pool, monkeypatch):
-    xyz = nodes(np.random.default_rng(9), 1000, 30, 0.5)
-    k = len(xyz)
-    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 50), np.arange(k - 4, k)), pool)
-    monkeypatch.setattr(Tin, "_stitch", lambda *_: None)
-    network.insert(np.flatnonzero(~network.vertex)[::3])
-    assert network.rebuilt == 1
-    assert_sound(network)
-
-
-def test_walk_finds_the_triangle_that_scipy_finds(pool):
-    rng = np.random.default_rng(11)
-    xyz = nodes(rng, 3000, 50, 0.25)
-    network = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    queries = rng.uniform(0, 50, (2000, 2))
-    queries[-1] = (500.0, 500.0)
-    found = network.walk(queries, np.zeros(2000, np.int32), np.zeros(2000, np.int32))
-    reference = Delaunay(network.xy)
-    expected = reference.simplices[reference.find_simplex(queries[:-1])]
-    assert (np.sort(network.triangles[found[:-1]], axis=1) == np.sort(expected, axis=1)).all()
-    assert found[-1] == -1
-
-
-def test_perturbation_depends_on_the_position_only_and_stays_within_half_a_quantum():
-    xyz = nodes(np.random.default_rng(1), 2000, 30, 0.25)
-    moved = perturbed(xyz)
-    order = np.random.default_rng(2).permutation(len(xyz))
-    assert (perturbed(xyz[order]) == moved[order]).all()
-    assert np.abs(moved - xyz[:, :2]).max() <= QUANTUM / 2
-    assert len(np.unique(moved - xyz[:, :2], axis=0)) > 0.99 * len(xyz)
-
-
-def test_the_location_table_equals_scipys():
-    rng = np.random.default_rng(4)
-    xy = rng.uniform(1000, 1100, (500, 2))
-    mesh = delaunay(xy)
-    local = xy - xy.mean(axis=0)
-    np.testing.assert_allclose(mesh.transform, Delaunay(local).transform, rtol=1e-6, atol=1e-9)
-
-
-def test_triangles_around_vertices_are_found_on_the_hull_and_inside(pool):
-    rng = np.random.default_rng(13)
-    xyz = nodes(rng, 2000, 40, 0.25)
-    k = len(xyz)
-    network = Tin(xyz, np.zeros(k, np.int32), np.append(np.arange(0, k - 4, 31), np.arange(k - 4, k)), pool)
-    network.insert(np.flatnonzero(~network.vertex)[::2])
-    vertices = np.append(rng.choice(np.flatnonzero(network.vertex), 40, replace=False), np.arange(k - 4, k))
-    expected = np.flatnonzero(np.isin(network.triangles, vertices).any(axis=1))
-    assert (network.around(vertices) == expected).all()
-    own = network.triangle_of_vertices()
-    assert (network.triangles[own[vertices]] == vertices[:, None]).any(axis=1).all()
-
-
-def test_one_of_the_triangles_at_a_vertex_is_first_in_any_history(pool, rng):
-    xyz = nodes(rng, 900, 40, 0.5)
-    all_nodes, corners = np.arange(len(xyz)), np.arange(len(xyz) - 4, len(xyz))
-    sheet = np.zeros(len(xyz), np.int32)
-    whole = Tin(xyz, sheet, all_nodes, pool)
-    grown = Tin(xyz, sheet, corners, pool)
-    for part in np.array_split(rng.permutation(len(xyz) - 4), 3):
-        grown.insert(np.sort(part))
-    found = [np.sort(tin.triangles[tin.first_around(all_nodes)], axis=1) for tin in (whole, grown)]
-    assert np.array_equal(*found)
-    for v in all_nodes[::37]:
-        at = np.sort(whole.triangles[(whole.triangles == v).any(axis=1)], axis=1).tolist()
-        assert found[0][v].tolist() == min(at)
-    marked = rng.random(len(whole)) < 0.05
-    expected = [bool(marked[(whole.triangles == v).any(axis=1)].any()) for v in all_nodes]
-    assert whole.any_around(all_nodes, marked).tolist() == expected
+    small = Tin(corners_and_more(), np.zeros(6, np.int32), np.arange(5), pool)  # compiles what is not yet
+    small.locate(np.array([5]))
+    small.insert(np.array([5]))
+    small.remove(np.array([5]))
+    begin = time.process_time()
+    tin = Tin(xyz, np.zeros(k, np.int32), np.arange(k), pool)
+    triangles = tin.facets()[0]
+    far = np.argsort(np.abs(tin.xy).sum(axis=1))
+    grown = Tin(xyz, np.zeros(k, np.int32), np.sort(far[[0, 1, 2, 3, *range(-8, 0)]]), pool)
+    grown.insert(np.flatnonzero(~grown.vertex))
+    assert np.array_equal(grown.facets()[0], triangles)
+    out = inner(tin)
+    tin.now += 1
+    tin.remove(out)
+    tin.locate(out)
+    tin.insert(out)
+    assert np.array_equal(tin.facets()[0], triangles)
+    assert time.process_time() - begin < 3.0

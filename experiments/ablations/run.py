@@ -30,6 +30,7 @@ from jaxfilter.filters import smrf
 from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
 from jaxfilter.ops.morphology import opening
 from jaxfilter.stages import outliers
+from jaxfilter.stages.growth import Border
 from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
 from jaxfilter.stages.surfaces import hold_against, steepness
 from jaxfilter.stages.tin_filter import TinFilter
@@ -97,10 +98,12 @@ def _with(method: str, **changes: Any) -> Maker:
 
 
 def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Callable[..., Any]) -> Maker:
-    """The fixed set of a method with steps replaced, as a subclass of it."""
+    """The fixed set of a method with steps replaced, as a subclass of it. Raises: AttributeError for a step that it has not."""
 
     def make(sample: str) -> jf.Filter:
         given = spaces.fixed(method, sample).replace(**(changes or {}))
+        for name in methods:
+            getattr(given, name)
         cls = type(f"Modified{type(given).__name__}", (type(given),), methods)
         return cls(**{f.name: getattr(given, f.name) for f in dataclasses.fields(given)})
 
@@ -319,17 +322,9 @@ def _blocks() -> list[Variant]:
         Variant(
             "7. elevation limit",
             "FPTD: independent blocks, highest initial seed",
-            _modified("fptd", blocks, grow=_below_highest_seed),
+            _with("fptd", **blocks, block_limit="fixed"),
         ),
     ]
-
-
-def _below_highest_seed(self: Any, points: Points, network: Any, rule: Any, **options: Any) -> Any:
-    """Step 1 of Sec. II-E read literally: points above the highest initial seed of their block plus e never take part."""
-    highest = np.full(network.sheet[-1] + 1, -np.inf)
-    np.maximum.at(highest, network.sheet[network.seed], network.xyz[network.seed, 2])
-    low = network.xyz[:, 2] <= highest[network.sheet] + self.max_elevation
-    return jf.FPTD.grow(self, points, dataclasses.replace(network, open=network.open & low), rule, **options)
 
 
 def _insertion() -> list[Variant]:
@@ -371,26 +366,28 @@ def _mirror() -> list[Variant]:
 def _border() -> list[Variant]:
     """10. Simulated border points: elevation and number."""
 
-    def corners(self: Any, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Any:
-        return type(self).__mro__[1].network(self, points, seeds, 1e9, late)
+    def corners(self: Any, points: Points, seeds: np.ndarray, spacing: float, *given: np.ndarray) -> Any:
+        return type(self).__mro__[1].network(self, points, seeds, 1e9, *given)
 
-    def ring(self: Any, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Any:
-        return type(self).__mro__[1].network(self, points, seeds, RING, late)
+    def ring(self: Any, points: Points, seeds: np.ndarray, spacing: float, *given: np.ndarray) -> Any:
+        return type(self).__mro__[1].network(self, points, seeds, RING, *given)
 
-    def static(self: Any, *given: Any, **options: Any) -> Any:
-        return type(self).__mro__[1].grow(self, *given, **(options | {"refresh_border": False}))
+    def static(self: Any, network: Any) -> Any:
+        return type(self).__mro__[1].schedule(self, network, border=Border(False, self.border_in_tests))
 
     out = []
     for method in TINS:
         title = method.upper()
         out += [
             Variant("10. border points", f"{title}: every 60 m, follow the ground", _with(method), baseline=True),
-            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, grow=static)),
+            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, schedule=static)),
             Variant(
                 "10. border points", f"{title}: four corners, follow the ground", _modified(method, network=corners)
             ),
             Variant(
-                "10. border points", f"{title}: four corners, static", _modified(method, network=corners, grow=static)
+                "10. border points",
+                f"{title}: four corners, static",
+                _modified(method, network=corners, schedule=static),
             ),
             Variant(
                 "10. border points", f"{title}: every {RING:g} m, follow the ground", _modified(method, network=ring)
@@ -398,7 +395,7 @@ def _border() -> list[Variant]:
             Variant(
                 "10. border points",
                 f"{title}: every {RING:g} m, static",
-                _modified(method, network=ring, grow=static),
+                _modified(method, network=ring, schedule=static),
             ),
         ]
     return out

@@ -18,9 +18,9 @@ import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.papers import agptd2024_figures as figures
 from experiments.papers import paper
+from experiments.papers.oracle import without_labelled_objects
 from experiments.report import Row, markdown, with_averages, write_csv
 from jaxfilter.core.points import canonical_points
-from jaxfilter.filters.agptd import without_labelled_objects
 from jaxfilter.host.neighbours import nearest, tree_of
 from jaxfilter.stages.adaptive_grid import lowest_per_adaptive_cell
 
@@ -30,7 +30,7 @@ SOURCE = (
     "doi:10.3390/rs16203846"
 )
 RUNS = {
-    "research": "AGPTD, research switch: preset of the sample, the share of the objects that Table 3 says was removed is "
+    "research": "AGPTD, removal by the labels: preset of the sample, the share of the objects that Table 3 says was removed is "
                 "taken away by the reference labels",
     "research_three": "the same with three grid levels",
     "as_printed": "AGPTD, preset of the sample as it is: angle and distance of Table 1, cells smaller than buildings",
@@ -107,13 +107,12 @@ def removed_share(sample: str) -> float:
 
 
 def filters(sample: str) -> dict[str, jf.Filter]:
-    """The filter of every run on a sample."""
+    """The filter of every run on a sample; what it is given: :func:`seen`."""
     preset = jf.AGPTD.preset(sample)
     limits = {"max_angle": preset.max_angle, "max_distance": preset.max_distance}
-    research = preset.replace(oracle_removal=removed_share(sample))
     out: dict[str, jf.Filter] = {
-        "research": research,
-        "research_three": research.replace(levels=3),
+        "research": preset,
+        "research_three": preset.replace(levels=3),
         "as_printed": preset,
         "as_printed_three": preset.replace(levels=3),
         "table1": jf.AGPTD(**limits),
@@ -130,13 +129,20 @@ def filters(sample: str) -> dict[str, jf.Filter]:
     return out
 
 
+def seen(run: str, sample: str, cloud: jf.PointCloud) -> jf.PointCloud:
+    """What the filter of a run is given: the sample, in the research runs without the objects that Table 3 says were removed."""
+    if not run.startswith("research"):
+        return cloud
+    return without_labelled_objects(cloud, removed_share(sample), jax.random.key(0))
+
+
 def measure(sample: str, cloud: jf.PointCloud) -> list[Row]:
     """One row per run: errors, accuracy, and how many outliers and seeds there were and how many of them right."""
     rows = []
     truth = cloud.reference
     for method, filter_ in filters(sample).items():
         start = time.perf_counter()
-        row, result = paper.score_row(sample, method, filter_, cloud, repeats=0)
+        row, result = paper.score_row(sample, method, filter_, seen(method, sample, cloud), repeats=0)
         scores = jf.evaluate(result, truth)
         removed = taken_away(result)
         seed = result.decision == jf.Decision.SEED
@@ -187,9 +193,9 @@ def introduction(report: paper.Report, by_run: dict[str, list[Row]]) -> None:
     report.text("\n".join(f"- `{name}`: {text}." for name, text in RUNS.items()))
     report.text(
         "The printed outlier removal cannot be obtained from the coordinates (see Table 3 below), and the printed errors "
-        "hang on it. So each table is measured twice: on the coordinates alone, and with the research switch "
-        "`oracle_removal`, which takes the printed share of the labelled objects away at random. The second shows what the "
-        "printed figures rest on; it is no result of a filter.",
+        "hang on it. So each table is measured twice: on the coordinates alone, and on clouds from which "
+        "`oracle.py` has taken the printed share of the labelled objects at random. The second shows what the printed figures "
+        "rest on; it is no result of a filter.",
         "**Labels in the parameters.** The angles and distances of Table 1 are the optimum that the authors found for each "
         "sample by trial and error on the labels of that sample, so every run with them (`research`, `as_printed`, `table1`, "
         "`ptd_table1`) has parameters chosen on the labels that it is scored on, even where the run itself reads none: an "
@@ -250,7 +256,7 @@ def outliers(report: paper.Report, clouds: dict[str, jf.PointCloud], by_run: dic
     """Table 3, what other methods bar from their seeds, and the readings of the elevation test, which are returned."""
     values = ("outliers", "outliers_ground", "outlier_precision", "share_of_objects")
     table = [row | {"outlier_precision": row["precision"]} for row in printed("table3")]
-    for run, title in (("as_printed", "from the coordinates"), ("research", "research switch, by the labels")):
+    for run, title in (("as_printed", "from the coordinates"), ("research", "by the labels")):
         report.beside(f"table3_{run}", f"Table 3: outlier removal, {title}", by_run[run], table, values=values)
     rows = [
         {"method": run, "samples": len(found)} | {key: mean(found, key) for key in values}
@@ -400,18 +406,18 @@ def claims(report: paper.Report, by_run: dict[str, list[Row]], readings: list[Ro
     extra_free = [row["extra_share"] for row in by_run["as_printed"]]
     report.verdict(
         "The adaptive grid gives 50.83 to 103.45 % more seeds (Sec. 3.2).", "43.62 to 103.45 % in Table 4 itself",
-        f"{min(extra):.1f} to {max(extra):.1f} % with the research switch, {min(extra_free):.1f} to {max(extra_free):.1f} % "
-        "from the coordinates", None,
+        f"{min(extra):.1f} to {max(extra):.1f} % with the removal by the labels, {min(extra_free):.1f} to "
+        f"{max(extra_free):.1f} % from the coordinates", None,
     )  # fmt: skip
     worst = min(row["seed_precision"] for row in by_run["as_printed"])
     report.verdict(
         "More than 96.69 % of the seeds are ground, 98.91 % on average (Sec. 4.2).", "98.91 %",
         f"from the coordinates {mean(by_run['as_printed'], 'seed_precision'):.1f} % on average and {worst:.1f} % at worst with "
-        f"the printed cells, {mean(by_run['fixed'], 'seed_precision'):.1f} % with cells of 60 m; with the research switch "
+        f"the printed cells, {mean(by_run['fixed'], 'seed_precision'):.1f} % with cells of 60 m; with the removal by the labels "
         f"{mean(by_run['research'], 'seed_precision'):.1f} %", worst > 96.69,
     )  # fmt: skip
     for place, run in (
-        ("the printed cells and the research switch", "research"),
+        ("the printed cells and the removal by the labels", "research"),
         ("cells of 60 m", "table1"),
     ):
         gain = at[run]["total"] - at[f"{run}_three"]["total"]
@@ -432,14 +438,14 @@ def claims(report: paper.Report, by_run: dict[str, list[Row]], readings: list[Ro
     wins = {run: sum(row["type1"] < lowest[row["sample"]] for row in by_run[run]) for run in ("table1", "research")}
     report.verdict(
         "It has the lowest T.I of six improved PTDs on 10 of 15 samples (Sec. 5.1).", "10 of 15",
-        f"{wins['table1']} of {count} with cells of 60 m, {wins['research']} of {count} with the research switch",
+        f"{wins['table1']} of {count} with cells of 60 m, {wins['research']} of {count} with the removal by the labels",
         wins["table1"] >= 10 if count == 15 else None,
     )  # fmt: skip
     deviation = spread("", by_run["table1"], ("total",))["total_deviation"]
     with_labels = spread("", by_run["research"], ("total",))["total_deviation"]
     report.verdict(
         "Its total error varies least, with a standard deviation of 1.15 % (Sec. 5.2).", "1.15 %",
-        f"{deviation:.2f} % with cells of 60 m, {with_labels:.2f} % with the research switch", deviation <= 1.15,
+        f"{deviation:.2f} % with cells of 60 m, {with_labels:.2f} % with the removal by the labels", deviation <= 1.15,
     )  # fmt: skip
 
 
@@ -515,11 +521,7 @@ def sweep_trial(run: str, clouds: Mapping[str, jf.PointCloud], axes: Mapping[str
     parts = []
     for name, cloud in clouds.items():
         start = time.perf_counter()
-        filter_ = filters(name)[run]
-        if filter_.oracle_removal > 0:
-            cloud = without_labelled_objects(cloud, filter_.oracle_removal, jax.random.key(0))
-            filter_ = filter_.replace(oracle_removal=0.0)
-        parts.append(jf.sweep(filter_, {name: cloud}, axes).load())
+        parts.append(jf.sweep(filters(name)[run], {name: seen(run, name, cloud)}, axes).load())
         print(f"{name} {run}: trial and error in {time.perf_counter() - start:.1f} s", flush=True)
     return xr.concat(parts, "cloud")
 
@@ -575,13 +577,13 @@ def pictures(report: paper.Report, clouds: dict[str, jf.PointCloud], by_run: dic
     table3 = {row["sample"]: row for row in printed("table3")}
     for name in [name for name in ("samp41", "samp42") if name in clouds]:
         runs = filters(name)
-        gone = {title: taken_away(runs[run](clouds[name])) for run, title in
+        gone = {title: taken_away(runs[run](seen(run, name, clouds[name]))) for run, title in
                 (("as_printed", "tests on the coordinates"), ("research", "removal by the labels"))}  # fmt: skip
         row = table3[name]
         report.figure(
             figures.outlier_maps(name, clouds[name], gone), f"fig5_{name}",
             f"Fig. 5, {name}: removed points from above, over the shaded reference ground, and from the south, among all "
-            f"points. Left: radius and elevation tests of Sec. 3.1; right: the research switch. Printed in Table 3: "
+            f"points. Left: radius and elevation tests of Sec. 3.1; right: the removal by the labels. Printed in Table 3: "
             f"{row['outliers']:,} removed, of them {row['outliers_ground']:,} ground.",
         )  # fmt: skip
     table4 = {row["sample"]: row for row in printed("table4")}
@@ -603,15 +605,18 @@ def pictures(report: paper.Report, clouds: dict[str, jf.PointCloud], by_run: dic
             f"{row['precision']:.2f} % are ground.",
         )  # fmt: skip
         shown = {
-            "PTD": runs["ptd_table1"],
-            "AGPTD": runs["table1"],
-            "AGPTD, objects removed by labels": runs["research"],
+            title: runs[run](seen(run, name, cloud))
+            for title, run in (
+                ("PTD", "ptd_table1"),
+                ("AGPTD", "table1"),
+                ("AGPTD, objects removed by labels", "research"),
+            )
         }
         both = {row["method"]: row for row in printed("table6", lambda row, name=name: row["sample"] == name)}  # type: ignore[misc]
         report.figure(
-            figures.densified(name, cloud, {title: filter_(cloud) for title, filter_ in shown.items()}), f"fig8_{name}",
+            figures.densified(name, cloud, shown), f"fig8_{name}",
             f"Fig. 8, {name}: errors after densification over the shaded reference ground, angle and distance of Table 1 (chosen "
-            "on these labels). Left and middle: seed cells of 60 m; right: printed cells and the research switch. "
+            "on these labels). Left and middle: seed cells of 60 m; right: printed cells and the removal by the labels. "
             "Printed in Table 6: " + "; ".join(
                 f"{title}: T.I {both[key]['type1']:.2f}, T.II {both[key]['type2']:.2f}, total error "
                 f"{both[key]['total']:.2f} %" for key, title in (("ptd", "PTD (an entry of another program)"), ("agptd", "AGPTD"))

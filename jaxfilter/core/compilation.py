@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import collections
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
@@ -36,6 +38,21 @@ def on_same_device(function: Callable[[T], R]) -> Callable[[T], R]:
             return function(argument)
 
     return call
+
+
+def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iterator[tuple[T, R]]:
+    """Jobs with what the function makes of them, in their order; so many are worked on at once, in threads, as they are read."""
+    pool = ThreadPoolExecutor(at_once)
+    run = on_same_device(function)
+    try:
+        running = collections.deque(pool.submit(run, job) for job in jobs[:at_once])
+        for k, job in enumerate(jobs):
+            done = running.popleft().result()
+            if k + at_once < len(jobs):
+                running.append(pool.submit(run, jobs[k + at_once]))
+            yield job, done
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _listen(event: str, duration_secs: float, **_: str | int) -> None:

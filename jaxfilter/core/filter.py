@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import math
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from .cloud import PointCloud, as_cloud
-from .compilation import on_same_device
+from .compilation import in_turn
 from .errors import ParameterError, warn
 from .forks import need_threads
 from .params import Preset, check_fields, declared, plain_fields
@@ -48,17 +46,17 @@ class Labels:
 class Filter:
     """Base of all methods. A subclass is a ``@filter_params`` dataclass with ``classify`` and ``halo``.
 
+    ``BIBTEX`` holds the entries of the papers to cite, a blank line between them.
     ``PRESETS`` maps a preset's name to field values with a note; every method has "paper" (as printed, but for what the
     note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
-    ``NOT_SWEPT`` names the fields that do not act through ``classify``, and so not in a sweep.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
     """
 
+    BIBTEX: ClassVar[str] = ""
     PRESETS: ClassVar[dict[str, Preset]] = {"paper": Preset("as printed"), "recommended": Preset("the default")}
     ORDER_FREE: ClassVar[bool] = False
-    NOT_SWEPT: ClassVar[tuple[str, ...]] = ()
     LAST: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -146,18 +144,9 @@ class Filter:
             one = sets[job[0]]
             return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
 
-        pool = ThreadPoolExecutor(at_once)
-        run = on_same_device(classified)
-        try:
-            running = collections.deque(pool.submit(run, job) for job in jobs[:at_once])
-            for k, job in enumerate(jobs):
-                labels = running.popleft().result()
-                if k + at_once < len(jobs):
-                    running.append(pool.submit(run, jobs[k + at_once]))
-                yield job[0], labels.ground
-                yield from ((number, sets[number].passed(labels)) for number in job[1:])
-        finally:
-            pool.shutdown(cancel_futures=True)
+        for job, labels in in_turn(classified, jobs, at_once):
+            yield job[0], labels.ground
+            yield from ((number, sets[number].passed(labels)) for number in job[1:])
 
     def __call__(
         self,

@@ -35,6 +35,11 @@ class Points:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    @functools.cached_property
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        """f64[2] lowest and f64[2] highest x and y, local metres."""
+        return extent(self.xyz)
+
     def offset(self, cell: float) -> tuple[float, float]:
         """Local corner of the grid with cells of this size, metres."""
         return self.cloud.grid_offset(cell)
@@ -58,19 +63,25 @@ class Points:
         m = len(self.xyz)
         if m < 2:
             return 1.0
-        extent = np.maximum(np.ptp(self.xyz[:, :2], axis=0).astype(np.float64), QUANTUM)
-        spacing = float(np.sqrt(extent.prod() / m))
+        sides = np.maximum(self.extent[1] - self.extent[0], QUANTUM)
+        spacing = float(np.sqrt(sides.prod() / m))
         for _ in range(3):
-            cell = max(3 * spacing, float(extent.max()) / 2**15)
+            cell = max(3 * spacing, float(sides.max()) / 2**15)
             i = np.floor(self.xyz[:, :2] / np.float32(cell)).astype(np.int64)
             columns = int(i[:, 1].max()) + 1
             key = i[:, 0] * columns + i[:, 1]
             few = int(key.max()) < 8 * m + 1000
             occupied = int(np.count_nonzero(np.bincount(key))) if few else len(np.unique(key))
-            before, spacing = spacing, float(np.sqrt(min(occupied * cell**2, extent.prod()) / m))
+            before, spacing = spacing, float(np.sqrt(min(occupied * cell**2, sides.prod()) / m))
             if abs(spacing - before) < 0.01 * before:
                 break
         return spacing
+
+
+def extent(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[2] lowest and f64[2] highest x and y of positions [n, >=2]. By columns: across rows NumPy takes 30 times as long."""
+    low, high = (np.array([pick(xy[:, axis]) for axis in range(2)], np.float64) for pick in (np.min, np.max))
+    return low, high
 
 
 def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
@@ -78,7 +89,7 @@ def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
 
     Such an extent comes from stray points. The others would lose their last digits, and grids most of their cells.
     """
-    if len(xy) == 0 or not (xy[:, :2].max(axis=0) > EXTENT).any():
+    if len(xy) == 0 or not (extent(xy)[1] > EXTENT).any():
         return
     every = (cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid])[:, :2].astype(np.float64)
     middle, (width, height) = np.median(every, axis=0), np.ptp(every, axis=0) / 1000
@@ -129,7 +140,7 @@ def canonical_points(cloud: PointCloud) -> Points:
     index = np.flatnonzero(cloud.candidate)
     xyz = cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
     code = morton(xyz)
-    order = np.argsort(code, kind="stable")
+    order = np.argsort(code)  # equal ones are ordered below
     code, z = code[order], xyz[order, 2]
     tied = np.zeros(len(code), bool)
     if len(code) > 1:

@@ -1,4 +1,4 @@
-"""The methods, one file each. Importing this package enters them all in FILTERS."""
+"""The methods, one file each, and the papers that they cite. Importing this package enters them all in FILTERS."""
 
 from ..core.params import FILTERS
 from .agptd import AGPTD

@@ -5,19 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, ClassVar
 
-import jax
 import numpy as np
 
-from ..core.cloud import PointCloud, as_cloud
-from ..core.compilation import bucket
-from ..core.errors import ParameterError
 from ..core.params import Preset, filter_params, param, static
-from ..core.points import Points, canonical_points
-from ..core.result import FilterResult, Progress
-from ..ops.facets import Rule
+from ..core.points import Points
+from ..core.result import Progress
 from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
-from ..stages.densify import Mirror
-from ..stages.tin_filter import Start, TinFilter, facet_reach
+from ..stages.growth import Mirror, Network
+from ..stages.tin_filter import Mirroring
+from . import papers
 
 _PAPER = {
     "max_angle": 34.0,
@@ -49,7 +45,7 @@ def _sample(number: int) -> Preset:
 
 
 @filter_params
-class AGPTD(TinFilter):
+class AGPTD(Mirroring):
     """Adaptive grid-based progressive TIN densification.
 
     J. Zheng, M. Xiang, T. Zhang, J. Zhou (2024): An improved adaptive grid-based progressive triangulated irregular
@@ -70,10 +66,8 @@ class AGPTD(TinFilter):
 
     Departures (docs/fidelity.md): seed cells smaller than buildings, as printed, need a cloud without roofs, which the
     outlier tests of the paper cannot provide; removed outliers are tested again instead of being lost; the elevation test
-    compares metres with square metres and is replaced; the terrain slope is the largest mean slope of a cell.
-
-    ``oracle_removal`` is for research only. It takes away a share of the points that the cloud's reference labels call
-    objects, as the paper's Table 3 reports of its outlier removal. Its result has ``info["uses_labels"]`` True.
+    compares metres with square metres and is replaced; the terrain slope is the largest mean slope of a cell, and
+    ``max_terrain_angle`` its upper limit.
     """
 
     max_angle: float = param(
@@ -96,21 +90,10 @@ class AGPTD(TinFilter):
         choices=REMAINDERS,
         doc="what lies beyond the last whole cell joins it, or makes smaller cells",
     )
-    mirror: str = static(
-        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="replace",
-        choices=("replace", "or"),
-        doc="test the mirror image instead of the point, or as a second chance",
-    )
     terrain_angle: str = static(
         default="constant",
         choices=("constant", "steepest_cell"),
-        doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell",
-    )
-    max_terrain_angle: float = static(
-        default=88.0, unit="degrees", gt=0, le=90, doc="mirror over steeper facets; the upper limit of steepest_cell"
+        doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell if that is less",
     )
     refresh_border: bool = static(
         default=True, choices=(True, False), doc="simulated border points follow the growing ground"
@@ -122,16 +105,13 @@ class AGPTD(TinFilter):
         doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off",
     )
     deviations: float = param(default=3.0, gt=0, doc="standard deviations at which the elevation of a point is odd")
-    oracle_removal: float = static(
-        default=0.0, ge=0, le=1, doc="research only, uses labels: share of the reference objects to take away first"
-    )
     _: dataclasses.KW_ONLY
     radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(
         default=4, symbol="num", ge=1, doc="a point with fewer neighbours within the radius is no seed"
     )
 
-    NOT_SWEPT: ClassVar[tuple[str, ...]] = ("oracle_removal",)
+    BIBTEX: ClassVar[str] = papers.ZHENG_2024
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: seed cells as large as the largest building, clusters of low points are barred"
@@ -148,37 +128,13 @@ class AGPTD(TinFilter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         radius = max(1.0, round(6.0 * spacing, 1))  # four times the largest spacing, which is half as much again
-        own = {} if largest_building is None else {"seed_cell": largest_building}
-        return super().from_spacing(spacing, largest_building) | own | {"radius": radius}
-
-    def halo(self) -> float:
-        """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach.
-
-        The steepest cell and the spread of elevations are taken over the whole cloud, or tile, at any distance.
-        """
-        return facet_reach(self.seed_cell)
-
-    def __call__(
-        self,
-        cloud: Any,
-        *,
-        key: Any = None,
-        workers: int | None = None,
-        progress: Progress | None = None,
-        trace: bool = False,
-    ) -> FilterResult:
-        cloud = as_cloud(cloud)
-        if self.oracle_removal > 0:
-            cloud = without_labelled_objects(cloud, self.oracle_removal, jax.random.key(0) if key is None else key)
-        result = super().__call__(cloud, key=key, workers=workers, progress=progress, trace=trace)
-        result.info["uses_labels"] = self.oracle_removal > 0
-        return result
+        return super().from_spacing(spacing, largest_building) | {"radius": radius}
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
         return super().outliers(points, workers, neighbours=self.neighbours, deviations=self.deviations, **tests)
 
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
@@ -191,44 +147,14 @@ class AGPTD(TinFilter):
             relative_slope=self.relative_slope,
             remainder=self.remainder,
         )
-        limit = self.max_terrain_angle
-        if self.terrain_angle == "steepest_cell":
-            limit = min(limit, seeds.steepest)
-        return Start(
-            self.network(points, seeds.rows, self.seed_cell, late),
-            barred,
-            late,
-            Mirror(limit, self.mirror, self.mirror_mode),
-            self.refresh_border,
-            {
-                "seeds_by_level": [len(rows) for rows in seeds.levels],
-                "divided_cells": seeds.divided,
-                "terrain_angle": limit,
-            },
-        )
+        steepest = self.max_terrain_angle if self.terrain_angle == "constant" else seeds.steepest
+        info = {
+            "seeds_by_level": [len(rows) for rows in seeds.levels],
+            "divided_cells": seeds.divided,
+            "terrain_angle": min(self.max_terrain_angle, steepest),
+        }
+        return self.network(points, seeds.rows, self.seed_cell, barred, late, info=info)
 
-    def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
-
-
-def without_labelled_objects(cloud: PointCloud, share: float, key: jax.Array) -> PointCloud:
-    """The cloud with a share (0 to 1) of its objects set aside at random. It reads the reference labels: research only.
-
-    Which ones depends on ``key`` and on the coordinates, not on the order of the points. Points that coincide go
-    together, and stay if one of them is ground. Raises: ParameterError if the cloud has no reference labels.
-    """
-    if cloud.reference is None:
-        raise ParameterError(
-            "AGPTD(oracle_removal > 0) takes away labelled objects and needs a cloud with reference labels; this one has "
-            "none. It is a switch for research: leave it at 0 to classify a cloud"
-        )
-    points = canonical_points(cloud)
-    is_object = np.ones(len(points), bool)
-    is_object[points.member[cloud.reference[points.index]]] = False
-    objects = np.flatnonzero(is_object)
-    draw = np.asarray(jax.random.uniform(key, (bucket(len(points)),)))[objects]
-    removed = np.zeros(len(points), bool)
-    removed[objects[np.argsort(draw, kind="stable")[: round(share * len(objects))]]] = True
-    candidate = cloud.candidate.copy()
-    candidate[points.index[removed[points.member]]] = False
-    return dataclasses.replace(cloud, candidate=candidate)
+    def mirroring(self, network: Network) -> Mirror:
+        """Over facets steeper than the limit, or than the steepest cell of the seeds."""
+        return Mirror(network.info["terrain_angle"], self.mirror, self.mirror_mode)

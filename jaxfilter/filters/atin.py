@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,10 +11,11 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
-from ..stages.densify import Adaptive, Mirror
+from ..stages.growth import Adaptive, Network
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import Start, TinFilter, facet_reach
+from ..stages.tin_filter import SlopeMirroring
+from . import papers
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -36,7 +37,7 @@ def _table_2(note: str, seed_cell: float, max_terrain_slope: float, max_distance
 
 
 @filter_params
-class ATIN(TinFilter):
+class ATIN(SlopeMirroring):
     """Adaptive TIN densification.
 
     P. Axelsson (2000): DEM generation from laser scanner data using adaptive TIN models. Int. Arch. Photogramm. Remote
@@ -71,15 +72,6 @@ class ATIN(TinFilter):
         doc="keep the limits, or derive them from each round's triangulation",
     )
     seed_cell: float = static(default=60.0, unit="m", gt=0, doc="cell with one seed; larger than any building")
-    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static(
-        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="or",
-        choices=("or", "replace", "and"),
-        doc="mirror image as a second chance, in place of the point, or both must pass",
-    )
     border: str = static(
         default="perimeter",
         choices=("perimeter", "corners"),
@@ -89,6 +81,8 @@ class ATIN(TinFilter):
         default=True, choices=(True, False), doc="simulated border points follow the growing ground"
     )
 
+    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.URAY_2024
+    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "deviations")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: border points all round follow the ground, clusters of low points are no seeds, no mirroring, "
@@ -106,30 +100,14 @@ class ATIN(TinFilter):
         "samp71": _table_2("as paper, for ISPRS sample 71: 25 m, 5 %, 4 m, 20 degrees", 25.0, 5.0, 4.0, 20.0),
     }  # fmt: skip
 
-    @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        own = {} if largest_building is None else {"seed_cell": largest_building}
-        return super().from_spacing(spacing, largest_building) | own
-
-    def halo(self) -> float:
-        """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return facet_reach(self.seed_cell)
-
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_cell(points, self.seed_cell, barred)
         if self.border == "corners":
-            xy = points.xyz[:, :2].astype(np.float64)
-            network = one_network(points, seeds, corner_positions(xy.min(axis=0), xy.max(axis=0)), late)
-        else:
-            network = self.network(points, seeds, self.seed_cell, late)
-        slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
-        return Start(network, barred, late, Mirror(slope, self.mirror, self.mirror_mode), self.refresh_border)
-
-    def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
+            return one_network(points, seeds, corner_positions(*points.extent), barred, late)
+        return self.network(points, seeds, self.seed_cell, barred, late)
 
     def adaptive(self) -> Adaptive | None:
         return Adaptive(self.adapted) if self.thresholds == "adaptive" else None

@@ -21,6 +21,7 @@ from ..host.neighbours import groups
 from ..ops.cloth import drape, fill_along_lines
 from ..ops.grid import inside, padded_shape
 from ..stages.outliers import bar_outliers
+from . import papers
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
 START = 0.05  # metres between the lowest point and the cloth at the start
@@ -82,6 +83,7 @@ class CSF(Filter):
     )
     low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
 
+    BIBTEX: ClassVar[str] = papers.ZHANG_2016
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: medium rigidness, lowest points, low clusters carry no cloth"),

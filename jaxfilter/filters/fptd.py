@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Filter
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
-from ..stages.densify import Network
+from ..stages.growth import Border, Growth, Network
 from ..stages.network import block_networks, border_positions
 from ..stages.seeds import lowest_per_window
-from ..stages.tin_filter import Start, TinFilter, facet_reach
+from ..stages.tin_filter import TinFilter
+from . import papers
 
 
 @filter_params
@@ -66,6 +65,8 @@ class FPTD(TinFilter):
     )
     max_below: float = param(default=math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
 
+    BIBTEX: ClassVar[str] = papers.LI_2021
+    WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: one triangulation, clusters of low points barred from the seeds"),
         "paper": Preset(
@@ -90,44 +91,36 @@ class FPTD(TinFilter):
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        dense = super().from_spacing(spacing, largest_building)
+        fixed = super().from_spacing(spacing, largest_building)
         if largest_building is None:
-            return dense
+            return fixed
         stride = math.ceil(largest_building / 0.6 - 1e-9) / 10.0  # a sixth of the window, which so is a multiple of it
-        return dense | {"window": round(6 * stride, 1), "stride": stride}
+        return fixed | {"window": round(6 * stride, 1), "stride": stride}
 
-    def halo(self) -> float:
-        """The neighbourhood radius d of Sec. II-A: the half diagonal of a block and its eight neighbours."""
-        return facet_reach(self.window)
+    def schedule(self, network: Network, **changes: Any) -> Growth:
+        return super().schedule(network, **{"border": Border(True, self.border_in_tests), **changes})
 
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_window(points, self.window, self.stride, barred)
         if self.blocks == "independent":
-            xy = points.xyz[:, :2].astype(np.float64)
-            border = border_positions(xy.min(axis=0), xy.max(axis=0), self.window)
-            network = block_networks(
-                points, seeds, border, late, size=self.window, overlap=self.overlap, reach=self.halo()
+            border = border_positions(*points.extent, self.window)
+            return block_networks(
+                points, seeds, border, barred, late, size=self.window, overlap=self.overlap, reach=self.halo()
             )
-        else:
-            network = self.network(points, seeds, self.window, late)
-        if self.block_limit == "fixed":
-            network = self._below_limit(network)
-        return Start(network, barred, late, refresh_border=True)
+        return self.network(points, seeds, self.window, barred, late)
 
-    def _below_limit(self, network: Network) -> Network:
-        """The network without the points above the highest seed of their sheet plus e (Sec. II-E, step 1)."""
+    def settled(self, network: Network) -> Network:
+        """With a fixed limit also without the points above the highest seed of their sheet plus e (Sec. II-E, step 1)."""
+        network = super().settled(network)
+        if self.block_limit == "following":
+            return network
         z, highest = network.xyz[:, 2], np.full(int(network.sheet[-1]) + 1, -np.inf, np.float32)
         np.maximum.at(highest, network.sheet[network.seed], z[network.seed])
         reached = z <= highest[network.sheet] + np.float32(self.max_elevation)
         return dataclasses.replace(network, open=network.open & reached)
-
-    def ground_each(self, points: Points, sets: Sequence[Self], **options: Any) -> Iterator[tuple[int, np.ndarray]]:
-        """Sets grow together, unless ``max_elevation`` decides the start as well."""
-        base = Filter if self.block_limit == "fixed" else TinFilter
-        return base.ground_each(self, points, sets, **options)
 
     def limits(self) -> Rule:
         return self.rule(

@@ -8,17 +8,19 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.filter import Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Decision, Progress
+from ..core.result import Progress
 from ..ops.morphology import opening
 from ..ops.spread import fill_from_neighbours
-from ..stages.densify import Mirror
+from ..stages.densify import densify
+from ..stages.growth import Network
 from ..stages.local_planes import TRANSLATIONS, over_local_planes
+from ..stages.network import labels_of
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import Mirroring, facet_reach
+from . import papers
 
 
 def _table(number: int, window: float, k: int, plane_error: float, max_angle: float, max_distance: float) -> Preset:
@@ -36,7 +38,7 @@ def _table(number: int, window: float, k: int, plane_error: float, max_angle: fl
 
 
 @filter_params
-class IPTD(TinFilter):
+class IPTD(Mirroring):
     """Improved progressive TIN densification: morphological seeds, then growth downward and upward.
 
     X. Zhao, Q. Guo, Y. Su, B. Xue (2016): Improved progressive TIN densification filtering algorithm for airborne LiDAR
@@ -77,19 +79,11 @@ class IPTD(TinFilter):
         default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
     max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_terrain_angle: float = static(
-        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
-    )
-    mirror: str = static(
-        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="replace",
-        choices=("replace", "or"),
-        doc="test the mirror image instead of the point, or as a second chance",
-    )
     border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
+    BIBTEX: ClassVar[str] = papers.ZHAO_2016
+    LIMITS: ClassVar[tuple[str, ...]] = ("max_angle", "max_distance")  # others limit downward growth, too
+    WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: one set for all terrain, planes stay as fitted, clusters of low points are barred"
@@ -116,8 +110,7 @@ class IPTD(TinFilter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of half a point spacing, in steps of 0.5 m and 1 m at least; on simulated scenes wider ones do no better."""
-        own = {} if largest_building is None else {"window": largest_building}
-        return super().from_spacing(spacing, largest_building) | own | {"cell": cell_for(spacing, 1 / 2)}
+        return super().from_spacing(spacing, largest_building) | {"cell": cell_for(spacing, 1 / 2)}
 
     @property
     def reach(self) -> int:
@@ -137,7 +130,7 @@ class IPTD(TinFilter):
         opened = opening(surface, self.reach, self.reach, "square", cells.valid)
         return lowest_of_cells(points, cells, surface - opened <= jnp.float32(self.tolerance), barred)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "openings")
@@ -145,32 +138,22 @@ class IPTD(TinFilter):
         progress(0.0, "planes")
         over = over_local_planes(points.xyz[potential], self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
-        shared: dict[str, Any] = {"barred": barred, "late": late, "workers": workers, "trace": trace}
-        downward = self.replace(insertion="one_per_facet").grow(
-            points,
-            self.network(points, seeds, self.border_spacing, late),
-            self.rule(max_angle=0.0, max_below=self.max_below, signed=1.0),
+        network = self.settled(self.network(points, seeds, self.border_spacing, barred, late))
+        below = self.rule(max_angle=0.0, max_below=self.max_below, signed=1.0)
+        out = densify(
+            network,
+            self.schedule(network, rule=below, mirror=None, insertion="one_per_facet"),
+            heights=False,
+            workers=workers,
             progress=lambda share, step: progress(share / 2, "densify downward"),
-            **shared,
+            keep_labels=trace,
         )
-        progress(0.5, "densify")
-        labels = self.grow(
-            points,
-            self.network(points, np.flatnonzero(downward.ground), self.border_spacing, late),
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            mirror=Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
-            progress=lambda share, step: progress(0.5 + share / 2, step),
-            **shared,
-        )
-        assert labels.decision is not None and downward.decision is not None
-        found = downward.ground & (downward.decision != Decision.SEED)
-        for name in ("decision", "margin", "angle", "elevation"):
-            getattr(labels, name)[found] = getattr(downward, name)[found]
-        labels.info |= {
+        downward = labels_of(network, out, trace)
+        info = {
             "seeds": len(seeds),
             "potential_seeds": len(potential),
             "removed_seeds": len(potential) - len(seeds),
-            "downward_rounds": downward.info["rounds"],
+            "downward_rounds": len(out.trace),
         }
-        labels.trace[:0] = downward.trace
-        return labels
+        seeds = np.flatnonzero(downward.ground)
+        return self.network(points, seeds, self.border_spacing, barred, late, info=info, before=downward)

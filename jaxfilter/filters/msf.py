@@ -27,6 +27,7 @@ from ..stages.surfaces import (
     lowest_places,
     steepness,
 )
+from . import papers
 
 MAX_REACH = 100  # cells; the time grows with the square
 
@@ -69,6 +70,7 @@ class MSF(Filter):
     )
     low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the minima")
 
+    BIBTEX: ClassVar[str] = papers.VOSSELMAN_2000
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: terrain up to 30 degrees and 6 m, clusters of low points barred"),

@@ -31,6 +31,7 @@ from ..stages.surfaces import (
     lowest_cells,
     steepness,
 )
+from . import papers
 
 MAX_REACH = 1000  # cells
 _SETS = 32
@@ -104,6 +105,7 @@ class PMF(Filter):
         default=True, choices=(True, False), doc="bar clusters of low outliers from the surface"
     )
 
+    BIBTEX: ClassVar[str] = papers.ZHANG_2003
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

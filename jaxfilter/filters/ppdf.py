@@ -22,6 +22,7 @@ from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.quadrants import NearestReferences, QuadrantReferences, local_planes
 from ..stages.seeds import lowest_on_grid
+from . import papers
 
 MAX_CELLS = 100_000_000
 
@@ -108,6 +109,7 @@ class PPDF(Filter):
         doc="references: one in each quadrant, or the nearest four",
     )
 
+    BIBTEX: ClassVar[str] = papers.CAI_2023
     LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
-from ..stages.densify import Mirror
+from ..stages.growth import Network
 from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import Start, TinFilter, facet_reach
+from ..stages.tin_filter import Mirroring
+from . import papers
 
 
 @filter_params
-class PTD(TinFilter):
+class PTD(Mirroring):
     """Classic progressive TIN densification.
 
     P. Axelsson (2000): DEM generation from laser scanner data using adaptive TIN models. Int. Arch. Photogramm. Remote
@@ -41,17 +42,6 @@ class PTD(TinFilter):
     seed_cell: float = static(
         default=60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building"
     )
-    max_terrain_angle: float = static(
-        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
-    )
-    mirror: str = static(
-        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="replace",
-        choices=("replace", "or"),
-        doc="test the mirror image instead of the point, or as a second chance",
-    )
     signed: bool = static(
         default=False, choices=(False, True), doc="points below their facet pass at any angle and distance"
     )
@@ -59,6 +49,7 @@ class PTD(TinFilter):
         default=True, choices=(True, False), doc="simulated border points follow the growing ground"
     )
 
+    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.ZHANG_2013
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: clusters of low points are barred from the seeds, border points follow the ground"
@@ -75,27 +66,12 @@ class PTD(TinFilter):
         "D4": Preset("steep: theta = 38, d = 1.4", max_angle=38.0, max_distance=1.4),
     }
 
-    @classmethod
-    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        own = {} if largest_building is None else {"seed_cell": largest_building}
-        return super().from_spacing(spacing, largest_building) | own
-
-    def halo(self) -> float:
-        """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return facet_reach(self.seed_cell)
-
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_cell(points, self.seed_cell, barred)
-        return Start(
-            self.network(points, seeds, self.seed_cell, late),
-            barred,
-            late,
-            Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
-            self.refresh_border,
-        )
+        return self.network(points, seeds, self.seed_cell, barred, late)
 
     def limits(self) -> Rule:
         return self.rule(max_angle=self.max_angle, max_distance=self.max_distance, signed=float(self.signed))

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from ..core.params import Preset, filter_params, param, static
 from ..ops.facets import Rule
+from . import papers
 from .ptd import PTD
 
 
@@ -32,6 +33,7 @@ class PTDF(PTD):
     _: dataclasses.KW_ONLY
     max_rounds: int = static(default=200, ge=1, doc="limit of densification rounds")
 
+    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.CAI_2023
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: seed cells as large as the largest building, clusters of low points are barred, border points "

@@ -18,6 +18,7 @@ from ..core.result import Decision, Progress
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening
 from ..stages.surfaces import LowestCells, cell_for, check_width, chunks, cropped, hold_against, lowest_cells, steepness
+from . import papers
 
 _SLOPES, _LANES, _SETS = 256, 16, 32
 """In a sweep: slopes that share the openings, terrains filled at a time, sets tested at a time."""
@@ -80,6 +81,7 @@ class SMRF(Filter):
     scaling: float = param(default=1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
     cut: float = static(default=0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0)
 
+    BIBTEX: ClassVar[str] = papers.PINGEL_2013
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset(

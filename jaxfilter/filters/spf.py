@@ -12,15 +12,15 @@ import numpy as np
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
 from ..ops.morphology import opening
 from ..ops.spread import fill_from_neighbours
-from ..stages.densify import Mirror
+from ..stages.growth import Network
 from ..stages.outliers import isolated_low
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, check_width, lowest_cells
-from ..stages.tin_filter import Start, TinFilter, facet_reach
+from ..stages.tin_filter import Mirroring, facet_reach
+from . import papers
 
 GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
@@ -29,7 +29,7 @@ _TAIL = 1e-3
 
 
 @filter_params
-class SPF(TinFilter):
+class SPF(Mirroring):
     """Seed points filtering: progressive TIN densification from many seeds.
 
     N. Chen, N. Wang, Y. He, X. Ding, J. Kong (2023): An improved progressive triangular irregular network densification
@@ -87,17 +87,6 @@ class SPF(TinFilter):
         default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
     max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_terrain_angle: float = static(
-        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
-    )
-    mirror: str = static(
-        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="replace",
-        choices=("replace", "or"),
-        doc="test the mirror image instead of the point, or as a second chance",
-    )
     histogram_margin: float = static(
         default=0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.1 or 99.9 % quantile of elevations; 0 = off"
     )
@@ -106,6 +95,8 @@ class SPF(TinFilter):
     )
     border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
+    BIBTEX: ClassVar[str] = papers.CHEN_2023
+    WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: clusters of low points are barred from the seeds, empty cells are filled from their neighbours"
@@ -128,8 +119,7 @@ class SPF(TinFilter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of half a point spacing, in steps of 0.5 m and 1 m at least; on simulated scenes wider ones do no better."""
-        own = {} if largest_building is None else {"window": largest_building}
-        return super().from_spacing(spacing, largest_building) | own | {"cell": cell_for(spacing, 1 / 2)}
+        return super().from_spacing(spacing, largest_building) | {"cell": cell_for(spacing, 1 / 2)}
 
     def halo(self) -> float:
         """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""
@@ -182,7 +172,7 @@ class SPF(TinFilter):
             found[rest] = isolated_low(points.xyz[rest], 8, self.isolated_depth, workers=workers)
         return barred | found, late
 
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         progress(0.0, "openings")
@@ -199,16 +189,8 @@ class SPF(TinFilter):
                 workers=workers,
             )
             seeds = potential[keep]
-        return Start(
-            self.network(points, seeds, self.border_spacing, late),
-            barred,
-            late,
-            Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode),
-            info={"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)},
-        )
-
-    def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)
+        info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
+        return self.network(points, seeds, self.border_spacing, barred, late, info=info)
 
 
 @functools.partial(jax.jit, static_argnames="reach")

@@ -8,17 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Labels
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..host.trend import low_trend, quadratic_trend
 from ..ops.facets import Rule
-from ..stages.densify import Adaptive, Mirror, Vertices
+from ..stages.growth import Adaptive, Growth, Network, Vertices
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_on_grid
-from ..stages.tin_filter import TinFilter, facet_reach
+from ..stages.tin_filter import SlopeMirroring
+from . import papers
 
 
 def _sample(number: int, grid: float, slope: float, distance: float, angle: float, outlier_distance: float) -> Preset:
@@ -39,7 +39,7 @@ def _sample(number: int, grid: float, slope: float, distance: float, angle: floa
 
 
 @filter_params
-class STIN(TinFilter):
+class STIN(SlopeMirroring):
     """Simple TIN densification.
 
     F. Uray, A. Varlik (2024): Filtering airborne LIDAR data using simple triangulation irregular network. Necmettin Erbakan
@@ -85,15 +85,6 @@ class STIN(TinFilter):
     quantile: float = param(
         default=0.97, gt=0, le=1, doc="share of the ground points that stays within the limits when they are lowered"
     )
-    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static(
-        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="or",
-        choices=("or", "replace", "and"),
-        doc="mirror image as a second chance, in place of the point, or both must pass",
-    )
     outlier_surface: str = static(
         default="local",
         choices=("quadratic", "local", "off"),
@@ -105,6 +96,8 @@ class STIN(TinFilter):
         default=False, choices=(True, False), doc="at the end test all labels on the final triangulation"
     )
 
+    BIBTEX: ClassVar[str] = papers.URAY_2024
+    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio", "quantile")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: 30 degrees and 1.4 m, no mirroring; no seeds below the trend of the low terrain or in clusters of "
@@ -139,40 +132,24 @@ class STIN(TinFilter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         fixed = super().from_spacing(spacing, largest_building) | {"vertex_spacing": 0.0}
-        if largest_building is None:
-            return fixed
-        return fixed | {"seed_cell": largest_building, "final_cell": min(2.0, largest_building)}
+        return fixed if largest_building is None else fixed | {"final_cell": min(2.0, largest_building)}
 
-    def halo(self) -> float:
-        """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
-        return facet_reach(self.seed_cell)
-
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
         barred, late = self.outliers(points, workers)
         far = self.far_from_surface(points)
         barred = barred | far
         progress(0.0, "seeds")
-        grids = self.grids(points)
-        seeds = lowest_on_grid(points, grids[0], barred)
-        xy = points.xyz[:, :2].astype(np.float64)
-        corners = corner_positions(xy.min(axis=0), xy.max(axis=0))
-        network = one_network(points, seeds, corners, late)
-        slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
-        return self.grow(
-            points,
-            network,
-            self.rule(max_angle=self.max_angle, max_distance=self.max_distance),
-            barred=barred,
-            late=late,
-            mirror=Mirror(slope, self.mirror, self.mirror_mode),
-            vertices=Vertices(grids, math.inf if self.passes == "one" else float(self.stop_ratio)),
-            adaptive=Adaptive(self.lowered, "ground", "grid") if self.thresholds == "quantile" else None,
-            review=self.retest,
-            workers=workers,
-            progress=progress,
-            trace=trace,
-        )
+        seeds = lowest_on_grid(points, self.grids(points)[0], barred)
+        return one_network(points, seeds, corner_positions(*points.extent), barred, late)
+
+    def schedule(self, network: Network, **changes: Any) -> Growth:
+        stop = math.inf if self.passes == "one" else float(self.stop_ratio)
+        own = {"vertices": Vertices(grids=self.grids(network.points), stop_share=stop), "review": self.retest}
+        return super().schedule(network, **own | changes)
+
+    def adaptive(self) -> Adaptive | None:
+        return Adaptive(self.lowered, "ground", "grid") if self.thresholds == "quantile" else None
 
     def far_from_surface(self, points: Points) -> np.ndarray:
         """bool[m]: outliers. Further from the quadratic surface than the limit, or as far below the low terrain."""

@@ -12,17 +12,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, Delaunay
 
 from ..core.cloud import QUANTUM
 from ..core.points import morton
 from .neighbours import nearest, tree_of
-from .tin import Tin, delaunay
+from .tin import Tin
 
 Heights = Callable[[np.ndarray], np.ndarray]
 """From positions f64[q, 2] to heights f64[q], local metres; NaN where the method gives none."""
-
-_REACHES = tuple(QUANTUM * step for step in (2, 4, 8, 16))  # metres, of the search for a triangle at the hull
 
 METHODS = ("tin", "idw", "natural", "kriging")
 
@@ -51,57 +49,37 @@ def interpolator(
 def _linear(xyz: np.ndarray, workers: int | None) -> Heights:
     """Linear on the triangles of the Delaunay triangulation; NaN outside the convex hull.
 
-    The triangulation is that of positions moved by less than half a quantum (``host/tin.py``), so that it is unique on
-    lattices too; heights follow from these positions. Where the hull runs through points on one line, these moves leave
-    triangles flatter than two quanta along it, or leave positions on the line outside: they belong to the next triangle
-    toward the middle.
+    Positions are located to a quantum. One that is inside the hull and by that just outside its triangles belongs to the
+    triangle behind the nearest edge, as does one that is on the hull.
     """
     threads = workers or os.cpu_count() or 1
     code = morton(xyz)
     with ThreadPoolExecutor(threads) as pool:
         tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, threads)
-    near = tin.triangle_of_vertices()
-    flat = _flat(tin)
-    inside, middle = inside_hull(xyz), tin.xy.mean(axis=0)
+    inside, xy, z = inside_hull(xyz), xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 
     def locate(at: np.ndarray) -> np.ndarray:
         start = np.searchsorted(code, morton(np.maximum(at, 0.0)))
-        return tin.walk(at, near[np.minimum(start, len(xyz) - 1)], np.zeros(len(at), np.int32))
+        return tin.walk(at, tin.where[np.minimum(start, len(xyz) - 1)])
 
     def heights(at: np.ndarray) -> np.ndarray:
         with ThreadPoolExecutor(threads) as pool:
             tri = np.concatenate(list(pool.map(locate, np.array_split(at, 4 * threads))))
-        doubtful = np.flatnonzero((tri < 0) | flat[tri])
-        within = inside(at[doubtful])
-        tri[doubtful[~within]] = -1
-        doubtful = doubtful[within]
-        for reach in _REACHES:
-            inward = middle - at[doubtful]
-            length = np.maximum(np.hypot(*inward.T), reach)
-            found = locate(at[doubtful] + inward * (reach / length)[:, None])
-            good = (found >= 0) & ~flat[found]
-            tri[doubtful[good]] = found[good]
-            doubtful = doubtful[~good]
-        corner = tin.xy[tin.triangles[tri]]
+        beyond = np.flatnonzero(tri < 0)
+        within = inside(at[beyond])
+        tri[beyond] = -1 - tri[beyond]
+        nodes = tin.corners(tri)
+        corner, level = np.take(xy, nodes, axis=0), z[nodes]
         (x1, y1), (x2, y2), (x, y) = (
             d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], at - corner[:, 0])
         )
         area = x1 * y2 - x2 * y1
         second, third = (x * y2 - x2 * y) / area, (x1 * y - x * y1) / area
-        z = xyz[tin.triangles[tri], 2].astype(np.float64)
-        out = z[:, 0] + second * (z[:, 1] - z[:, 0]) + third * (z[:, 2] - z[:, 0])
-        out[tri < 0] = np.nan
-        return np.clip(out, z.min(axis=1), z.max(axis=1))
+        out = level[:, 0] + second * (level[:, 1] - level[:, 0]) + third * (level[:, 2] - level[:, 0])
+        out[beyond[~within]] = np.nan
+        return np.clip(out, level.min(axis=1), level.max(axis=1))
 
     return heights
-
-
-def _flat(tin: Tin) -> np.ndarray:
-    """bool[t]: triangles lower than two quanta over their longest side."""
-    one, two, three = (tin.xy[tin.triangles[:, corner]] for corner in range(3))
-    u, v = two - one, three - two
-    longest = np.max([np.hypot(*side.T) for side in (u, v, one - three)], axis=0)
-    return np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) < 2 * QUANTUM * longest
 
 
 def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:
@@ -157,7 +135,8 @@ def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """A function from positions f64[q, 2] to bool[q]: within the convex hull of the points [m, >=2]."""
     xy = xyz[:, :2].astype(np.float64)
     corners = xy[ConvexHull(xy - xy.mean(axis=0)).vertices]
-    mesh, middle = delaunay(corners), corners.mean(axis=0)
+    middle = corners.mean(axis=0)
+    mesh = Delaunay(corners - middle)
     return lambda at: mesh.find_simplex(at - middle, tol=1e-9) >= 0
 
 

@@ -8,6 +8,7 @@ the nearest vertex (Zhang & Lin 2013; Li et al. 2021, eq. 3) is also the largest
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -121,32 +122,27 @@ def judge_one(
     return Verdict(accepted, decision, margin, s)
 
 
-@jax.jit
+QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
+"""What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
+
+
+@functools.partial(jax.jit, static_argnames="names")
 def judge(
-    rule: Rule, two_sided: jax.Array, points: jax.Array, corners: jax.Array, counted: jax.Array | None = None
-) -> Verdict:
-    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; arrays of N come back.
-
-    ``two_sided``: bool[N]; ``counted``: bool[N, 3], see :func:`facet_score`.
-    """
-    return jax.vmap(judge_one, in_axes=(None, 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
-
-
-@jax.jit
-def judge_each(
-    rules: Rule,
-    which: jax.Array,
+    rule: Rule,
     two_sided: jax.Array,
     points: jax.Array,
     corners: jax.Array,
     counted: jax.Array | None = None,
-) -> Verdict:
-    """As :func:`judge`, with one of several rules (f32[R] in each field) for every point: ``which``, i32[N]."""
+    *,
+    names: tuple[str, ...] = QUANTITIES,
+) -> dict[str, jax.Array]:
+    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; those of :data:`QUANTITIES` that are named, [N] each.
 
-    def one(i: jax.Array, late: jax.Array, p: jax.Array, facet: jax.Array, real: jax.Array | None) -> Verdict:
-        return judge_one(Rule(*(jnp.asarray(limits)[i] for limits in rules)), late, p, facet, real)
-
-    return jax.vmap(one)(which, two_sided, points, corners, counted)
+    ``two_sided``: bool[N]; ``counted``: bool[N, 3], see :func:`facet_score`. What is not named is not computed.
+    """
+    verdict = jax.vmap(judge_one, in_axes=(None, 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
+    found = {**verdict._asdict(), **verdict.score._asdict()}
+    return {name: found[name] for name in names}
 
 
 @jax.jit

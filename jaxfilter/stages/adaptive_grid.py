@@ -61,8 +61,7 @@ def lowest_per_adaptive_cell(
     The grid starts at the lower left corner of the points, or at the nearest multiple of the cell from the cloud's anchor.
     Raises: InputError if the extent needs too many cells.
     """
-    xy = points.xyz[:, :2].astype(np.float64)
-    corner, high = xy.min(axis=0), xy.max(axis=0)
+    corner, high = points.extent
     if points.cloud.anchor is not None:
         offset = np.array(points.offset(cell))
         corner = np.floor((corner - offset) / cell + 1e-9) * cell + offset

@@ -32,7 +32,7 @@ def over_local_planes(xyz: np.ndarray, k: int, translation: str = "lowest", work
         own = xyz[start : start + _SEEDS_AT_ONCE]
         _, index = nearest(tree, own[:, :2], few, np.inf, workers)
         around = np.zeros((_SEEDS_AT_ONCE, k, 3), np.float32)
-        around[: len(own), :few] = xyz[index]
+        around[: len(own), :few] = np.take(xyz, index, axis=0)
         centre = np.zeros((_SEEDS_AT_ONCE, 3), np.float32)
         centre[: len(own)] = own
         out[start : start + len(own)] = np.asarray(_over_planes(around, mask, centre, translation == "lowest"))[

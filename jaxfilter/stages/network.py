@@ -1,15 +1,18 @@
-"""From seeds to the network that densification starts from: border points, and the sheets of independent blocks."""
+"""From seeds to the network that densification starts from, border points and sheets of blocks included, and back to labels."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ..core.filter import Labels
 from ..core.points import Points
-from ..core.result import Status
-from ..host.tin import perturbed
-from .densify import Densified, Network
+from ..core.result import Decision, Status
+from ..host.neighbours import perturbed
+from .densify import Densification
+from .growth import Network
 
 PAD = 0.25
 """Metres between the extent of the points and the simulated border points around it."""
@@ -58,11 +61,14 @@ def with_elevation(border: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     return np.column_stack([border, xyz[nearest, 2]]).astype(np.float32)
 
 
-def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, late: np.ndarray) -> Network:
+def one_network(
+    points: Points, seeds: np.ndarray, border: np.ndarray, barred: np.ndarray, late: np.ndarray, **more: Any
+) -> Network:
     """All points in one sheet.
 
     Args:
-        seeds: i64[s], rows of ``points``; border: f32[b, 2] positions; late: bool[m], suspected low outliers.
+        seeds: i64[s], rows of ``points``; border: f32[b, 2] positions; barred, late: bool[m], see :class:`Network`.
+        more: further fields of it.
     """
     m, b = len(points), len(border)
     virtual = with_elevation(border, points.xyz[seeds])
@@ -70,12 +76,15 @@ def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, late: np.
     seed[seeds] = True
     seed[m:] = True
     return Network(
+        points=points,
         xyz=np.concatenate([points.xyz, virtual]),
         sheet=np.zeros(m + b, np.int32),
         row=np.concatenate([np.arange(m), np.full(b, -1)]),
         seed=seed,
         open=np.arange(m + b) < m,
         late=np.concatenate([late, np.zeros(b, bool)]),
+        barred=barred,
+        **more,
     )
 
 
@@ -83,6 +92,7 @@ def block_networks(
     points: Points,
     seeds: np.ndarray,
     border: np.ndarray,
+    barred: np.ndarray,
     late: np.ndarray,
     *,
     size: float,
@@ -96,7 +106,7 @@ def block_networks(
     the widened block, with the elevation of the nearest seed, complete them. Empty blocks have no sheet. All in metres.
     """
     xy = points.xyz[:, :2].astype(np.float64)
-    low, high = xy.min(axis=0), xy.max(axis=0)
+    low, high = points.extent
     nx, ny = block_count(high - low, size)
     edges = [np.append(low[a] + size * np.arange(n), high[a]) for a, n in enumerate((nx, ny))]
     home = [np.clip(np.searchsorted(edges[a][1:-1], xy[:, a], side="right"), 0, n - 1) for a, n in enumerate((nx, ny))]
@@ -144,7 +154,8 @@ def block_networks(
                 np.concatenate([late[own], np.zeros(len(ring), bool)]),
             )
         )
-    return Network(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    xyz, sheets, row, seed, opened, lates = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Network(points, xyz, sheets, row, seed, opened, lates, barred)
 
 
 def _surrounds(around: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> bool:
@@ -162,47 +173,50 @@ def _surrounds(around: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np
     return bool((normal @ inside.astype(np.float64).T + offset[:, None] < -PAD / 2).all())
 
 
-def labels_of(
-    points: Points, network: Network, out: Densified, *, barred: np.ndarray, late: np.ndarray, keep_labels: bool
-) -> Labels:
+def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels:
     """From nodes back to points: ground where any sheet accepts it; quantities from a sheet that does, else from any."""
-    m = len(points)
-    counts = network.row >= 0
-    order = np.flatnonzero(counts)
-    order = order[np.argsort(out.ground[order], kind="stable")]  # accepting sheets last, so that they prevail
+    points, barred = network.points, network.barred
+    barred = np.zeros(len(points), bool) if barred is None else barred
+    real = np.flatnonzero(network.row >= 0)
+    order = real[np.argsort(out.ground[real], kind="stable")]  # accepting sheets last, so that they prevail
     row = network.row[order]
 
     def gather(values: np.ndarray) -> np.ndarray:
-        spread = np.zeros(m, values.dtype)
+        spread = np.zeros(len(points), values.dtype)
         spread[row] = values[order]
         return spread
 
-    ground = gather(out.ground)
+    names = ("ground", "height", "slope", "angle", "elevation", "margin", "decision")
+    found = {name: gather(getattr(out, name)) for name in names}
+    trace = out.trace
+    if network.before is not None:
+        before, trace = network.before, network.before.trace + trace
+        assert before.decision is not None
+        earlier = before.ground & (before.decision != Decision.SEED)
+        for name in ("angle", "elevation", "margin", "decision"):
+            found[name][earlier] = getattr(before, name)[earlier]
     if keep_labels:
         for step in out.trace:
-            any_sheet = np.zeros(m, bool)
+            any_sheet = np.zeros(len(points), bool)
             any_sheet[row[step["ground"][order]]] = True
             step["ground"] = any_sheet
+    late = np.zeros(len(points), bool)
+    late[network.row[real[network.late[real]]]] = True
     return Labels(
-        ground=ground,
-        height=gather(out.height),
-        slope=gather(out.slope),
-        angle=gather(out.angle),
-        elevation=gather(out.elevation),
-        margin=gather(out.margin),
-        decision=gather(out.decision),
+        **found,
         barred=barred,
         status=Status.CONVERGED if out.converged else Status.ROUND_LIMIT,
         info={
             "sheets": int(network.sheet[-1]) + 1,
-            "seeds": len(np.unique(network.row[network.seed & counts])),
-            "border_points": int((network.row < 0).sum()),
+            "seeds": len(np.unique(network.row[real[network.seed[real]]])),
+            "border_points": len(network.virtual),
             "rounds": len(out.trace),
-            "facets": out.facets,
-            "vertices": out.vertices,
+            "facets": len(out.tin),
+            "vertices": int(out.tin.vertex.sum()),
             "barred": int(points.weight[barred].sum()),
             "barred_low_clusters": int(points.weight[late].sum()),
-            "barred_then_ground": int(points.weight[barred & ground].sum()),
+            "barred_then_ground": int(points.weight[barred & found["ground"]].sum()),
+            **network.info,
         },
-        trace=out.trace,
+        trace=trace,
     )

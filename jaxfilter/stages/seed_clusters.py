@@ -50,8 +50,7 @@ def clustered_seeds(
         return np.ones(s, bool)
     threads = workers or os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        tin = Tin(xyz, np.zeros(s, np.int32), np.arange(s), pool, threads)
-    facet, beside = tin.triangles, tin.neighbours
+        facet, beside = Tin(xyz, np.zeros(s, np.int32), np.arange(s), pool, threads).facets()
     corner = xyz[facet]
     z = corner[:, :, 2]
     edge = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # edge k lies opposite vertex k

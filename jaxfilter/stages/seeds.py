@@ -26,8 +26,7 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     Of equally low points the first in canonical order is taken.
     Raises: ParameterError, InputError if window and stride have too small a common measure for the extent.
     """
-    xy = points.xyz[:, :2].astype(np.float64)
-    corner, high = xy.min(axis=0), xy.max(axis=0)
+    corner, high = points.extent
     if points.cloud.anchor is not None:
         offset = np.array(points.offset(stride))
         corner = np.floor((corner - offset) / stride + 1e-9) * stride + offset

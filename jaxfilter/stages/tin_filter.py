@@ -1,44 +1,32 @@
-"""What the methods that densify a triangulation share: the fields for outliers and insertion, and the steps around them."""
+"""What the methods that densify a triangulation share: their common fields, and the way from seeds to labels."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Iterator, Sequence
-from typing import Any, Self
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ..core.compilation import in_turn
 from ..core.filter import Filter, Labels
 from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
+from ..host.tin import Tin
 from ..ops.facets import Rule
-from .densify import INSERTIONS, Adaptive, Mirror, Network, Vertices, densify
-from .lanes import densify_each
+from .densify import densify, triangulated
+from .growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
 from .network import border_positions, labels_of, one_network
 from .outliers import bar_outliers
 
 FATES = ("barred", "removed")
 """What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
-
-
-@dataclasses.dataclass(eq=False)
-class Start:
-    """What growth starts from, whatever its thresholds.
-
-    Attributes:
-        barred: bool[m], points that are no seeds; late: bool[m], those among them that are tested when the others are done.
-        mirror, refresh_border: see :func:`jaxfilter.stages.densify.densify`.
-        info: counts for the result.
-    """
-
-    network: Network
-    barred: np.ndarray
-    late: np.ndarray
-    mirror: Mirror | None = None
-    refresh_border: bool = False
-    info: dict[str, Any] = dataclasses.field(default_factory=dict)
+_BYTES = 250
+"""About so many of memory per point and growth."""
 
 
 def facet_reach(cell: float) -> float:
@@ -50,8 +38,9 @@ def facet_reach(cell: float) -> float:
 class TinFilter(Filter):
     """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.
 
-    A method gives ``start``, its seeds and network, and ``limits``, its thresholds; or it has a ``classify`` of its own. Only
-    fields that are named as those of :class:`jaxfilter.ops.facets.Rule` may decide the limits, and they nothing else.
+    A method gives ``start``, its seeds and network, and ``limits``, its thresholds; ``schedule`` says what else its growth
+    does. Fields named in ``LIMITS`` may decide ``limits`` and ``adaptive``, and nothing else: sets of a sweep that differ in
+    no others start from the same triangulation.
     """
 
     radius: float = static(default=0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
@@ -76,73 +65,96 @@ class TinFilter(Filter):
     )
     max_rounds: int = static(default=100, ge=1, doc="limit of densification rounds")
 
+    LIMITS: ClassVar[tuple[str, ...]] = Rule._fields
+    WINDOW: ClassVar[str] = "seed_cell"
+    """The field that is as large as the largest building."""
+
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Above four points per square metre, ranging noise makes steep angles at short range."""
         dense = spacing < 0.5
-        return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0}
+        window = {} if largest_building is None else {cls.WINDOW: largest_building}
+        return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0, **window}
 
-    def start(self, points: Points, workers: int | None, progress: Progress) -> Start:
-        """Outliers, seeds and network."""
+    def halo(self) -> float:
+        """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
+        return facet_reach(getattr(self, self.WINDOW))
+
+    def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
+        """Outliers, seeds and network. ``trace``: keep the labels of rounds, if there are any already."""
         raise TypeError(f"{type(self).__name__} does not define start()")
 
     def limits(self) -> Rule:
         """The thresholds of growth."""
-        raise TypeError(f"{type(self).__name__} does not define limits()")
+        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)  # type: ignore[attr-defined]
 
     def adaptive(self) -> Adaptive | None:
         """How the thresholds follow the ground; None = they are constant."""
         return None
 
+    def mirroring(self, network: Network) -> Mirror | None:
+        """When points are mirrored; None = never."""
+        return None
+
+    def schedule(self, network: Network, **changes: Any) -> Growth:
+        """The growth from a network, with ``changes`` of its policies."""
+        policies: dict[str, Any] = {
+            "rule": self.limits(),
+            "mirror": self.mirroring(network),
+            "vertices": Vertices(self.vertex_spacing),
+            "adaptive": self.adaptive(),
+            "border": Border(getattr(self, "refresh_border", False), self.border_in_tests),
+            "insertion": self.insertion,
+            "max_rounds": self.max_rounds,
+        }
+        return Growth(**policies | changes)
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
-        start = self.start(points, workers, progress)
-        labels = self.grow(
-            points,
-            start.network,
-            self.limits(),
-            barred=start.barred,
-            late=start.late,
-            mirror=start.mirror,
-            refresh_border=start.refresh_border,
-            adaptive=self.adaptive(),
+        network = self.settled(self.start(points, workers, progress, trace))
+        done = 0.0 if network.before is None else 0.5
+        out = densify(
+            network,
+            self.schedule(network),
             workers=workers,
-            progress=progress,
-            trace=trace,
+            progress=lambda share, step: progress(done + (1.0 - done) * share, step),
+            keep_labels=trace,
         )
-        labels.info |= start.info
-        return labels
+        return labels_of(network, out, trace)
 
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """Sets that differ in their limits only share the start, and grow together."""
-        own_way = type(self).classify is not TinFilter.classify
-        if own_way or self.insertion != "batch" or self.adaptive() is not None:
-            yield from super().ground_each(points, sets, key=key, workers=workers, memory=memory)
-            return
-        deciding = [f.name for f in dataclasses.fields(self) if f.name not in Rule._fields]
+        """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds; several grow at a time."""
+        deciding = [f.name for f in dataclasses.fields(self) if f.name not in self.LIMITS]
         alike: dict[tuple[Any, ...], list[int]] = {}
         for number, one in enumerate(sets):
             alike.setdefault(tuple(getattr(one, name) for name in deciding), []).append(number)
+        threads = workers or os.cpu_count() or 1
         for numbers in alike.values():
-            start = sets[numbers[0]].start(points, workers, silent)
-            network = self._without_removed(start.network, start.barred)
-            counts = (network.row >= 0) & (network.open | network.seed)
-            grown = densify_each(
-                network,
-                [sets[number].limits() for number in numbers],
-                mirror=start.mirror,
-                refresh_border=start.refresh_border,
-                vertex_spacing=self.vertex_spacing,
-                border_in_tests=self.border_in_tests,
-                max_rounds=self.max_rounds,
-                workers=workers,
-                memory=memory,
-            )
-            for lane, nodes in grown:
-                ground = np.zeros(len(points), bool)
-                ground[network.row[counts & nodes]] = True
-                yield numbers[lane], ground
+            network = sets[numbers[0]].start(points, workers, silent)
+            at_once = max(1, min(threads, len(numbers), int(memory // (_BYTES * len(network.xyz)))))
+            with ThreadPoolExecutor(threads) as pool:
+                tin = triangulated(network, self.schedule(network), pool, threads)
+
+            def grown(number: int, start: tuple[Network, Tin, int] = (network, tin, threads // at_once)) -> np.ndarray:
+                return sets[number]._ground_from(*start)
+
+            yield from in_turn(grown, numbers, at_once)
+
+    def _ground_from(self, network: Network, tin: Tin, workers: int) -> np.ndarray:
+        """bool[m]: the labels alone, from a network and the triangulation of its seeds, which stays as it is."""
+        network = self.settled(network)
+        growth = self.schedule(network)
+        out = densify(network, growth, tin=tin.copy(), scores=False, heights=False, workers=workers)
+        ground = np.zeros(len(network.points), bool)
+        ground[network.row[out.ground & (network.row >= 0)]] = True
+        return ground
+
+    def settled(self, network: Network) -> Network:
+        """The network with the nodes that are open to this filter: without outliers, if they are removed."""
+        if self.outlier_fate != "removed" or network.barred is None:
+            return network
+        return dataclasses.replace(network, open=network.open & ~network.barred[network.row])
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points.
@@ -158,55 +170,53 @@ class TinFilter(Filter):
             **tests,
         )
 
-    def network(self, points: Points, seeds: np.ndarray, border_cell: float, late: np.ndarray) -> Network:
-        """All points in one triangulation of the seeds (i64[s]), with border points every ``border_cell`` metres."""
-        xy = points.xyz[:, :2].astype(np.float64)
-        border = border_positions(xy.min(axis=0), xy.max(axis=0), border_cell)
-        return one_network(points, seeds, border, late)
+    def network(
+        self, points: Points, seeds: np.ndarray, spacing: float, barred: np.ndarray, late: np.ndarray, **more: Any
+    ) -> Network:
+        """All points in one triangulation of the seeds (i64[s]), with border points every ``spacing`` metres.
 
-    def _without_removed(self, network: Network, barred: np.ndarray) -> Network:
-        """The network, in which outliers bool[m] are not to be classified if they are removed."""
-        if self.outlier_fate != "removed":
-            return network
-        return dataclasses.replace(network, open=network.open & ~barred[network.row])
+        ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
+        """
+        return one_network(points, seeds, border_positions(*points.extent, spacing), barred, late, **more)
 
     def rule(self, **limits: float) -> Rule:
         """The thresholds of a test, with the noise floor of the method."""
         return Rule(noise_floor=self.noise_floor if self.noise_floor > 0 else -1.0, **limits)
 
-    def grow(
-        self,
-        points: Points,
-        network: Network,
-        rule: Rule,
-        *,
-        barred: np.ndarray,
-        late: np.ndarray,
-        mirror: Mirror | None = None,
-        refresh_border: bool = False,
-        vertices: Vertices | None = None,
-        adaptive: Adaptive | None = None,
-        review: bool = False,
-        workers: int | None,
-        progress: Progress,
-        trace: bool,
-    ) -> Labels:
-        """Densify the network (:func:`jaxfilter.stages.densify.densify`) and return the labels of the points."""
-        network = self._without_removed(network, barred)
-        out = densify(
-            network,
-            rule,
-            mirror=mirror,
-            refresh_border=refresh_border,
-            vertex_spacing=self.vertex_spacing,
-            vertices=vertices,
-            adaptive=adaptive,
-            review=review,
-            insertion=self.insertion,
-            border_in_tests=self.border_in_tests,
-            max_rounds=self.max_rounds,
-            workers=workers,
-            progress=progress,
-            keep_labels=trace,
-        )
-        return labels_of(points, network, out, barred=barred, late=late, keep_labels=trace)
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Mirroring(TinFilter):
+    """A TIN filter that mirrors points over steep facets."""
+
+    max_terrain_angle: float = static(
+        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
+    )
+    mirror: str = static(
+        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
+    )
+    mirror_mode: str = static(
+        default="replace",
+        choices=("replace", "or"),
+        doc="test the mirror image instead of the point, or as a second chance",
+    )
+
+    def mirroring(self, network: Network) -> Mirror | None:
+        return Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SlopeMirroring(TinFilter):
+    """A TIN filter that may mirror points over facets steeper than a slope in percent."""
+
+    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
+    mirror: str = static(
+        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
+    )
+    mirror_mode: str = static(
+        default="or",
+        choices=("or", "replace", "and"),
+        doc="mirror image as a second chance, in place of the point, or both must pass",
+    )
+
+    def mirroring(self, network: Network) -> Mirror | None:
+        return Mirror(math.degrees(math.atan(self.max_terrain_slope / 100.0)), self.mirror, self.mirror_mode)

@@ -361,8 +361,6 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
                 raise ParameterError(
                     f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}"
                 )
-            if name in filter_.NOT_SWEPT:
-                raise ParameterError(f"axes: {type(filter_).__name__}.{name} cannot be swept")
             if isinstance(given, Range):
                 ranges[name] = given
                 continue

@@ -66,13 +66,6 @@ def make_design(
     for name in axes:
         if name not in fields:
             raise ParameterError(f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}")
-        if name in filter_.NOT_SWEPT:
-            raise ParameterError(f"axes: {type(filter_).__name__}.{name} cannot be swept")
-    for name in filter_.NOT_SWEPT:
-        if getattr(filter_, name) != fields[name].default:
-            raise ParameterError(
-                f"{type(filter_).__name__}({name}={getattr(filter_, name)!r}): must be left at its default in a sweep"
-            )
     if drawn:
         assert size is not None
         columns = _drawn(filter_, fields, axes, kind, int(size), seed)

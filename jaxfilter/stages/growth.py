@@ -1,0 +1,135 @@
+"""What densification is told: the network it starts from, and the policies in which methods differ."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.filter import Labels
+from ..core.grid import Grid
+from ..core.points import Points
+from ..ops.facets import Rule
+
+INSERTIONS = ("batch", "one_per_facet", "sequential")
+"""What a round adds of the points that pass: all of them, the lowest over each facet (after Nie et al. 2017), or one after
+the other from below, each as far as the vertices before it leave its facet alone."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Network:
+    """What densification starts from: nodes of one or several sheets.
+
+    Attributes:
+        points: the points that are nodes.
+        xyz: f32[k, 3], local metres, sheet by sheet, each in canonical order, simulated border nodes last.
+        sheet: i32[k], ascending.
+        row: i64[k], the point that each node is; -1 for simulated border nodes.
+        seed: bool[k], ground from the start (border nodes too). Per sheet at least three, around all its nodes.
+        open: bool[k], nodes to be classified in this sheet.
+        late: bool[k], suspected low outliers: they take part when the others are done, and are tested on both sides.
+        barred: bool[m], points that are no seeds; None = none.
+        info: counts for the result.
+        before: labels of an earlier growth, the ground of which are the seeds; None = there was none.
+    """
+
+    points: Points
+    xyz: np.ndarray
+    sheet: np.ndarray
+    row: np.ndarray
+    seed: np.ndarray
+    open: np.ndarray
+    late: np.ndarray
+    barred: np.ndarray | None = None
+    info: dict[str, Any] = dataclasses.field(default_factory=dict)
+    before: Labels | None = None
+
+    @functools.cached_property
+    def virtual(self) -> np.ndarray:
+        """i64[b], simulated border nodes."""
+        return np.flatnonzero(self.row < 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Mirror:
+    """Mirroring over steep facets (Axelsson 2000; Zhang & Lin 2013).
+
+    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex,
+    or "off"; ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
+    """
+
+    slope: float
+    about: str = "highest"
+    mode: str = "replace"
+
+
+@dataclasses.dataclass(frozen=True)
+class Vertices:
+    """Which ground points become vertices: all, one per position; or with ``spacing`` one per square of this size (metres),
+    the first that is accepted, of these the lowest; or with ``grids`` the lowest in each cell (Uray & Varlik 2024).
+
+    Attributes:
+        grids: from coarse to fine. A lower point that is accepted later takes the place of the vertex of its cell.
+        stop_share: go on to the next grid, or end, when a round accepts fewer than this share of all points; below any
+            share it still has to accept one. Infinity = one round on each grid.
+    """
+
+    spacing: float = 0.0
+    grids: Sequence[Grid] = ()
+    stop_share: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptive:
+    """Thresholds that follow the ground found so far.
+
+    Attributes:
+        rule: from unsigned distances f32[s], metres, and angles f32[s], degrees, to thresholds. Not called without any.
+        sample: "ground" = of ground points that are no vertices, in their facets; "neighbours" = of vertices over the plane
+            of the facet beyond the edge opposite them (a sample of them, which does not depend on the order of points).
+        every: "round", or "grid" = each time that :class:`Vertices` change to a finer grid.
+    """
+
+    rule: Callable[[np.ndarray, np.ndarray], Rule]
+    sample: str = "neighbours"
+    every: str = "round"
+
+
+@dataclasses.dataclass(frozen=True)
+class Border:
+    """Simulated border nodes. ``follow``: after each round they take the elevation of the ground vertex nearest to them
+    in the plane (Li et al. 2021, Sec. II-E, step 6). ``in_tests``: they can be the nearest and the highest vertex of a
+    facet; if not, they only carry its plane."""
+
+    follow: bool = False
+    in_tests: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Growth:
+    """How the ground grows from the seeds.
+
+    Attributes:
+        rule: thresholds.
+        mirror: mirror points over steep facets; None = never.
+        adaptive: how thresholds change as the ground grows; None = they are constant.
+        insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become
+            vertices, the one that lies lowest over it; the others are tested again over the new facets. "sequential" goes
+            through the lowest of each facet from below (of equals, the first in order) and adds a point unless one that
+            was added before it has changed the facet, or mirror facet, that it passed in; so each passes in the
+            triangulation of all before it. The others are tested again. Not with ``Vertices.grids``.
+        review: at the end test all points but the vertices once more; ground points that fail lose their label.
+        max_rounds: give up after so many rounds.
+    """
+
+    rule: Rule
+    mirror: Mirror | None = None
+    vertices: Vertices = Vertices()
+    adaptive: Adaptive | None = None
+    border: Border = Border()
+    insertion: str = "batch"
+    review: bool = False
+    max_rounds: int = 100

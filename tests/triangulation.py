@@ -1,0 +1,159 @@
+"""The triangulation that networks must have, made anew from integer positions: SciPy's, then flips in Python's integers.
+
+It is the Delaunay triangulation of positions on a lattice. Of four positions on a circle the last, in order of x, then y,
+counts as lifted off the paraboloid, that is as outside the circle of the other three; so the triangulation is unique.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+Position = tuple[int, int]
+
+
+def turn(a: Position, b: Position, c: Position) -> int:
+    """Twice the area of a, b, c; positive if they turn to the left."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def power(a: Position, b: Position, c: Position, p: Position) -> int:
+    """Positive if p lies inside the circle through a, b, c, which turn to the left; zero on it."""
+    (a1, a2), (b1, b2), (c1, c2) = ((q[0] - p[0], q[1] - p[1]) for q in (a, b, c))
+    a3, b3, c3 = a1 * a1 + a2 * a2, b1 * b1 + b2 * b2, c1 * c1 + c2 * c2
+    return a1 * (b2 * c3 - b3 * c2) - a2 * (b1 * c3 - b3 * c1) + a3 * (b1 * c2 - b2 * c1)
+
+
+def in_circle(a: Position, b: Position, c: Position, p: Position) -> bool:
+    """Whether p lies inside the circle through a, b, c, which turn to the left, with the tie rule."""
+    value = power(a, b, c, p)
+    if value != 0:
+        return value > 0
+    last = max(a, b, c, p)
+    if last == p:
+        return False
+    one, two = (q for q in (a, b, c) if q != last)
+    return turn(one, two, p) * turn(one, two, last) > 0  # else p is the one across from it, and stays outside
+
+
+def triangulation(xy: np.ndarray) -> np.ndarray:
+    """i64[t, 3]: the triangles of integer positions [n, 2], distinct and not on a line, counter-clockwise.
+
+    Each begins with its first corner; they are in order of their corners.
+    """
+    xy = np.asarray(xy, np.int64)
+    p = [(x, y) for x, y in xy.tolist()]
+    triangles = _scipy(xy)
+    if triangles is None:
+        triangles = np.array(_sweep(p))
+    triangles = _flipped(p, triangles, _doubtful(xy, triangles))
+    first = (triangles.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    triangles = np.take_along_axis(triangles, first, axis=1)
+    return triangles[np.lexsort(triangles.T[::-1])]
+
+
+def _scipy(xy: np.ndarray) -> np.ndarray | None:
+    """SciPy's triangles, if they are a triangulation of all positions and their convex hull."""
+    try:
+        mesh = Delaunay(xy - xy.mean(axis=0))
+    except QhullError:
+        return None
+    triangles = mesh.simplices.astype(np.int64)
+    a, b, c = xy[triangles].transpose(1, 2, 0)
+    row, k = np.nonzero(mesh.neighbors < 0)
+    one, two = xy[triangles[row, (k + 1) % 3]], xy[triangles[row, (k + 2) % 3]]
+    edge = two - one
+    side = edge[:, :1] * (xy[:, 1] - one[:, 1:]) - edge[:, 1:] * (xy[:, 0] - one[:, :1])
+    complete = len(mesh.coplanar) == 0 and len(triangles) == 2 * len(xy) - 2 - len(row)
+    sound = ((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0] > 0).all() and (side >= 0).all()
+    return triangles if complete and sound else None
+
+
+def _sweep(p: list[Position]) -> list[tuple[int, int, int]]:
+    """Some triangulation: positions from west to east, each joined to what it sees of the hull of those before it."""
+    order = sorted(range(len(p)), key=p.__getitem__)
+    k = next(k for k in range(2, len(p)) if turn(p[order[0]], p[order[1]], p[order[k]]) != 0)
+    run, tip = order[:k], order[k]
+    if turn(p[run[0]], p[run[1]], p[tip]) < 0:
+        run = run[::-1]
+    out, ring = [(a, b, tip) for a, b in itertools.pairwise(run)], [*run, tip]
+    for q in order[k + 1 :]:
+        seen = [turn(p[a], p[b], p[q]) < 0 for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
+        first = next(i for i in range(len(ring)) if seen[i] and not seen[i - 1])
+        ring, many = ring[first:] + ring[:first], sum(seen)
+        ring.append(ring[0])
+        out += [(b, a, q) for a, b in itertools.pairwise(ring[: many + 1])]
+        ring = [ring[0], q, *ring[many:-1]]
+    return out
+
+
+def _doubtful(xy: np.ndarray, triangles: np.ndarray) -> list[tuple[int, int]]:
+    """Edges, but for those that are right by far more than floating point can be wrong."""
+    key = triangles[:, [1, 2, 0]] * len(xy) + triangles[:, [2, 0, 1]]
+    back = triangles[:, [2, 0, 1]] * len(xy) + triangles[:, [1, 2, 0]]
+    order = np.argsort(key, axis=None)
+    place = np.searchsorted(key.ravel()[order], back.ravel()).clip(max=key.size - 1)
+    met = (key.ravel()[order[place]] == back.ravel()) & (key.ravel() < back.ravel())
+    other = triangles.ravel()[order[place]][met]
+    row, k = np.divmod(np.flatnonzero(met), 3)
+    corner = triangles[row[:, None], (k[:, None] + np.arange(3)) % 3]
+    a, b, c = (xy[corner] - xy[other][:, None]).astype(np.float64).transpose(1, 2, 0)
+    squares = [v[0] ** 2 + v[1] ** 2 for v in (a, b, c)]
+    products = [u[0] * v[1] for u, v in ((b, c), (c, b), (c, a), (a, c), (a, b), (b, a))]
+    value = sum(s * (products[2 * i] - products[2 * i + 1]) for i, s in enumerate(squares))
+    size = sum(s * (abs(products[2 * i]) + abs(products[2 * i + 1])) for i, s in enumerate(squares))
+    return [(i, j) for i, j in corner[value > -1e-12 * size][:, 1:].tolist()]
+
+
+def _flipped(p: list[Position], triangles: np.ndarray, todo: list[tuple[int, int]]) -> np.ndarray:
+    """The triangles after flips of the edges, and of those around them, until each is right."""
+    if not todo:
+        return triangles
+    apex = {edge: t[k] for t in triangles.tolist() for k, edge in enumerate(((t[1], t[2]), (t[2], t[0]), (t[0], t[1])))}
+    while todo:
+        a, b = todo.pop()
+        if (a, b) not in apex or (b, a) not in apex:
+            continue
+        c, d = apex[a, b], apex[b, a]
+        if in_circle(p[a], p[b], p[c], p[d]):
+            del apex[a, b], apex[b, a]
+            for one, two, three in ((a, d, c), (d, b, c)):
+                apex[one, two], apex[two, three], apex[three, one] = three, one, two
+            todo += [(a, d), (d, b), (b, c), (c, a)]
+    return np.array([(a, b, c) for (a, b), c in apex.items() if a < c and b < c])
+
+
+class Mesh:
+    """The triangulation of integer positions [n, 2], and where positions lie in it.
+
+    Attributes: xy: i64[n, 2]; triangles: i64[t, 3]; neighbours: i64[t, 3], opposite each corner, -1 outside.
+    """
+
+    def __init__(self, xy: np.ndarray) -> None:
+        self.xy, self.triangles = np.asarray(xy, np.int64), triangulation(xy)
+        edge = {}
+        for row, (a, b, c) in enumerate(self.triangles.tolist()):
+            edge[b, c] = edge[c, a] = edge[a, b] = row
+        self.neighbours = np.array(
+            [[edge.get(e, -1) for e in ((c, b), (a, c), (b, a))] for a, b, c in self.triangles.tolist()]
+        )
+
+    def find(self, at: np.ndarray) -> np.ndarray:
+        """i64[q]: the triangle in which integer positions [q, 2] lie after a step of (e, e^2), e infinitely small; -1 = none."""
+        own = np.zeros(len(self.xy), np.int64)
+        own[self.triangles] = np.arange(len(self.triangles))[:, None]
+        tri = own[cKDTree(self.xy).query(at)[1]]
+        active = np.arange(len(at))
+        while len(active):
+            corner = self.xy[self.triangles[tri[active]]]
+            tail, (x, y) = corner[:, [1, 2, 0]], np.moveaxis(corner[:, [2, 0, 1]] - corner[:, [1, 2, 0]], 2, 0)
+            gap = at[active][:, None] - tail
+            side = x * gap[..., 1] - y * gap[..., 0]  # of a position after its step: side - e y + e^2 x
+            beyond = np.where(side != 0, side, np.where(y != 0, -y, x)) < 0
+            out = beyond.any(axis=1)
+            active = active[out]
+            tri[active] = self.neighbours[tri[active], beyond[out].argmax(axis=1)]
+            active = active[tri[active] >= 0]
+        return tri
