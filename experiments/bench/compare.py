@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> None:
         rows.append(row)
         print(row, flush=True)
     write_csv(options.out / "compare.csv", rows)
-    columns = [("what", "", "s")]
+    columns = [("what", "measured", "s")]
     for version in versions:
         columns += [(f"{version}_seconds", f"{version}, s", ".3g"), (f"{version}_cpu", "CPU s", ".3g")]
         columns += [(f"{version}_peak", "peak MB", ".0f")]
