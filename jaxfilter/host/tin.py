@@ -66,10 +66,7 @@ class Tin:
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
         roots = list(pool.map(self._root, of_sheet))
         first = np.cumsum([0] + [len(table) for _, table, _ in roots])
-        most, used = (
-            2 * len(xyz),
-            int(first[-1]),
-        )  # a triangulation of k vertices has 2 k - 2 triangles, with those beyond
+        most, used = 2 * len(xyz), int(first[-1])  # with ghosts, k vertices have 2 k - 2 triangles
         self.triangles = np.full((most, 3), flips.DEAD, np.int32)
         self.neighbours, self.stamp = np.empty((most, 3), np.int32), np.zeros(most, np.int32)
         self._unused = np.arange(used, most, dtype=np.int32)

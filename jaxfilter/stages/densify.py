@@ -271,10 +271,9 @@ class Densification:
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
         self.image_in[nodes[steep]] = there
-        names = tuple(name for name in _TESTED if name in verdict)
-        second = self._judge(nodes[steep], self.tin.corners(there), names, image)
+        second = self._judge(nodes[steep], self.tin.corners(there), _TESTED, image)
         replace = second["accepted"] | (mirror.mode != "or")
-        for name in names:
+        for name in _TESTED:
             verdict[name][steep[replace]] = second[name][replace]
 
     def _judge(
