@@ -21,6 +21,7 @@ _FACTOR = 2  # cells of one level along the side of a cell of the next; 1 along 
 _DAMPING = 0.8  # of the Jacobi smoother
 _SWEEPS = 2  # of it before and after a correction
 _COARSE_SWEEPS = 150, 40  # on the last level; for one grid cheaper than to compile two more levels
+_BLOCK = 32, 128  # cells of a grid that are searched together for a nearest one
 _STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
@@ -227,8 +228,8 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     """Give every hole the value of a nearest known cell, by Euclidean distance between cell centres.
 
     The exact two-pass distance transform: nearest known cell in the column, then along the row out to the largest
-    distance found. Of equally near cells the one with the smaller column offset is taken (left before right), then the
-    one in the lower row.
+    distance found, block by block, so that only blocks in wide voids look far. Of equally near cells the one with the
+    smaller column offset is taken (left before right), then the one in the lower row.
 
     Args: z f32, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
     Returns: f32[rows, columns]; unknown cells are unchanged if there is no known cell, outside cells always.
@@ -236,28 +237,43 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     known = known & inside
     rows, columns = z.shape
     far = rows + columns
-    row = lax.broadcasted_iota(jnp.int32, z.shape, 0)
+    row, column = (lax.broadcasted_iota(jnp.int32, z.shape, axis) for axis in range(2))
     below = lax.cummax(jnp.where(known, row, -far), axis=0)
     above = lax.cummin(jnp.where(known, row, rows + far), axis=0, reverse=True)
-    nearest = jnp.where(row - below <= above - row, below, above)
-    gap = jnp.minimum(jnp.abs(nearest - row), far)
-    value = jnp.take_along_axis(z, jnp.clip(nearest, 0, rows - 1), axis=0)
-    column_gap, column_value = gap * gap, value
+    nearest_row = jnp.where(row - below <= above - row, below, above)
+    gap = jnp.minimum(jnp.abs(nearest_row - row), far)
 
-    def unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        offset, best, _ = state
-        return (offset < columns) & jnp.any(inside & (best > offset * offset))
+    tall, wide = _BLOCK if jax.default_backend() == "cpu" else z.shape
+    down, across = -(-rows // tall), -(-columns // wide)
+    margin = across * wide
+    squares = jnp.pad(
+        gap * gap, ((0, down * tall - rows), (margin, 2 * margin - columns)), constant_values=jnp.iinfo(jnp.int32).max // 2
+    )
+    wanted = jnp.pad(inside, ((0, down * tall - rows), (0, across * wide - columns)))
 
-    def look(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        offset, best, value = state
-        column = lax.broadcasted_iota(jnp.int32, z.shape, 1)
-        for side in (-offset, offset):
-            there = column + side
-            distance = jnp.roll(column_gap, -side, axis=1) + offset * offset
-            closer = (there >= 0) & (there < columns) & (distance < best)
-            best = jnp.where(closer, distance, best)
-            value = jnp.where(closer, jnp.roll(column_value, -side, axis=1), value)
-        return offset + 1, best, value
+    def search(block: jax.Array, found: jax.Array) -> jax.Array:
+        corner = block // across * tall, block % across * wide
+        asked = lax.dynamic_slice(wanted, corner, (tall, wide))
 
-    _, _, value = lax.while_loop(unfinished, look, (jnp.int32(1), column_gap, column_value))
+        def there(offset: jax.Array) -> jax.Array:
+            return lax.dynamic_slice(squares, (corner[0], corner[1] + margin + offset), (tall, wide))
+
+        def unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+            offset, least, _ = state
+            return (offset < columns) & jnp.any(asked & (least > offset * offset))
+
+        def look(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            offset, least, at = state
+            for side in (-offset, offset):
+                distance = there(side) + offset * offset
+                closer = distance < least
+                least, at = jnp.where(closer, distance, least), jnp.where(closer, side, at)
+            return offset + 1, least, at
+
+        start = (jnp.int32(1), there(jnp.int32(0)), jnp.zeros((tall, wide), jnp.int32))
+        return lax.dynamic_update_slice(found, lax.while_loop(unfinished, look, start)[2], corner)
+
+    offsets = lax.fori_loop(jnp.int32(0), down * across, search, jnp.zeros(wanted.shape, jnp.int32))
+    there = column + offsets[:rows, :columns]
+    value = z[jnp.clip(nearest_row[row, there], 0, rows - 1), there]
     return jnp.where(inside & ~known & known.any(), value, z)

@@ -15,12 +15,29 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+T = TypeVar("T")
 _ROWS_AT_ONCE = 2
+_STRIP = 2**19  # cells that a processor keeps close while it goes over them again and again
+
+
+def _ordered(z: jax.Array, dtype: Any = None) -> jax.Array:
+    """Integers in the order of floating-point numbers without NaN, or back to those of a ``dtype``; integers as they are.
+
+    Processors take the lower of two integers in one step, of two floating-point numbers, with NaN in mind, in several.
+    """
+    if z.dtype == dtype or (dtype is None and not jnp.issubdtype(z.dtype, jnp.floating)):
+        return z
+    size = 8 * z.dtype.itemsize
+    bits = lax.bitcast_convert_type(z, jnp.dtype(f"int{size}")) if dtype is None else z
+    bits ^= (bits >> (size - 1)) & jnp.iinfo(bits.dtype).max
+    return bits if dtype is None else lax.bitcast_convert_type(bits, dtype)
 
 
 def _isqrt(n: jax.Array) -> jax.Array:
@@ -28,12 +45,37 @@ def _isqrt(n: jax.Array) -> jax.Array:
     return jnp.floor(jnp.sqrt(jnp.maximum(n, 0).astype(jnp.float32))).astype(jnp.int32)
 
 
+def _beyond(z: jax.Array) -> jax.Array:
+    """What cells beyond the border hold: no less than all others."""
+    most = jnp.inf if jnp.issubdtype(z.dtype, jnp.floating) else jnp.iinfo(z.dtype).max
+    return jnp.array(most, z.dtype)
+
+
 def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> jax.Array:
+    """Strip by strip, since all runs of a strip fit into a processor's cache; elsewhere the whole is one strip."""
+    rows, columns = z.shape
+    tall = max(_STRIP // columns, 2 * reach, 1) if jax.default_backend() == "cpu" else rows
+    strips = -(-rows // tall)
+    tall = -(-rows // strips)
+    border = jnp.pad(z, ((reach, strips * tall - rows + reach), (reach, reach)), constant_values=_beyond(z))
+    if strips == 1:
+        return _erode_strip(border, radius, reach, diamond)
+
+    def next_strip(k: jax.Array, out: jax.Array) -> jax.Array:
+        strip = lax.dynamic_slice(border, (k * tall, jnp.int32(0)), (tall + 2 * reach, columns + 2 * reach))
+        return lax.dynamic_update_slice(out, _erode_strip(strip, radius, reach, diamond), (k * tall, jnp.int32(0)))
+
+    return lax.fori_loop(jnp.int32(0), strips, next_strip, jnp.zeros((strips * tall, columns), z.dtype))[:rows]
+
+
+def _erode_strip(border: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> jax.Array:
+    """Lowest of a disk or diamond; ``border`` is wider by ``reach`` on all sides than what is returned."""
+
     def half_chord(row: jax.Array) -> jax.Array:  # also the last row with a half chord of so many cells, by symmetry
         return radius - row if diamond else _isqrt(radius * radius - row * row)
 
+    shape = border.shape[0] - 2 * reach, border.shape[1] - 2 * reach
     spare = 2 ** int(math.log2(2 * reach + 1))
-    border = jnp.pad(z, reach, constant_values=jnp.inf)
 
     def rows_of_one_level(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         run, minima, out = state  # minima[i, j]: lowest of cells j .. j + run - 1 of row i
@@ -46,15 +88,15 @@ def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> 
                 half = half_chord(row)
                 for i in (reach - row, reach + row):
                     for j in (reach - half, reach + half + 1 - run):
-                        out = jnp.minimum(out, lax.dynamic_slice(minima, (i, j), z.shape))
+                        out = jnp.minimum(out, lax.dynamic_slice(minima, (i, j), shape))
             return out
 
         out = lax.fori_loop(jnp.int32(0), (last - first + _ROWS_AT_ONCE) // _ROWS_AT_ONCE, rows, out)
-        wide = jnp.pad(minima, ((0, 0), (0, spare)), constant_values=jnp.inf)
+        wide = jnp.pad(minima, ((0, 0), (0, spare)), constant_values=_beyond(minima))
         minima = jnp.minimum(minima, lax.dynamic_slice(wide, (jnp.int32(0), run), minima.shape))
         return 2 * run, minima, out
 
-    start = (jnp.int32(1), border, z)
+    start = (jnp.int32(1), border, lax.slice(border, (reach, reach), (reach + shape[0], reach + shape[1])))
     return lax.while_loop(lambda state: state[0] <= 2 * radius + 1, rows_of_one_level, start)[2]
 
 
@@ -72,7 +114,7 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
     widths[axis] = (0, 2 ** int(math.log2(longest)))
 
     def ahead(array: jax.Array, step: jax.Array) -> jax.Array:
-        wide = jnp.pad(array, widths, constant_values=jnp.inf)
+        wide = jnp.pad(array, widths, constant_values=_beyond(array))
         return lax.dynamic_slice(wide, _along(axis, step), array.shape)
 
     def double(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -87,8 +129,23 @@ def _erode_run(z: jax.Array, radius: jax.Array, reach: int, axis: int) -> jax.Ar
     """Lowest of the 2 * radius + 1 cells along one axis."""
     widths = [(0, 0), (0, 0)]
     widths[axis] = (reach, reach)
-    minima = run_minima(jnp.pad(z, widths, constant_values=jnp.inf), 2 * radius + 1, 2 * reach + 1, axis)
+    minima = run_minima(jnp.pad(z, widths, constant_values=_beyond(z)), 2 * radius + 1, 2 * reach + 1, axis)
     return lax.dynamic_slice(minima, _along(axis, reach - radius), z.shape)
+
+
+def _eroded(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Array:
+    """:func:`erosion` of integers."""
+    if element in ("disk", "diamond"):
+        return _erode_round(z, radius, reach, element == "diamond")
+    if element == "square":
+        return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
+    raise ValueError(f"element={element!r}: use 'disk', 'square' or 'diamond'")
+
+
+def _opened(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
+    """:func:`opening` of integers. Their complements have the opposite order."""
+    eroded = _eroded(jnp.where(valid, z, _beyond(z)), radius, reach, element)
+    return jnp.where(valid, ~_eroded(jnp.where(valid, ~eroded, _beyond(z)), radius, reach, element), z)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
@@ -104,12 +161,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
 
     Returns: f32[rows, columns]. Raises: ValueError for another element.
     """
-    radius = jnp.asarray(radius, jnp.int32)
-    if element in ("disk", "diamond"):
-        return _erode_round(z, radius, reach, element == "diamond")
-    if element == "square":
-        return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
-    raise ValueError(f"element={element!r}: use 'disk', 'square' or 'diamond'")
+    return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
@@ -127,7 +179,38 @@ def opening(
     ``valid``, bool[rows, columns], marks the cells that exist; the others are treated as lying beyond the border and are
     returned as they came. Further arguments as for :func:`erosion`. Never above ``z``, and idempotent.
     """
-    if valid is None:
-        return dilation(erosion(z, radius, reach, element), radius, reach, element)
-    eroded = erosion(jnp.where(valid, z, jnp.inf), radius, reach, element)
-    return jnp.where(valid, dilation(jnp.where(valid, eroded, -jnp.inf), radius, reach, element), z)
+    there = jnp.ones(z.shape, bool) if valid is None else valid
+    return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
+
+
+def progressive_opening(
+    z: jax.Array,
+    valid: jax.Array,
+    radii: jax.Array,
+    look: Callable[[jax.Array, jax.Array, jax.Array, T], T],
+    found: T,
+    *,
+    reach: int,
+    element: str = "disk",
+) -> tuple[jax.Array, T]:
+    """Openings with one radius after the other, each of the surface that the one before has left.
+
+    Args:
+        z: f32[rows, columns] without NaN.
+        valid: bool[rows, columns], the cells that exist, as for :func:`opening`.
+        radii: i32[openings], cells, 0 <= radius <= reach.
+        look: called as ``look(k, before, opened, found)`` for each opening, with its number i32[], the surfaces before and
+            after it, and what the previous call has returned; arrays of the same shapes and dtypes.
+        found: what the first call is given, a pytree of arrays.
+        reach, element: as for :func:`erosion`.
+
+    Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
+    """
+
+    def open_once(k: jax.Array, state: tuple[jax.Array, T]) -> tuple[jax.Array, T]:
+        before, found = state
+        opened = _opened(before, radii[k], reach, element, valid)
+        return opened, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
+
+    last, found = lax.fori_loop(0, len(radii), open_once, (_ordered(z), found))
+    return _ordered(last, z.dtype), found
