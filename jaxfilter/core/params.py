@@ -140,6 +140,11 @@ def check_fields(params: Any) -> None:
     for f in dataclasses.fields(params):
         value, meta = getattr(params, f.name), f.metadata
         if _traced(value):
+            if meta.get("static"):
+                raise ParameterError(
+                    f"{name}({f.name}=...): the field fixes shapes of arrays or a path through the code, and cannot be "
+                    "traced by jax.jit, vmap or grad; make one filter for each value"
+                )
             continue
         if np.ndim(value) > 0:
             raise ParameterError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
 from typing import Any, ClassVar
 
@@ -9,31 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Progress
 from ..ops.cones import cone_erosion, cone_limits
 from ..ops.morphology import erosion
-from ..stages.outliers import bar_outliers
-from ..stages.surfaces import (
-    LowestCells,
-    cell_for,
-    check_width,
-    hold_against,
-    labels_between,
-    look_up,
-    lowest_cells,
-    lowest_places,
-    steepness,
-)
+from ..stages.grid_filter import GridFilter, Heights, Surface, between
+from ..stages.surfaces import Cells, cell_for, check_width, lowest_places, steepness
 from . import papers
 
 MAX_REACH = 100  # cells; the time grows with the square
 
 
 @filter_params
-class MSF(Filter):
+class MSF(GridFilter):
     """Maximum slope: a point is ground if no point near it is lower than the slope of the terrain allows.
 
     G. Vosselman (2000): Slope based filtering of laser altimetry data. Int. Arch. Photogramm. Remote Sens. 33 (B3),
@@ -103,44 +93,43 @@ class MSF(Filter):
         """The window, two cells, and what the search for low clusters looks at, metres."""
         return self.window + 2 * self.cell + 15.0 * self.low_clusters
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
-        """Labels of all points; see :class:`jaxfilter.core.filter.Filter` for the call."""
-        progress(0.0, "outliers")
-        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
-        progress(0.3, "lowest point per cell")
-        cells = lowest_cells(points.xyz, self.cell, points.offset(self.cell), name="MSF(cell)", barred=barred)
-        progress(0.4, "erosion")
-        envelope, ceiling = self._erode(cells)
-        floor = envelope - np.float32(self.initial_distance)
-        slopes = steepness(jnp.where(cells.valid & jnp.isfinite(envelope), envelope, 0), cells.extent, cells.frame[2])
-        progress(0.8, "classifying")
-        surface, slope, top, bottom = look_up(points.xyz, cells, envelope, slopes, ceiling, floor)
-        if self.distance == "points":
-            top = self._limits(points.xyz, cells, barred)
-        progress(1.0, "done")
-        labels = labels_between(points.xyz[:, 2], surface, slope, top, bottom)
-        labels.barred = barred
-        return labels
+    def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
+        """The lowest elevation per ``cell``, and where it is if ``distance`` is "points"; see :class:`GridFilter`."""
+        cells = super().cells(points, barred)
+        if self.distance == "cells":
+            return cells
+        barred = np.zeros(len(points), bool) if barred is None else barred
+        return dataclasses.replace(cells, place=lowest_places(points.xyz, cells, barred))
 
-    def _erode(self, cells: LowestCells) -> tuple[jax.Array, jax.Array]:
-        """The surface eroded with the slope alone, and the limit for points, f32[rows, columns].
+    def surface(self, prepared: Cells) -> Surface:
+        """The surface eroded with the slope alone, and the limits for points. Pure."""
+        cells = prepared
+        fields = (self.slope, self.max_height, self.initial_distance)
+        return _erode(cells, *map(jnp.float32, fields), reach=math.floor(self.window / self.cell + 1e-6))
 
-        Where the allowance has reached its largest value the structuring element is flat: an erosion with a disk.
-        """
-        reach = math.floor(self.window / self.cell + 1e-6)
-        rise = self.slope * self.cell
-        lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
-        steep = min(float(reach), (self.max_height - self.initial_distance) / rise)
-        cone = cone_erosion(lowest, np.float32(rise), np.float32(steep), reach)
-        flat = erosion(lowest, reach, reach) + np.float32(self.max_height)
-        return cone, jnp.minimum(cone + np.float32(self.initial_distance), flat)
-
-    def _limits(self, xyz: np.ndarray, cells: LowestCells, barred: np.ndarray) -> np.ndarray:
-        """f32[n]: the limit for every point, by its distances to the lowest points of cells."""
+    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+        """Points held against the limits of their cell, or by their distances to lowest points. Pure."""
+        if self.distance == "cells":
+            return between(surface, xyz)
+        *cells, lowest, place = surface.limits
+        held = between(surface._replace(limits=cells), xyz)
+        limits = jnp.stack([*map(jnp.float32, (self.initial_distance, self.slope, self.max_height, self.window))])
         reach = math.ceil(self.window / self.cell + math.sqrt(2))
-        lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
-        place = lowest_places(xyz, cells, barred)
-        limits = np.array([self.initial_distance, self.slope, self.max_height, self.window], np.float32)
-        return hold_against(
-            xyz, lambda chunk: (cone_limits(chunk, lowest, place, cells.frame, cells.extent, limits, reach),)
-        )[0]
+        top = cone_limits(xyz, lowest, place, surface.frame, surface.extent, limits, reach)
+        return held._replace(above=xyz[:, 2] - top)
+
+
+@functools.partial(jax.jit, static_argnames="reach")
+def _erode(cells: Cells, slope: jax.Array, max_height: jax.Array, initial_distance: jax.Array, reach: int) -> Surface:
+    """Where the allowance has reached its largest value the structuring element is flat: an erosion with a disk."""
+    rise = slope * cells.frame[2]
+    lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
+    steep = jnp.minimum(jnp.float32(reach), (max_height - initial_distance) / rise)
+    cone = cone_erosion(lowest, rise, steep, reach)
+    flat = erosion(lowest, reach, reach) + max_height
+    ceiling = jnp.minimum(cone + initial_distance, flat)
+    slopes = steepness(jnp.where(cells.valid & jnp.isfinite(cone), cone, 0), cells.extent, cells.frame[2])
+    limits: tuple[Any, ...] = (ceiling, cone - initial_distance)
+    if cells.place is not None:
+        limits += (lowest, cells.place)
+    return Surface(cone, slopes, cells.extent, cells.frame, limits)

@@ -16,30 +16,18 @@ from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.grid import cell_index
 from ..ops.inpaint import fill_nearest
-from ..ops.morphology import opening
+from ..ops.morphology import progressive_opening
 from ..stages.boxes import PointBoxes
-from ..stages.outliers import bar_outliers
-from ..stages.surfaces import (
-    LowestCells,
-    cell_for,
-    check_width,
-    chunks,
-    labels_between,
-    look_up,
-    lowest_cells,
-    steepness,
-)
+from ..stages.grid_filter import GridFilter, Heights, Surface, between, labels_of
+from ..stages.surfaces import Cells, cell_for, check_width, look_up, lowest_cells, steepness
 from . import papers
 
 MAX_REACH = 1000  # cells
-_SETS = 32
-"""In a sweep: sets computed at a time."""
 
 
 @filter_params
-class PMF(Filter):
+class PMF(GridFilter):
     """Openings with ever larger windows; what an opening takes off by more than the terrain's slope allows is no ground.
 
     K. Zhang, S.-C. Chen, D. Whitman, M.-L. Shyu, J. Yan, C. Zhang (2003): A progressive morphological filter for removing
@@ -186,11 +174,11 @@ class PMF(Filter):
             radii.append(radius)
         return radii
 
-    def thresholds(self) -> np.ndarray:
+    def thresholds(self) -> jax.Array:
         """f32, metres: the threshold of every window."""
         growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.cell_twice else 1.0)
-        rise = np.concatenate([[0.0], self.slope * growth])
-        return np.minimum(rise + self.initial_distance, self.max_distance).astype(np.float32)
+        rise = jnp.float32(self.slope) * np.append(0.0, growth).astype(np.float32)
+        return jnp.minimum(rise + jnp.float32(self.initial_distance), jnp.float32(self.max_distance))
 
     def halo(self) -> float:
         """Reach of all openings, one after the other, and what the search for low clusters looks at, metres.
@@ -199,57 +187,43 @@ class PMF(Filter):
         """
         return self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 15.0 * self.low_clusters
 
+    def prepare(self, cells: Cells) -> tuple[Cells, jax.Array]:
+        """Step 1. Pure. Raises: ParameterError if ``reading`` is "points", which takes no grid."""
+        if self.reading == "points":
+            raise ParameterError(
+                "PMF(reading='points'): windows around points take no grid of cells; use reading='grid'"
+            )
+        return cells, fill_nearest(cells.lowest, cells.seen, cells.valid)
+
+    def surface(self, prepared: tuple[Cells, jax.Array]) -> Surface:
+        """Steps 2 to 4. Pure."""
+        cells, surface = prepared
+        radii = np.array(self.radii(), np.int32)
+        last, ceiling, floor = _limits(
+            surface, cells.valid, radii, self.thresholds(), int(max(radii)), self.element, self.compare
+        )
+        slope = steepness(last, cells.extent, cells.frame[2])
+        return Surface(last, slope, cells.extent, cells.frame, (ceiling, floor))
+
+    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+        """Points held against the limits of their cell. Pure."""
+        return between(surface, xyz)
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
-        progress(0.0, "outliers")
-        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
-        progress(0.3, "lowest point per cell")
-        read = self._open_grid if self.reading == "grid" else self._open_points
-        labels = read(points, barred, progress)
-        labels.barred = barred
+        if self.reading == "points":
+            labels = self._open_points(points, self.barred(points, workers), progress)
+        else:
+            labels = super().classify(points, key=key, workers=workers, progress=progress, trace=trace)
         labels.info = {"windows": len(self.radii())}
-        progress(1.0, "done")
         return labels
 
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
         """All sets share the grid and its openings; around points, what is opened depends on the thresholds."""
-        if self.reading != "grid":
-            yield from super().ground_each(points, sets, key=key, workers=workers, memory=memory)
-            return
-        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
-        cells, surface = self._surface(points, barred)
-        radii = self.radii()
-        at_once = int(np.clip(memory // (24 * surface.size + len(points)), 1, _SETS))
-        for start in range(0, len(sets), at_once):
-            some = np.minimum(np.arange(start, start + at_once), len(sets) - 1)
-            thresholds = np.stack([sets[i].thresholds() for i in some])
-            _, ceiling, floor = _limits_of_each(
-                surface, cells.valid, np.array(radii, np.int32), thresholds, max(radii), self.element, self.compare
-            )
-            parts = [
-                np.asarray(_between(chunk, ceiling, floor, cells.frame, cells.extent))[:, : rows.stop - rows.start]
-                for rows, chunk, _ in chunks(points.xyz)
-            ]
-            ground = np.concatenate(parts, axis=1)
-            yield from zip(range(start, min(start + at_once, len(sets))), ground, strict=False)
-
-    def _surface(self, points: Points, barred: np.ndarray) -> tuple[LowestCells, jax.Array]:
-        """The lowest point per cell, and the same with every empty cell filled."""
-        cells = lowest_cells(points.xyz, self.cell, points.offset(self.cell), name="PMF(cell)", barred=barred)
-        return cells, fill_nearest(cells.lowest, cells.seen, cells.valid)
-
-    def _open_grid(self, points: Points, barred: np.ndarray, progress: Progress) -> Labels:
-        cells, surface = self._surface(points, barred)
-        progress(0.5, "openings")
-        radii = self.radii()
-        last, ceiling, floor = _limits(
-            surface, cells.valid, np.array(radii, np.int32), self.thresholds(), max(radii), self.element, self.compare
-        )
-        slopes = steepness(last, cells.extent, cells.frame[2])
-        progress(0.8, "classifying")
-        return labels_between(points.xyz[:, 2], *look_up(points.xyz, cells, last, slopes, ceiling, floor))
+        base = GridFilter if self.reading == "grid" else Filter
+        yield from base.ground_each(self, points, sets, key=key, workers=workers, memory=memory)
 
     def _open_points(self, points: Points, barred: np.ndarray, progress: Progress) -> Labels:
         """Windows around points; those that failed take no part in further openings."""
@@ -258,7 +232,7 @@ class PMF(Filter):
         boxes = PointBoxes(points, widths[0], widths[-1])
         ceiling, floor = np.full(len(z), np.inf, np.float32), np.full(len(z), -np.inf, np.float32)
         opened = z
-        for k, (width, threshold) in enumerate(zip(widths, self.thresholds(), strict=True)):
+        for k, (width, threshold) in enumerate(zip(widths, np.asarray(self.thresholds()), strict=True)):
             progress(0.3 + 0.6 * k / len(widths), "openings")
             taken = ~barred & (z <= ceiling)
             lower = boxes.lowest(np.where(taken, z, np.inf), width)
@@ -267,12 +241,14 @@ class PMF(Filter):
             ceiling = np.minimum(ceiling, np.where(known, opened + threshold, np.inf))
             if k == 0:
                 floor = np.where(known, opened - threshold, np.where(barred, np.inf, -np.inf)).astype(np.float32)
-        offset, known = points.offset(self.cell), np.isfinite(opened)
+        known = np.isfinite(opened)
         places = np.column_stack((points.xyz[:, :2], opened))
-        cells = lowest_cells(places, self.cell, offset, name="PMF(cell)", barred=~known)
+        cells = lowest_cells(places, self.cell, self.corner(points), name="PMF(cell)", barred=~known)
         last = fill_nearest(cells.lowest, cells.seen, cells.valid)
         surface, slope = look_up(points.xyz, cells, last, steepness(last, cells.extent, cells.frame[2]))
-        return labels_between(z, np.where(known, opened, surface), slope, ceiling, floor)
+        labels = labels_of(Heights(z - np.where(known, opened, surface), slope, z - ceiling, floor - z))
+        labels.barred = barred
+        return labels
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element", "compare"))
@@ -290,39 +266,16 @@ def _limits(
     The upper limit of an object cell lies below the surface. The lower limit is for barred points: no other lies there.
     """
 
-    def open_once(k: jax.Array, state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        last, ceiling, floor = state
-        opened = opening(last, radii[k], reach, element, valid)
-        limit = opened + thresholds[k]
-        holds = (k == 0) | (compare == "points") | (last - opened > thresholds[k])
-        ceiling = jnp.where(holds, jnp.minimum(ceiling, limit), ceiling)
-        return opened, ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
+    def look(
+        k: jax.Array, before: jax.Array, opened: jax.Array, limits: tuple[jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array]:
+        ceiling, floor = limits
+        holds = (k == 0) | (compare == "points") | (before - opened > thresholds[k])
+        ceiling = jnp.where(holds, jnp.minimum(ceiling, opened + thresholds[k]), ceiling)
+        return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
 
     nothing = jnp.full_like(surface, jnp.inf)
-    return jax.lax.fori_loop(0, len(radii), open_once, (surface, nothing, -nothing))
-
-
-@functools.partial(jax.jit, static_argnames=("reach", "element", "compare"))
-def _limits_of_each(
-    surface: jax.Array,
-    valid: jax.Array,
-    radii: jax.Array,
-    thresholds: jax.Array,
-    reach: int,
-    element: str,
-    compare: str,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """:func:`_limits` for thresholds f32[sets, windows]; the openings, in which they have no part, are made once."""
-
-    def one(limits: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        return _limits(surface, valid, radii, limits, reach, element, compare)
-
-    return jax.vmap(one, out_axes=(None, 0, 0))(thresholds)
-
-
-@jax.jit
-def _between(xyz: jax.Array, ceiling: jax.Array, floor: jax.Array, frame: jax.Array, extent: jax.Array) -> jax.Array:
-    """bool[sets, n]: points f32[n, 3] within the limits of their cell, f32[sets, rows, columns]."""
-    at = cell_index(xyz, frame[:2], frame[2], extent, ceiling.shape[2])
-    top, bottom = (limits.reshape(len(limits), -1)[:, at] for limits in (ceiling, floor))
-    return jnp.maximum(xyz[:, 2] - top, bottom - xyz[:, 2]) <= 0
+    last, (ceiling, floor) = progressive_opening(
+        surface, valid, radii, look, (nothing, -nothing), reach=reach, element=element
+    )
+    return last, ceiling, floor

@@ -17,7 +17,7 @@ from ..core.points import Points
 from ..core.result import Decision, Progress, Status
 from ..ops.grid import inside, padded_shape
 from ..ops.inpaint import fill_membrane
-from ..ops.morphology import opening
+from ..ops.morphology import progressive_opening
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.quadrants import NearestReferences, QuadrantReferences, local_planes
@@ -316,10 +316,9 @@ def _raised_cells(z: jax.Array, extent: jax.Array, rise: jax.Array, reach: int) 
     valid = inside((z.shape[0], z.shape[1]), extent)
     known = z < jnp.inf
 
-    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        last, objects = state
-        opened = opening(last, k, reach, valid=valid)
-        return opened, objects | (valid & (last - opened > jnp.minimum(rise[0] * k, rise[1])))
+    def look(k: jax.Array, before: jax.Array, opened: jax.Array, objects: jax.Array) -> jax.Array:
+        return objects | (valid & (before - opened > jnp.minimum(rise[0] * (k + 1), rise[1])))
 
     surface = fill_membrane(jnp.where(known, z, 0), known, valid).z
-    return jax.lax.fori_loop(1, reach + 1, open_once, (surface, jnp.zeros_like(valid)))[1]
+    radii = jnp.arange(1, reach + 1)
+    return progressive_opening(surface, valid, radii, look, jnp.zeros_like(valid), reach=reach)[1]

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Decision, Progress
 from ..ops.inpaint import fill_membrane
-from ..ops.morphology import opening
-from ..stages.surfaces import LowestCells, cell_for, check_width, chunks, cropped, hold_against, lowest_cells, steepness
+from ..ops.morphology import opening, progressive_opening
+from ..ops.sampling import bilinear
+from ..stages.grid_filter import GridFilter, Heights, Surface
+from ..stages.surfaces import Cells, cell_for, check_width, steepness
 from . import papers
 
-_SLOPES, _LANES, _SETS = 256, 16, 32
-"""In a sweep: slopes that share the openings, terrains filled at a time, sets tested at a time."""
-_CELL_BYTES, _POINT_BYTES = 80, 24
-"""About so many of memory per cell, and per point, for each terrain of a sweep."""
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 
 
@@ -39,7 +33,7 @@ def _oracle(number: int, slope: float, window: float, threshold: float, scaling:
 
 
 @filter_params
-class SMRF(Filter):
+class SMRF(GridFilter):
     """Openings of a grid of lowest elevations with growing disks, then a tolerance that grows with the slope.
 
     T. J. Pingel, K. C. Clarke, W. A. McBride (2013): An improved simple morphological filter for the terrain classification
@@ -83,6 +77,7 @@ class SMRF(Filter):
 
     BIBTEX: ClassVar[str] = papers.PINGEL_2013
     ORDER_FREE: ClassVar[bool] = True
+    TESTED: ClassVar[tuple[str, ...]] = ("threshold", "scaling")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset(
             "as printed: the authors' single set for all sites, except that heights at the points are bilinear, not splines"
@@ -138,204 +133,97 @@ class SMRF(Filter):
         openings = self.reach * (self.reach + 1) + 8 * self.mesh
         return self.cell * (openings + 3)
 
-    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
-        """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
-        progress(0.0, "lowest point per cell")
-        cells = self.cells(points)
-        extent, frame, valid = cells.extent, cells.frame, cells.valid
+    def corner(self, points: Points) -> tuple[float, float]:
+        """Cells are centred on the nodes of the lattice."""
+        x, y = points.offset(self.cell)
+        return x - self.cell / 2, y - self.cell / 2
 
-        progress(0.1, "filling empty cells")
-        surface = fill_membrane(cells.lowest, cells.seen, valid).z
-        progress(0.3, "openings")
-        rises = np.asarray([self.slope * self.cell, LOW_SLOPE * self.cell], np.float32)
-        bare, counts = _bare_cells(surface, cells.seen, valid, rises, self.reach, self.mesh)
-        progress(0.6, "filling object cells")
-        terrain = fill_membrane(surface, bare, valid).z
-        slopes = steepness(terrain, extent, frame[2])
-
-        progress(0.8, "classifying")
-        tolerance = np.asarray([self.threshold, self.scaling], np.float32)
-        height, slope, margin = hold_against(
-            points.xyz, lambda chunk: _test(chunk, terrain, slopes, frame, extent, tolerance)
-        )
-        ground = margin <= 0
-        decision = np.where(ground, Decision.ACCEPTED, np.where(height < 0, Decision.LOW, Decision.SURFACE))
-        names = ("cells", "empty_cells", "low_cells", "object_cells")
-        info = {name: int(n) for name, n in zip(names, np.asarray(counts), strict=True)}
-        progress(1.0, "done")
-        return Labels(ground, height=height, slope=slope, margin=margin, decision=decision.astype(np.uint8), info=info)
-
-    def cells(self, points: Points) -> LowestCells:
-        """The lowest point per cell; cells are centred on the nodes of the lattice."""
-        ox, oy = points.offset(self.cell)
-        return lowest_cells(points.xyz, self.cell, (ox - self.cell / 2, oy - self.cell / 2), name="SMRF(cell)")
-
-    def ground_each(
-        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
-    ) -> Iterator[tuple[int, np.ndarray]]:
-        """All sets share the grid and the openings; those with one slope share the terrain, and terrains are filled
-        several at a time."""
-        cells = cropped(self.cells(points))
+    def prepare(self, cells: Cells) -> Opened:
+        """Steps 1 to 4, for all slopes at once. Pure."""
         surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
-        rise = np.asarray([one.slope * one.cell for one in sets], np.float32)
-        rises = np.unique(rise)
-        lanes = int(np.clip(memory // (_CELL_BYTES * surface.size + _POINT_BYTES * len(points)), 1, _LANES))
-        before: tuple[list[Any], np.ndarray, np.ndarray] = [], np.zeros(0, np.int64), rise
-        for first in range(0, len(rises), _SLOPES):
-            some = rises[first : first + _SLOPES]
-            padded = np.append(some, np.full(_SLOPES - len(some), np.inf, np.float32))
-            bare, rank = _bare_below(
-                surface, cells.seen, cells.valid, padded, np.float32(LOW_SLOPE * self.cell), self.reach, self.mesh
-            )
-            turns = -(-len(some) // lanes)
-            terrain = jnp.broadcast_to(surface[..., None], (*surface.shape, lanes))
-            for turn in range(turns):  # each lane goes through neighbouring slopes
-                which = turns * np.arange(lanes) + turn
-                mine = np.flatnonzero(np.isin(rise, some[which[which < len(some)]]))
-                which = np.minimum(which, len(some) - 1)
-                terrain, steep = _terrains(
-                    surface, bare, rank, which, cells.valid, cells.extent, cells.frame[2], terrain
-                )
-                parts = [
-                    (_heights(chunk, terrain, steep, cells.frame, cells.extent), rows.stop - rows.start)
-                    for rows, chunk, _ in chunks(points.xyz)
-                ]
-                yield from _labels(*before, sets)  # while the next terrains are being computed
-                before = parts, mine, np.searchsorted(some[which], rise)
-        yield from _labels(*before, sets)
+        return Opened(cells, surface, *_open(surface, cells.seen, cells.valid, cells.frame[2], self.reach, self.mesh))
+
+    def surface(self, prepared: Opened) -> Surface:
+        """Step 5, the provisional terrain. Pure."""
+        cells, surface, steepest, bare, counts = prepared
+        terrain, slope, objects = _terrain(
+            surface, steepest, bare, cells.valid, cells.extent, cells.frame[2], jnp.float32(self.slope)
+        )
+        return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
+
+    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+        """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
+        z, slope, extent, frame, *_ = surface
+        return _hold(xyz, z, slope, extent, frame, jnp.float32(self.threshold), jnp.float32(self.scaling))
 
 
-def _labels(
-    parts: list[tuple[tuple[jax.Array, jax.Array], int]], numbers: np.ndarray, lane: np.ndarray, sets: Sequence[SMRF]
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Number and ground, bool[n], of some sets; ``lane``: i64[sets], where the terrain of each of all sets is."""
-    for start in range(0, len(numbers), _SETS):
-        some = numbers[start : start + _SETS]
-        which, limits = np.zeros(_SETS, np.int32), np.zeros((_SETS, 2), np.float32)
-        which[: len(some)] = lane[some]
-        limits[: len(some)] = [(sets[i].threshold, sets[i].scaling) for i in some]
-        found = [np.asarray(_within(*heights, which, limits))[:, :n] for heights, n in parts]
-        ground = np.concatenate(found, axis=1)
-        for k, number in enumerate(some):
-            yield int(number), ground[k]
+class Opened(NamedTuple):
+    """What the openings tell of cells, whatever the largest slope of terrain: a pytree.
+
+    Attributes:
+        cells: the cells.
+        surface: f32[rows, columns], metres, with empty cells filled.
+        steepest: f32[rows, columns], metres per cell of radius: at a smaller largest slope a cell is an object.
+        bare: bool[rows, columns], cells with points that are neither low outliers nor net.
+        counts: numbers of cells, i32[] each.
+    """
+
+    cells: Cells
+    surface: jax.Array
+    steepest: jax.Array
+    bare: jax.Array
+    counts: dict[str, jax.Array]
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "mesh"))
-def _bare_cells(
-    surface: jax.Array, seen: jax.Array, valid: jax.Array, rises: jax.Array, reach: int, mesh: int
-) -> tuple[jax.Array, jax.Array]:
-    """Cells with points that are neither low outliers nor objects nor net, bool[rows, columns].
-
-    ``rises``, f32[2], are metres per cell of radius, for objects and for low outliers. Second come the numbers of cells,
-    empty cells, low outliers and objects (net included), i32[4].
-    """
-
-    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        last, objects = state
-        opened = opening(last, k, reach, valid=valid)
-        return opened, objects | (valid & (last - opened > rises[0] * k))
-
-    low, net, surface = _low_and_net(surface, valid, rises[1], mesh)
-    objects = jax.lax.fori_loop(1, reach + 1, open_once, (surface, net))[1]
-    counts = jnp.stack([m.sum(dtype=jnp.int32) for m in (valid, valid & ~seen, low, objects)])
-    return seen & ~low & ~objects, counts
-
-
-@functools.partial(jax.jit, static_argnames=("reach", "mesh"))
-def _bare_below(
-    surface: jax.Array, seen: jax.Array, valid: jax.Array, rises: jax.Array, low_rise: jax.Array, reach: int, mesh: int
-) -> tuple[jax.Array, jax.Array]:
-    """Bare cells for many slopes from one series of openings.
-
-    ``rises``: f32[slopes], metres per cell of radius, ascending. Returns bool[rows, columns], cells with points that are
-    neither low outliers nor net; and i16, the number of slopes for which a cell is an object, which are the least ones.
-    """
-
-    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        last, rank = state
-        opened = opening(last, k, reach, valid=valid)
-        exceeded = jnp.searchsorted(rises * k, last - opened, side="left").astype(jnp.int16)
-        return opened, jnp.maximum(rank, exceeded)
-
-    low, net, surface = _low_and_net(surface, valid, low_rise, mesh)
-    rank = jax.lax.fori_loop(1, reach + 1, open_once, (surface, jnp.zeros(valid.shape, jnp.int16)))[1]
-    return seen & ~low & ~net, rank
-
-
-def _low_and_net(
-    surface: jax.Array, valid: jax.Array, low_rise: jax.Array, mesh: int
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Low outliers, the cells of the net, bool[rows, columns] each, and the surface as the net leaves it."""
-    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > low_rise)
+def _open(
+    surface: jax.Array, seen: jax.Array, valid: jax.Array, cell: jax.Array, reach: int, mesh: int
+) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
+    """``steepest``, ``bare`` and ``counts`` of :class:`Opened`."""
+    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
     net = jnp.zeros_like(valid)
     if mesh:
         row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
         net = valid & ((row % mesh == 0) | (column % mesh == 0))
         surface = jnp.where(net, opening(surface, 2 * mesh, 2 * mesh, valid=valid), surface)
-    return low, net, surface
+
+    def look(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
+        return jnp.maximum(steepest, (before - opened) / (k + 1))
+
+    radii = jnp.arange(1, reach + 1)
+    _, steepest = progressive_opening(surface, valid, radii, look, jnp.zeros_like(surface), reach=reach)
+    steepest = jnp.where(net, jnp.inf, jnp.where(valid, steepest, 0))
+    counted = {"cells": valid, "empty_cells": valid & ~seen, "low_cells": low}
+    return steepest, seen & ~low & ~net, {name: cells.sum(dtype=jnp.int32) for name, cells in counted.items()}
 
 
 @jax.jit
-def _terrains(
+def _terrain(
     surface: jax.Array,
+    steepest: jax.Array,
     bare: jax.Array,
-    rank: jax.Array,
-    which: jax.Array,
     valid: jax.Array,
     extent: jax.Array,
     cell: jax.Array,
-    guess: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Terrain and its slope, f32[rows, columns, lanes], for the slopes of these numbers, i64[lanes]; ``guess``: that for
-    other slopes."""
-    known = bare[..., None] & (rank[..., None] <= which)
-    terrain = fill_membrane(surface, known, valid, guess=guess).z
-    return terrain, jax.vmap(steepness, (2, None, None), 2)(terrain, extent, cell)
-
-
-@jax.jit
-def _heights(
-    xyz: jax.Array, terrain: jax.Array, slopes: jax.Array, frame: jax.Array, extent: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Height over each of several terrains f32[rows, columns, lanes], metres, and its slope, f32[lanes, n] each."""
-    sample = _sampler(xyz, frame, extent, terrain.shape[1])
-    return xyz[:, 2] - sample(terrain).T, sample(slopes).T
-
-
-@jax.jit
-def _within(height: jax.Array, slope: jax.Array, which: jax.Array, limits: jax.Array) -> jax.Array:
-    """bool[sets, n]: points within the tolerance of each set, f32[sets, 2], of the terrain in its lane, i32[sets]."""
-
-    def one(lane: jax.Array, tolerance: jax.Array) -> jax.Array:
-        return jnp.abs(height[lane]) - (tolerance[0] + tolerance[1] * slope[lane]) <= 0
-
-    return jax.vmap(one)(which, limits)
-
-
-@jax.jit
-def _test(
-    xyz: jax.Array, terrain: jax.Array, slopes: jax.Array, frame: jax.Array, extent: jax.Array, tolerance: jax.Array
+    slope: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Height over the terrain (m), its slope (degrees), and |height| - tolerance (m), f32[n] each."""
-    sample = _sampler(xyz, frame, extent, terrain.shape[1])
+    """Elevation and slope of the terrain without objects, f32[rows, columns], and their number, net included."""
+    objects = steepest > slope * cell
+    terrain = fill_membrane(surface, bare & ~objects, valid).z
+    return terrain, steepness(terrain, extent, cell), objects.sum(dtype=jnp.int32)
+
+
+@jax.jit
+def _hold(
+    xyz: jax.Array,
+    terrain: jax.Array,
+    slopes: jax.Array,
+    extent: jax.Array,
+    frame: jax.Array,
+    threshold: jax.Array,
+    scaling: jax.Array,
+) -> Heights:
+    sample = bilinear((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, extent, terrain.shape[1])
     height, slope = xyz[:, 2] - sample(terrain), sample(slopes)
-    return height, jnp.rad2deg(jnp.arctan(slope)), jnp.abs(height) - (tolerance[0] + tolerance[1] * slope)
-
-
-def _sampler(xyz: jax.Array, frame: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Array], jax.Array]:
-    """Bilinear interpolation of grids [rows, columns, ...] at points f32[n, 3]: [n, ...]."""
-    last = (extent - 1)[::-1]
-    at = jnp.clip((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, 0, last)
-    low = jnp.minimum(jnp.floor(at).astype(jnp.int32), jnp.maximum(last - 1, 0))
-    (u, v), (column, row) = (at - low).T, low.T
-    right, above = jnp.minimum(column + 1, last[0]), jnp.minimum(row + 1, last[1])
-
-    def sample(a: jax.Array) -> jax.Array:
-        flat = a.reshape(-1, *a.shape[2:])
-        wide = (-1, *(1,) * (a.ndim - 2))
-        x, y = u.reshape(wide), v.reshape(wide)
-        southern = (1 - x) * flat[row * columns + column] + x * flat[row * columns + right]
-        northern = (1 - x) * flat[above * columns + column] + x * flat[above * columns + right]
-        return (1 - y) * southern + y * northern
-
-    return sample
+    tolerance = threshold + scaling * slope
+    return Heights(height, slope, height - tolerance, -height - tolerance)

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.morphology import opening
+from ..ops.morphology import progressive_opening
 from ..ops.spread import fill_from_neighbours
 from ..stages.growth import Network
 from ..stages.outliers import isolated_low
@@ -200,9 +200,8 @@ def _raised_cells(surface: jax.Array, valid: jax.Array, radii: jax.Array, height
     ``radii``: i32[k], cells, ascending, the last is ``reach``; ``heights``: f32[k], metres.
     """
 
-    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        last, raised = state
-        opened = opening(last, radii[k], reach, "square", valid)
-        return opened, raised | (valid & (last - opened > heights[k]))
+    def look(k: jax.Array, before: jax.Array, opened: jax.Array, raised: jax.Array) -> jax.Array:
+        return raised | (valid & (before - opened > heights[k]))
 
-    return jax.lax.fori_loop(0, len(radii), open_once, (surface, jnp.zeros_like(valid)))[1]
+    none = jnp.zeros_like(valid)
+    return progressive_opening(surface, valid, radii, look, none, reach=reach, element="square")[1]

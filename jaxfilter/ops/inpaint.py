@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.custom_batching import custom_vmap
 
 _COARSEST = 96, 24  # rows and columns at which coarsening stops, for one grid and for many
 _FACTOR = 2  # cells of one level along the side of a cell of the next; 1 along an axis that is a single cell long
@@ -154,26 +156,44 @@ def fill_membrane(
     inside: jax.Array,
     tolerance: jax.Array | float = 1e-3,
     max_rounds: int = 100,
-    guess: jax.Array | None = None,
 ) -> Membrane:
     """Fill holes with the membrane through the known cells.
 
-    Several grids that differ in the known cells only are filled at once if ``known`` has a third axis. Cells that are next
-    to each other in memory then belong to different grids, and are computed in one instruction.
+    ``vmap`` fills several grids at once. Cells that are next to each other in memory then belong to different grids, and are
+    computed in one instruction; a grid that is done stays as it is until the others are.
 
     Args:
         z: f32[rows, columns]; values of unknown cells are ignored but must not be NaN.
-        known: bool[rows, columns] or bool[rows, columns, grids], the cells that are kept.
+        known: bool[rows, columns], the cells that are kept.
         inside: bool[rows, columns], the cells that exist; the membrane ends at their border, without force. Every
             connected part of them needs a known cell.
         tolerance: stop when the estimated error of every cell is below this, in the unit of z. The estimate is the last
             correction by the preconditioner; the true error can be several times as large.
         max_rounds: limit of steps.
-        guess: of the shape of ``known``, f32: where the holes start from, such as a solution for nearly the same cells.
 
     Returns: Membrane; outside cells are zero.
     """
-    (rows, columns), many = z.shape, known.ndim - 2
+
+    @custom_vmap
+    def fill(*arguments: jax.Array) -> Membrane:
+        return _fill(*arguments, max_rounds)
+
+    @fill.def_vmap
+    def fill_many(_: int, batched: Sequence[bool], *arguments: jax.Array) -> tuple[Membrane, Membrane]:
+        last = [jnp.moveaxis(a, 0, -1) if on else a for a, on in zip(arguments, batched, strict=True)]
+        shape = jnp.broadcast_shapes(*(a.shape for a, on in zip(last[:3], batched, strict=False) if on), (1, 1, 1))
+        known = jnp.broadcast_to(
+            last[1].reshape(*last[1].shape, *(1,) * (3 - last[1].ndim)), (*last[1].shape[:2], shape[2])
+        )
+        many = _fill(last[0], known, last[2], last[3], max_rounds)
+        return Membrane(jnp.moveaxis(many.z, -1, 0), many.error, many.rounds), Membrane(True, True, False)
+
+    return fill(z, known, inside, jnp.asarray(tolerance, z.dtype))
+
+
+def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array, max_rounds: int) -> Membrane:
+    """:func:`fill_membrane`, of one grid, or of several in the third axis of ``known``, and of other arguments or not."""
+    (rows, columns), many = known.shape[:2], known.ndim - 2
     depth = max(0, math.ceil(math.log(max(rows, columns) / _COARSEST[many], _FACTOR)))
     halvings = [min(depth, math.ceil(math.log(n, _FACTOR))) for n in (rows, columns)]  # until one cell is left
     plan = [(_FACTOR if k < halvings[0] else 1, _FACTOR if k < halvings[1] else 1) for k in range(depth)]
@@ -187,8 +207,7 @@ def fill_membrane(
     known = known & inside
     hole = inside & ~known
 
-    first = _first_guess(z, known, plan) if guess is None else prepared(guess)
-    start = jnp.where(hole, first, jnp.where(known, z, 0))
+    start = jnp.where(hole, _first_guess(z, known, plan), jnp.where(known, z, 0))
     levels = [_springs(hole, inside)]
     for factors in plan:
         levels.append(_coarser(levels[-1], factors))
@@ -247,7 +266,9 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     down, across = -(-rows // tall), -(-columns // wide)
     margin = across * wide
     squares = jnp.pad(
-        gap * gap, ((0, down * tall - rows), (margin, 2 * margin - columns)), constant_values=jnp.iinfo(jnp.int32).max // 2
+        gap * gap,
+        ((0, down * tall - rows), (margin, 2 * margin - columns)),
+        constant_values=jnp.iinfo(jnp.int32).max // 2,
     )
     wanted = jnp.pad(inside, ((0, down * tall - rows), (0, across * wide - columns)))
 

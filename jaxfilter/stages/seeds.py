@@ -12,7 +12,7 @@ from ..core.grid import Grid, most_cells
 from ..core.points import Points
 from ..ops.grid import block_minima, cell_index, padded_shape
 from ..ops.windows import window_layout, window_minima
-from .surfaces import LowestCells, look_up
+from .surfaces import Cells, look_up
 
 
 def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray
     return np.sort(rows[lowest[np.unique(cell[lowest], return_index=True)[1]]])
 
 
-def lowest_of_cells(points: Points, cells: LowestCells, chosen: jax.Array, barred: np.ndarray) -> np.ndarray:
+def lowest_of_cells(points: Points, cells: Cells, chosen: jax.Array, barred: np.ndarray) -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of the ``chosen`` cells, bool[rows, columns].
 
     ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
-from ..core.errors import ParameterError
+from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
 from ..core.result import Decision
@@ -26,9 +26,14 @@ _IN_FLIGHT = 8  # chunks that may be computed at once
 _Part = tuple[slice, tuple[jax.Array, ...]]
 
 
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["lowest", "seen", "valid", "extent", "frame", "place"],
+    meta_fields=[],
+)
 @dataclasses.dataclass(frozen=True, eq=False)
-class LowestCells:
-    """The lowest elevation in each cell of a grid, in arrays of a padded shape [rows, columns].
+class Cells:
+    """The lowest elevation in each cell of a grid, in arrays of a padded shape [rows, columns]; a pytree.
 
     Attributes:
         lowest: f32, metres; zero in empty cells.
@@ -36,13 +41,30 @@ class LowestCells:
         valid: bool, cells of the true extent.
         extent: i32[2], true number of rows and columns.
         frame: f32[3], x and y of the lower left corner and side of a cell, metres.
+        place: f32[rows, columns, 2], x and y of the lowest points, zero in empty cells; None unless a method needs it.
     """
 
     lowest: jax.Array
     seen: jax.Array
     valid: jax.Array
-    extent: np.ndarray
-    frame: np.ndarray
+    extent: np.ndarray | jax.Array
+    frame: np.ndarray | jax.Array
+    place: np.ndarray | jax.Array | None = None
+
+    def checked(self) -> Cells:
+        """The same cells; those outside the extent, and those whose elevation is NaN or infinite, count as empty.
+
+        Raises: InputError if the shapes of the arrays do not fit each other.
+        """
+        shapes = {name: np.shape(getattr(self, name)) for name in ("lowest", "seen", "valid")}
+        if len(set(shapes.values())) != 1 or len(shapes["lowest"]) != 2:
+            got = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+            raise InputError(f"Cells: {got}: arrays of one shape (rows, columns) are needed")
+        for name, length in (("extent", 2), ("frame", 3)):
+            if np.shape(getattr(self, name)) != (length,):
+                raise InputError(f"Cells: {name} of shape {np.shape(getattr(self, name))}: ({length},) is needed")
+        seen = self.seen & self.valid & jnp.isfinite(self.lowest)
+        return dataclasses.replace(self, lowest=jnp.where(seen, self.lowest, 0), seen=seen)
 
 
 def check_width(filter_: Filter, name: str, most: int) -> None:
@@ -61,7 +83,7 @@ def cell_for(spacing: float, spacings: float = 1.0) -> float:
 
 def lowest_cells(
     xyz: np.ndarray, cell: float, offset: tuple[float, float], *, name: str, barred: np.ndarray | None = None
-) -> LowestCells:
+) -> Cells:
     """The lowest of the points f32[n, 3] in each square of ``cell`` metres, those that are ``barred`` (bool[n]) left out.
 
     ``offset`` is a corner of the lattice, local metres; ``name`` is what an error calls the cell.
@@ -77,18 +99,10 @@ def lowest_cells(
     for _, chunk, count in chunks(xyz):
         lowest = _lower(lowest, chunk, count, frame, extent, shape[1])
     z, seen, valid = _occupied(lowest, extent, shape)
-    return LowestCells(z, seen, valid, extent, frame)
+    return Cells(z, seen, valid, extent, frame)
 
 
-def cropped(cells: LowestCells) -> LowestCells:
-    """The same cells with less padding, in steps of an eighth of the shape: worth a compilation of its own to long work."""
-    step = [n // 8 for n in cells.lowest.shape]
-    height, width = (-(-int(n) // k) * k for n, k in zip(cells.extent, step, strict=True))
-    tables = {name: getattr(cells, name)[:height, :width] for name in ("lowest", "seen", "valid")}
-    return dataclasses.replace(cells, **tables)
-
-
-def lowest_places(xyz: np.ndarray, cells: LowestCells, barred: np.ndarray) -> np.ndarray:
+def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray) -> np.ndarray:
     """f32[rows, columns, 2]: x and y of the lowest point in each cell, zero in empty ones.
 
     ``xyz``: f32[n, 3], ``barred``: bool[n], as for :func:`lowest_cells`. Of equally low points the westernmost is taken, and
@@ -128,9 +142,9 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
     return outputs
 
 
-def look_up(xyz: np.ndarray, cells: LowestCells, *surfaces: jax.Array) -> list[np.ndarray]:
+def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndarray]:
     """f32[n] each: the value of every surface, f32[rows, columns], in the cells of points f32[n, 3]."""
-    return hold_against(xyz, lambda chunk: _cell_values(chunk, surfaces, cells.frame, cells.extent))
+    return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
 
 
 def labels_between(
@@ -195,9 +209,9 @@ def _occupied(lowest: jax.Array, extent: jax.Array, shape: tuple[int, int]) -> t
 
 
 @jax.jit
-def _cell_values(
+def cell_values(
     xyz: jax.Array, surfaces: tuple[jax.Array, ...], frame: jax.Array, extent: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """f32[n] for every surface."""
+    """f32[n] for every surface, f32[rows, columns]: its value in the cells of points f32[n, >=2]; see :class:`Cells`."""
     at = cell_index(xyz, frame[:2], frame[2], extent, surfaces[0].shape[1])
     return tuple(surface.reshape(-1)[at] for surface in surfaces)

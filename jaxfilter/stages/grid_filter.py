@@ -1,0 +1,197 @@
+"""What methods on a grid share: a pure model of the cells, a pure test of the points, and sweeps of both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.compilation import bucket
+from ..core.filter import Filter, Labels
+from ..core.params import declared
+from ..core.points import Points
+from ..core.result import Decision, Progress
+from .outliers import bar_outliers
+from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells
+
+_SURFACES, _SETS = (4, 16), 32
+"""In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
+_CELL_BYTES, _POINT_BYTES = 80, 24
+"""About so many of memory per cell, and per point, for each surface of a sweep."""
+
+
+class Surface(NamedTuple):
+    """What a model makes of cells: a pytree of arrays of their padded shape [rows, columns].
+
+    Attributes:
+        z: f32, metres.
+        slope: f32, rise over run.
+        extent, frame: as in :class:`jaxfilter.stages.surfaces.Cells`.
+        limits: what else the method's test needs.
+        counts: numbers of cells by what they are, i32[] each.
+    """
+
+    z: jax.Array
+    slope: jax.Array
+    extent: jax.Array
+    frame: jax.Array
+    limits: Any = None
+    counts: dict[str, jax.Array] = {}  # noqa: RUF012, never changed
+
+
+class Heights(NamedTuple):
+    """Points held against a surface, f32[n] each.
+
+    Attributes:
+        height: metres above the surface.
+        slope: of the surface there, rise over run.
+        above: metres above the highest elevation that is ground there; negative below it.
+        below: metres below the lowest elevation that is ground there; negative above it.
+    """
+
+    height: jax.Array
+    slope: jax.Array
+    above: jax.Array
+    below: jax.Array
+
+    @property
+    def margin(self) -> jax.Array:
+        """f32[n], metres outside the limits, negative inside: ground are the points with at most zero."""
+        return jnp.maximum(self.above, self.below)
+
+
+class GridFilter(Filter):
+    """A filter that makes a surface of the lowest elevation per cell, and holds all points against it.
+
+    ``model`` and ``test`` are pure functions of pytrees, for a user's ``jax.jit`` and ``jax.vmap``, over parameters, over
+    clouds of one padded shape, or over both; the filter itself is the pytree of its parameters::
+
+        points = filter_.points_of(cloud)
+        cells = filter_.cells(points)
+        ground = filter_.test(filter_.model(cells), points.xyz).margin <= 0
+
+    A method gives ``prepare``, ``surface`` and ``test``. Derivatives: ``test`` has them in the points' elevations, in the
+    surface and in the fields in ``TESTED``; a surface changes in steps where cells become objects, and has none in other
+    fields (:func:`jaxfilter.soft_labels`).
+    """
+
+    TESTED: ClassVar[tuple[str, ...]] = ()
+    """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
+
+    def barred(self, points: Points, workers: int | None) -> np.ndarray:
+        """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on."""
+        clusters = getattr(self, "low_clusters", False)
+        return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=clusters, workers=workers)[0]
+
+    def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
+        """The lowest elevation per ``cell``, without the points ``barred``, bool[m]. Raises InputError for too many cells."""
+        cell: float = self.cell  # type: ignore[attr-defined]
+        name = f"{type(self).__name__}(cell)"
+        return lowest_cells(points.xyz, cell, self.corner(points), name=name, barred=barred)
+
+    def corner(self, points: Points) -> tuple[float, float]:
+        """A corner of the lattice of cells, local metres."""
+        return points.offset(self.cell)  # type: ignore[attr-defined]
+
+    def model(self, cells: Cells) -> Surface:
+        """The surface that ground lies on. Cells with an elevation that is not finite count as empty; without any that
+        has points the surface lies at zero. Pure. Raises: InputError if the shapes of the arrays do not fit."""
+        return self.surface(self.prepare(cells.checked()))
+
+    def prepare(self, cells: Cells) -> Any:
+        """The part of ``model`` in which no traced field has a part: a pytree of arrays. Pure."""
+        return cells
+
+    def surface(self, prepared: Any) -> Surface:
+        """The rest of ``model``. Pure."""
+        raise TypeError(f"{type(self).__name__} does not define surface()")
+
+    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+        """Points f32[n, 3], local metres, held against a surface. Pure."""
+        raise TypeError(f"{type(self).__name__} does not define test()")
+
+    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+        """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
+        progress(0.0, "outliers")
+        barred = self.barred(points, workers)
+        progress(0.2, "lowest point per cell")
+        prepared = self.prepare(self.cells(points, barred))
+        progress(0.4, "surface")
+        surface = self.surface(prepared)
+        progress(0.8, "classifying")
+        tested = Heights(*hold_against(points.xyz, lambda chunk: self.test(surface, chunk)))
+        progress(1.0, "done")
+        labels = labels_of(tested)
+        labels.barred, labels.info = barred, {name: int(n) for name, n in surface.counts.items()}
+        return labels
+
+    def ground_each(
+        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
+        prepared = self.prepare(self.cells(points, self.barred(points, workers)))
+        names = [f.name for f in declared(self) if f.name not in self.TESTED]
+        alike: dict[tuple[Any, ...], list[int]] = {}
+        for number, one in enumerate(sets):
+            alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
+        jobs = [part[k : k + _SETS] for _, part in sorted(alike.items()) for k in range(0, len(part), _SETS)]
+        size = max(a.size for a in jax.tree.leaves(prepared))
+        most = int(
+            np.clip(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)), 1, _SURFACES[len(jobs) > _SURFACES[0]])
+        )
+        for start in range(0, len(jobs), most):
+            some = jobs[start : start + most]
+            wide = bucket(max(map(len, some)), 1)
+            padded = [job + job[-1:] * (wide - len(job)) for job in some + some[-1:] * (most - len(some))]
+            stacked = jax.tree.map(
+                lambda *leaves: np.asarray(leaves, np.float32).reshape(-1, wide),  # noqa: B023
+                *(sets[number] for job in padded for number in job),
+            )
+            surfaces = _surfaces(stacked, prepared)
+            parts = [
+                np.asarray(_passed(stacked, surfaces, chunk))[..., : rows.stop - rows.start]
+                for rows, chunk, _ in chunks(points.xyz)
+            ]
+            ground = np.concatenate(parts, axis=-1)
+            yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
+
+
+@jax.jit
+def _surfaces(filters: GridFilter, prepared: Any) -> Surface:
+    """The surface of the first filter in every row of [surfaces, sets]."""
+    return jax.vmap(lambda one: one.surface(prepared))(jax.tree.map(lambda leaf: leaf[:, 0], filters))
+
+
+@jax.jit
+def _passed(filters: GridFilter, surfaces: Surface, xyz: jax.Array) -> jax.Array:
+    """bool[surfaces, sets, n]: points that are ground by every filter of [surfaces, sets]."""
+
+    def one_surface(row: GridFilter, surface: Surface) -> jax.Array:
+        return jax.vmap(lambda one: one.test(surface, xyz).margin <= 0)(row)
+
+    return jax.vmap(one_surface)(filters, surfaces)
+
+
+@jax.jit
+def between(surface: Surface, xyz: jax.Array) -> Heights:
+    """Points f32[n, 3] held against the elevations in their cell, ``limits`` being the highest and the lowest of ground."""
+    (highest, lowest), z = surface.limits, xyz[:, 2]
+    tables = (surface.z, surface.slope, highest, lowest)
+    base, slope, ceiling, floor = cell_values(xyz, tables, surface.frame, surface.extent)
+    return Heights(z - base, slope, z - ceiling, floor - z)
+
+
+def labels_of(tested: Heights) -> Labels:
+    """Labels of points, from NumPy arrays."""
+    margin = np.maximum(tested.above, tested.below)
+    decision = np.where(tested.above > 0, Decision.SURFACE, np.where(tested.below > 0, Decision.LOW, Decision.ACCEPTED))
+    return Labels(
+        margin <= 0,
+        height=np.asarray(tested.height),
+        slope=np.degrees(np.arctan(tested.slope)),
+        margin=margin,
+        decision=decision.astype(np.uint8),
+    )
