@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
-from ..core.compilation import bucket
 from ..core.grid import Grid, grid_over
 from ..host.neighbours import nearest, tree_of
+from ..host.quadrants import Buckets, nearest_in_quadrants, rings
 from ..ops.planes import fit_planes
-from ..ops.quadrants import Buckets, Nearest, nearest_in_quadrants
 
 _BLOCK = 1 << 15  # queries per call
-_AHEAD = 2  # calls that are started before the first of them is waited for
-_NEAR = 6  # cells that the first search reaches
-_FAR = 32  # cells that the second reaches at most
+_NEAR = 6  # cells that a near search reaches
+_FAR = 32  # cells that a search reaches at most
+_COARSE = 8  # cells of a near search along the side of one that tells which queries to search for
 
 
 class NearestReferences:
@@ -77,75 +80,51 @@ class QuadrantReferences(NearestReferences):
         Args:
             xyz: f32[m, >=2], all points, local metres.
             query: i64[q], rows to find references for, ascending; neighbours should follow each other.
-            side: metres; of the grid cells of the first search, about the distance between references.
+            side: metres; of the grid cells of the search, about the distance between references.
             reach: metres, of the search.
         """
         super().__init__(xyz, query, reach)
         wide = max(side, reach / _FAR)
-        name = "cell of the search for references"
-        self._searches = [(grid_over(xyz, side, name=name), _NEAR)]
-        self._searches.append((grid_over(xyz, wide, name=name), math.ceil(reach / wide - 1e-6)))
+        sides = [(wide, math.ceil(reach / wide - 1e-6))]
+        if wide > side:
+            sides.insert(0, (side, _NEAR))
+
+        def cells(side: float) -> tuple[Grid, np.ndarray]:
+            grid = grid_over(xyz, side, name="cell of the search for references")
+            return grid, grid.flat(self._xy)
+
+        self._searches = [(*cells(size), rings(radius)) for size, radius in sides]
+        self._coarse = cells(_COARSE * side)
+
+    def _concerned(self, references: np.ndarray) -> np.ndarray:
+        """i64: the queries that a reference may be nearer to than the farthest that they have; a few others too."""
+        grid, cell = self._coarse
+        empty = np.ones(grid.shape, bool)
+        empty.ravel()[cell[references]] = False
+        least = grid.cell * np.maximum(distance_transform_edt(empty).ravel() - 1.5, 0)  # at most a diagonal too far
+        return np.flatnonzero(self.square.max(axis=1, initial=0) >= least[cell[self._query]] ** 2)
 
     def add(self, references: np.ndarray, workers: int | None = None) -> np.ndarray:
         """Take in more references, ascending i64[r]. Returns bool[q]: whose nearest have changed.
 
-        The first search reaches six cells. The few queries with a quadrant that is still empty, or filled from farther
-        away, search again up to ``reach``.
+        Where ``reach`` is far, the first search is a near one, and the few queries with a quadrant that is still empty, or
+        filled from farther away, search again in larger cells.
         """
         changed = np.zeros(len(self._query), bool)
         if len(references) == 0:
             return changed
-        todo = np.arange(len(self._query))
-        if len(references) < len(todo):
-            farthest = np.sqrt(self.square.max(axis=1, initial=0))
-            distance = nearest(tree_of(self._xy[references]), self._xy[self._query], 1, self._reach, workers)[0][:, 0]
-            todo = np.flatnonzero(distance <= farthest)
-        for grid, radius in self._searches:
-            if len(todo) == 0:
-                break
-            buckets = self._buckets(references, grid)
-            parts = [todo[start : start + _BLOCK] for start in range(0, len(todo), _BLOCK)]
-            under_way: list[tuple[np.ndarray, Nearest]] = []
-            for part in parts:
-                under_way.append((part, self._search(buckets, grid, part, radius)))
-                if len(under_way) > _AHEAD:
-                    self._take(*under_way.pop(0), changed)
-            for search in under_way:
-                self._take(*search, changed)
-            todo = todo[(self.square[todo] > (radius * grid.cell) ** 2).any(axis=1)]
+        todo, query = self._concerned(references), self._xy[self._query]
+        with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+            for grid, cell, steps in self._searches:
+                buckets = Buckets.of(self._xy[references], references, cell[references], grid.shape)
+                side, home = np.float32(grid.cell), cell[self._query]
+                search = functools.partial(
+                    nearest_in_quadrants, *buckets, query, home, steps, side, self.row, self.square, changed
+                )
+                list(pool.map(search, np.array_split(todo, -(-len(todo) // _BLOCK) or 1)))
+                radius = float(side) ** 2 * steps[-1, 2]
+                todo = todo[(self.square[todo] > radius).any(axis=1)]
         return changed
-
-    def _search(self, buckets: Buckets, grid: Grid, part: np.ndarray, radius: int) -> Nearest:
-        """Start the search for the queries i64[p]; padded to a block."""
-        n = len(part)
-        query, home = np.zeros((_BLOCK, 2), np.float32), np.zeros(_BLOCK, np.int32)
-        row = np.full((_BLOCK, 4), -1, np.int32)
-        square = np.zeros((_BLOCK, 4), np.float32)
-        query[:n], row[:n], square[:n] = self._xy[self._query[part]], self.row[part], self.square[part]
-        home[:n] = grid.flat(query[:n])
-        known = Nearest(jnp.asarray(row), jnp.asarray(square))
-        return nearest_in_quadrants(buckets, jnp.asarray(query), jnp.asarray(home), known, radius)
-
-    def _take(self, part: np.ndarray, found: Nearest, changed: np.ndarray) -> None:
-        """Wait for a search and take over what it found; mark the queries that have nearer references now."""
-        n = len(part)
-        row = np.asarray(found.row)[:n]
-        changed[part] |= (self.row[part] != row).any(axis=1)
-        self.row[part], self.square[part] = row, np.asarray(found.square)[:n]
-
-    def _buckets(self, references: np.ndarray, grid: Grid) -> Buckets:
-        cell = grid.flat(self._xy[references])
-        order = np.argsort(cell, kind="stable")
-        size, cells = bucket(len(self._xy)), grid.nx * grid.ny
-        xy = np.zeros((size, 2), np.float32)
-        row = np.zeros(size, np.int32)
-        start = np.full(bucket(cells) + 1, len(references), np.int32)
-        xy[: len(order)] = self._xy[references[order]]
-        row[: len(order)] = references[order]
-        start[0] = 0
-        np.cumsum(np.bincount(cell, minlength=cells), out=start[1 : cells + 1])
-        extent = np.asarray(grid.shape, np.int32)
-        return Buckets(*map(jnp.asarray, (xy, row, start, np.float32(grid.cell), extent)))
 
 
 def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
