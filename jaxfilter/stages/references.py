@@ -1,11 +1,17 @@
-"""Reference points around others, kept up to date while references are added: one in each of four quadrants, or the nearest."""
+"""Ground that grows from reference points: each point against the plane through the references around it.
+
+The references around a point are the nearest in each of four quadrants, or the nearest of all; they are kept up to date
+while references are added.
+"""
 
 from __future__ import annotations
 
 import functools
 import math
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +19,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..core.grid import Grid, grid_over
+from ..core.result import Progress, Status
 from ..host.neighbours import nearest, tree_of
 from ..host.quadrants import Buckets, nearest_in_quadrants, rings
 from ..ops.planes import fit_planes
@@ -27,6 +34,7 @@ class NearestReferences:
     """The four reference points nearest to every query point, in x and y, wherever they lie.
 
     Attributes:
+        xyz: f32[m, >=2], all points; query: i64[q], rows of those to find references for.
         row: i32[q, 4], rows of ``xyz``; -1 where there are no more.
         square: f32[q, 4], squared distances, m2; ``reach`` squared where there are no more.
     """
@@ -39,14 +47,14 @@ class NearestReferences:
             query: i64[q], rows to find references for, ascending.
             reach: metres, of the search.
         """
-        self._xy = np.ascontiguousarray(xyz[:, :2])
-        self._query, self._reach = query, reach
+        self.xyz, self._xy = xyz, np.ascontiguousarray(xyz[:, :2])
+        self.query, self._reach = query, reach
         self.row = np.full((len(query), 4), -1, np.int32)
         self.square = np.full((len(query), 4), np.float32(reach) ** 2, np.float32)
 
     def keep(self, kept: np.ndarray) -> None:
         """Go on with some of the query points only, bool[q]."""
-        self._query, self.row, self.square = self._query[kept], self.row[kept], self.square[kept]
+        self.query, self.row, self.square = self.query[kept], self.row[kept], self.square[kept]
 
     def add(self, references: np.ndarray, workers: int | None = None) -> np.ndarray:
         """Take in more references, ascending i64[r]. Returns bool[q]: whose nearest have changed.
@@ -54,9 +62,9 @@ class NearestReferences:
         Of equally near points those that were taken in before stay.
         """
         if len(references) == 0:
-            return np.zeros(len(self._query), bool)
+            return np.zeros(len(self.query), bool)
         tree = tree_of(self._xy[references])
-        distance, index = nearest(tree, self._xy[self._query], 4, self._reach, workers)
+        distance, index = nearest(tree, self._xy[self.query], 4, self._reach, workers)
         found = np.isfinite(distance)
         row = np.hstack([self.row, np.where(found, np.append(references, -1)[index], -1).astype(np.int32)])
         square = np.hstack([self.square, np.where(found, distance, self._reach).astype(np.float32) ** 2])
@@ -70,6 +78,7 @@ class QuadrantReferences(NearestReferences):
     """The nearest reference point in each quadrant around every query point, in x and y (Cai et al. 2023, eq. 3).
 
     Attributes:
+        xyz: f32[m, >=2], all points; query: i64[q], rows of those to find references for.
         row: i32[q, 4], rows of ``xyz``, counter-clockwise from the north-east; -1 where a quadrant is empty.
         square: f32[q, 4], squared distances, m2; ``reach`` squared where a quadrant is empty.
     """
@@ -102,7 +111,7 @@ class QuadrantReferences(NearestReferences):
         empty = np.ones(grid.shape, bool)
         empty.ravel()[cell[references]] = False
         least = grid.cell * np.maximum(distance_transform_edt(empty).ravel() - 1.5, 0)  # at most a diagonal too far
-        return np.flatnonzero(self.square.max(axis=1, initial=0) >= least[cell[self._query]] ** 2)
+        return np.flatnonzero(self.square.max(axis=1, initial=0) >= least[cell[self.query]] ** 2)
 
     def add(self, references: np.ndarray, workers: int | None = None) -> np.ndarray:
         """Take in more references, ascending i64[r]. Returns bool[q]: whose nearest have changed.
@@ -110,14 +119,14 @@ class QuadrantReferences(NearestReferences):
         Where ``reach`` is far, the first search is a near one, and the few queries with a quadrant that is still empty, or
         filled from farther away, search again in larger cells.
         """
-        changed = np.zeros(len(self._query), bool)
+        changed = np.zeros(len(self.query), bool)
         if len(references) == 0:
             return changed
-        todo, query = self._concerned(references), self._xy[self._query]
+        todo, query = self._concerned(references), self._xy[self.query]
         with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             for grid, cell, steps in self._searches:
                 buckets = Buckets.of(self._xy[references], references, cell[references], grid.shape)
-                side, home = np.float32(grid.cell), cell[self._query]
+                side, home = np.float32(grid.cell), cell[self.query]
                 search = functools.partial(
                     nearest_in_quadrants, *buckets, query, home, steps, side, self.row, self.square, changed
                 )
@@ -125,6 +134,63 @@ class QuadrantReferences(NearestReferences):
                 radius = float(side) ** 2 * steps[-1, 2]
                 todo = todo[(self.square[todo] > radius).any(axis=1)]
         return changed
+
+
+class Compared(NamedTuple):
+    """Every point against the plane that it was compared with last; f32[m] each, NaN where there was none.
+
+    ``distance``: metres along the normal, ``height``: metres upward, both negative below the plane; ``slope``: degrees.
+    """
+
+    distance: np.ndarray
+    height: np.ndarray
+    slope: np.ndarray
+
+    def update(self, xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> None:
+        """Compare points with :func:`local_planes`."""
+        self.distance[query], self.height[query], self.slope[query] = local_planes(xyz, query, row)
+
+
+def grow_references(
+    around: NearestReferences,
+    reference: np.ndarray,
+    compared: Compared,
+    accepts: Callable[[np.ndarray], np.ndarray],
+    *,
+    max_rounds: int,
+    workers: int | None,
+    progress: Progress,
+    trace: bool,
+) -> tuple[Status, list[dict[str, Any]]]:
+    """Make references of points near their local plane until no more are found (Cai et al. 2023, Sec. 2.5).
+
+    A round compares the points whose references have changed.
+
+    Args:
+        around: the points that may become references, without references yet.
+        reference: bool[m], where growth begins; those that are found are added.
+        compared: all points; those of ``around`` are updated.
+        accepts: tells from distances f32[k], metres, which points become references.
+        progress: called once per round; trace: put ``"ground"``, bool[m], into each round's dict.
+
+    Returns: how it ended, and counts per round.
+    """
+    xyz, new = around.xyz, np.flatnonzero(reference)
+    steps: list[dict[str, Any]] = []
+    for n in range(max_rounds):
+        progress(n / max_rounds, "growing the references")
+        changed = around.add(new, workers)
+        rows = around.query[changed]
+        compared.update(xyz, rows, around.row[changed])
+        new = rows[accepts(compared.distance[rows])]
+        reference[new] = True
+        steps.append({"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())})
+        if trace:
+            steps[-1]["ground"] = reference.copy()
+        if len(new) == 0:
+            return Status.CONVERGED, steps
+        around.keep(~reference[around.query])
+    return Status.ROUND_LIMIT, steps
 
 
 def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
