@@ -35,12 +35,12 @@ class Buckets(NamedTuple):
 
 def rings(radius: int) -> np.ndarray:
     """i64[steps, 3]: columns and rows of cells into a quadrant, and the square of the least distance, in cells, of points
-    so far apart; what may hold nearer points comes first. It ends where points are ``radius`` cells apart."""
+    so far apart; what may hold nearer points comes first. The last is where to end: ``radius`` cells away."""
     column, row = (axis.ravel() for axis in np.mgrid[: radius + 1, : radius + 1])
     gap = np.maximum(column - 1, 0) ** 2 + np.maximum(row - 1, 0) ** 2
     order = np.lexsort((row, column, gap))
     steps = np.stack([column, row, gap], axis=1)[order]
-    return np.append(steps[steps[:, 2] < radius**2], [[0, 0, radius**2]], axis=0)
+    return np.append(steps[steps[:, 2] < radius**2], [[radius, radius, radius**2]], axis=0)
 
 
 @compiled(fused=True)
@@ -66,6 +66,9 @@ def nearest_in_quadrants(xy, row, start, shape, query, home, steps, side, found,
         for quadrant in range(4):
             east, north = quadrant in (0, 3), quadrant < 2
             best = square[i, quadrant]
+            across = min(int(np.sqrt(best) / side) + 1, steps[-1, 0])
+            if _is_empty(start, rows, columns, own_row, own_column, east, north, across):
+                continue
             for k in range(len(steps) - 1):
                 if best <= gaps[k]:
                     break
@@ -80,6 +83,17 @@ def nearest_in_quadrants(xy, row, start, shape, query, home, steps, side, found,
                     if away < best and quadrant == _quadrant(dx, dy):
                         best, changed[i] = away, True
                         found[i, quadrant], square[i, quadrant] = row[n], away
+
+
+@compiled
+def _is_empty(start, rows, columns, row, column, east, north, across):
+    """Whether the square of ``across`` more cells into a quadrant holds no points."""
+    first, last = (column, min(column + across, columns - 1)) if east else (max(column - across, 0), column)
+    for n in range(min(across, rows - 1 - row if north else row) + 1):
+        line = (row + n if north else row - n) * columns
+        if start[line + first] < start[line + last + 1]:
+            return False
+    return True
 
 
 @compiled
