@@ -151,9 +151,31 @@ def test_heights_of_the_model_are_over_the_middle_of_cells():
     np.testing.assert_allclose(margin, np.abs(height) - 0.5, atol=1e-6)
 
 
-def test_a_model_without_a_seen_cell_has_no_surface():
-    cells = cells_over(jnp.zeros((4, 5)), jnp.zeros((4, 5), bool))
-    assert np.isnan(csf.model(jf.CSF(), cells).height).all()
+def test_margins_of_the_model_have_gradients(rng):
+    z = -ragged(rng, 20, 24)
+    cells = cells_over(jnp.asarray(z), jnp.ones(z.shape, bool))
+    xyz = np.column_stack([rng.uniform(101, 139, (50, 2)) + [0, 100], rng.uniform(0, 9, 50)]).astype(np.float32)
+    cloth = csf.model(jf.CSF(), cells)
+
+    def margins(threshold, z):
+        return csf.test(jf.CSF().replace(threshold=threshold), cells, cloth, xyz.at[:, 2].set(z))[1].sum()
+
+    xyz = jnp.asarray(xyz)
+    threshold, elevations = jax.grad(margins, argnums=(0, 1))(0.5, xyz[:, 2])
+    assert threshold == -50
+    np.testing.assert_array_equal(elevations, np.sign(csf.test(jf.CSF(), cells, cloth, xyz)[0]))
+
+
+def test_what_cannot_be_draped_is_said():
+    none, some = np.zeros((4, 5), bool), np.ones((4, 5), bool)
+    assert np.isnan(csf.model(jf.CSF(), cells_over(jnp.zeros((4, 5)), none)).height).all()
+    assert np.isnan(csf.model(jf.CSF(), cells_over(jnp.full((4, 5), jnp.nan), some)).height).all()
+    limit = np.full((4, 5), -1, np.float32)
+    limit[1, 2] = np.nan
+    cloth = settle(limit, some, MOVES[1], 0.1, 0.005, 50)
+    assert np.isfinite(cloth.height).all() and (np.asarray(cloth.pinned) == ~np.isnan(limit)).all()
+    with pytest.raises(jf.InputError, match=r"limit \(4, 5\) and inside \(5, 4\)"):
+        settle(limit, some.T, MOVES[1], 0.1, 0.005, 50)
 
 
 def test_a_cloth_in_free_fall_follows_gravity():

@@ -202,7 +202,8 @@ def model(params: CSF, cells: LowestCells) -> Cloth:
     ``height`` is the elevation of the cloth, f32[rows, columns], metres. The particles stand in the middle of the cells.
     Their springs act in the order of :func:`jaxfilter.ops.cloth.settle`, which suits a GPU and is not that of the filter,
     and nothing is joined to the ground afterwards (``smooth``), so the labels are others than the filter's.
-    There is no gradient. ``rigidness`` and ``gravity`` are static. The surface is NaN if no cell is ``seen``.
+    There is no gradient. ``rigidness`` and ``gravity`` are static. The surface is NaN if no cell
+    is ``seen``, or one that is has no elevation.
     """
     top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
     limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
