@@ -10,10 +10,10 @@ memory is laid out so that it can be kept at speed. Particle (x, y) stands at th
 
     x w + y (5 w + 1) = w (x + 5 y) + y
 
-of one array, in line x + 5 y of lines that are ``w`` long. ``w`` is a little more than a fifth of a row: then no place
-is taken twice. A particle disturbs nothing beyond two nodes, and those nearer than five nodes to each other are at least
-``w`` apart and stand in the order of their turns. So the springs of a whole line act together, on lines a fixed number
-of places away, which makes vector instructions of them.
+of one array, in line x + 5 y of lines that are ``w`` long. ``w`` is a little more than a fifth of a row, or than the number
+of rows if that is less: then no place is taken twice. A particle disturbs nothing beyond two nodes, and those nearer than
+five nodes to each other are at least ``w`` apart and stand in the order of their turns. So the springs of a whole line act
+together, on lines a fixed number of places away, which makes vector instructions of them.
 
 Nothing is disturbed more than 12 lines and 2 places away, so many steps sweep over the array one behind the other, while
 what they need is in the cache.
