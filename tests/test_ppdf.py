@@ -11,7 +11,7 @@ from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
 from jaxfilter.ops.ransac import batches, cells_of, consensus_planes, rows_of
 from jaxfilter.stages.planes import progressive_planes
-from jaxfilter.stages.quadrants import NearestReferences, QuadrantReferences, local_planes
+from jaxfilter.stages.references import NearestReferences, QuadrantReferences, local_planes
 
 DRAWS = jax.random.uniform(jax.random.key(0), (128, 3))
 
@@ -109,6 +109,28 @@ def test_quadrants_against_brute_force(rng, side, reach):
     around.keep(half)
     around.add(references)
     np.testing.assert_allclose(around.square, brute(xy, query[half], references, reach), rtol=1e-5, atol=1e-6)
+
+
+def test_ties_go_to_the_reference_that_came_first_then_to_the_nearer_ring_of_cells(rng):
+    xy = rng.permutation(np.stack(np.mgrid[:24, :24], axis=-1).reshape(-1, 2))[:400].astype(np.float32)
+    query, references = np.arange(120), np.arange(120, 400)
+    around = QuadrantReferences(xy, query, 2.0, 9.0)
+    cell = np.floor((xy - xy.min(axis=0)) / 2).astype(int)
+    best = np.full((120, 4), -1)
+    for part in (references[:60], references[60:]):
+        around.add(part, workers=2)
+        for i, k in itertools.product(query, range(4)):
+            dx, dy = (xy[part] - xy[i]).T
+            own = [(dx > 0) & (dy >= 0), (dx <= 0) & (dy > 0), (dx < 0) & (dy <= 0), (dx >= 0) & (dy < 0)][k]
+            rows = part[own & (dx**2 + dy**2 < 81)]
+            steps = np.abs(cell[rows] - cell[i])
+            gap = (np.maximum(steps - 1, 0) ** 2).sum(axis=1)
+            square = ((xy[rows] - xy[i]) ** 2).sum(axis=1)
+            if len(rows):
+                first = np.lexsort((rows, steps[:, 1], steps[:, 0], gap, square))[0]
+                if best[i, k] < 0 or square[first] < ((xy[best[i, k]] - xy[i]) ** 2).sum():
+                    best[i, k] = rows[first]
+        np.testing.assert_array_equal(around.row, best)
 
 
 def test_nearest_references_against_brute_force(rng):

@@ -23,9 +23,8 @@ from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
 from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
-from jaxfilter.filters import ppdf
 from jaxfilter.stages.planes import ScaledPlanes, progressive_planes
-from jaxfilter.stages.seeds import lowest_on_grid
+from jaxfilter.stages.seeds import lowest_on_grid, under_canopy
 
 TILES = {"lff_2_42": 50.0, "zf_veluwezoom_ahn3": 80.0}
 """Files in data/tiles, and the side of the square in their middle that the slow studies run on, metres."""
@@ -454,7 +453,7 @@ def staged(cloud: jf.PointCloud) -> Stages:
     z, grid = plots.rasterise(points.xyz[truth], 1.0, over=points.xyz)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, grid.cell))))
     cells = grid_over(points.xyz, filter_.canopy_cell)
-    under = ppdf._under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
+    under = under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
     planes = progressive_planes(
         points, under, jax.random.uniform(jax.random.key(0), (filter_.hypotheses, 3)), cell=filter_.cell,
         min_points=filter_.min_points, inlier_distance=filter_.inlier_distance,

@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
+from ..core.cloth import Cloth
 from ..core.compilation import bucket
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress
-from ..host.neighbours import groups
-from ..ops.cloth import drape, fill_along_lines
+from ..host.cloth import drape, join_slopes
+from ..ops.cloth import fill_along_lines, lowest_below, settle
 from ..ops.grid import inside, padded_shape
 from ..stages.outliers import bar_outliers
+from ..stages.surfaces import LowestCells
 from . import papers
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
 START = 0.05  # metres between the lowest point and the cloth at the start
 REST = 0.005  # metres per step; at rest when no particle moves as far
 MARGIN = 2  # nodes beyond the points on every side
-GROUP = 50  # free particles; smaller groups are not joined to the ground
 MAX_NODES = 100_000_000  # about 6 GB
 _HOLE = 60  # nodes across a hole that a cloth of rigidness 2 or 3 bridges with a sag of less than 2 m
 
@@ -42,7 +41,7 @@ class CSF(Filter):
     1. Particles stand on a grid of ``resolution`` metres. Each has the elevation of one of the points that are nearer
        to it than to other particles (``surface``); without one, that of the next particle that has one.
     2. The cloud is turned upside down. The cloth falls, held together by springs of a given ``rigidness``; particles
-       that reach their elevation stay there for good (:func:`jaxfilter.ops.cloth.drape`).
+       that reach their elevation stay there for good (:func:`jaxfilter.host.cloth.drape`).
     3. Optional (``smooth``): particles beside one that lies on the ground, at an elevation that differs by less than
        ``max_step``, are put on the ground as well, and so on from there.
     4. Ground are the points less than ``threshold`` above or below the cloth, interpolated bilinearly.
@@ -139,6 +138,11 @@ class CSF(Filter):
         """f32[m], metres by which the distance from the cloth exceeds the threshold."""
         return np.abs(above) - np.float32(self.threshold)
 
+    def _motion(self) -> tuple[tuple[float, float], Any]:
+        """Shares of a gap that a particle moves towards one that is pinned and one that is not; metres of fall per step."""
+        moves = (1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness))
+        return moves, GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         cell = self.resolution
@@ -161,23 +165,21 @@ class CSF(Filter):
         size = bucket(len(points))
         xyz = np.pad(points.xyz, ((0, size - len(points)), (0, 0)))
         carries = np.pad(~barred, (0, size - len(points)))
-        top = np.float32(points.xyz[~barred, 2].min() - np.float32(START))
-        frame = np.asarray([*first, cell], np.float32)
-        true = np.asarray(extent, np.int32)
+        frame, true = np.asarray([*first, cell], np.float32), np.asarray(extent, np.int32)
 
         progress(0.1, "cloth")
-        limit, carried = _surface(xyz, carries, top, frame, true, shape, self.surface == "nearest")
-        limit = fill_along_lines(limit, carried, inside(shape, jnp.asarray(true)))
-        moves = (1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness))
-        fall = GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
-        cloth = drape(limit, extent, moves, fall, REST, int(self.iterations))
-        height, pinned = cloth.height, np.asarray(cloth.pinned)
+        lowest, carried = lowest_below(xyz, carries, frame, true, shape, self.surface == "nearest")
+        top = np.float32(points.xyz[~barred, 2].min() - np.float32(START))
+        limit = top - np.asarray(fill_along_lines(lowest, carried, inside(shape, jnp.asarray(true))))[:rows, :columns]
+        cloth = drape(limit, *self._motion(), REST, int(self.iterations), workers)
+        height, pinned = cloth.height, cloth.pinned
         if self.smooth:
-            joined = _join_slopes(np.asarray(limit), pinned, extent, self.max_step)
-            height, pinned = jnp.where(joined, limit, height), pinned | joined
+            joined = join_slopes(limit, pinned, self.max_step)
+            height, pinned = np.where(joined, limit, height), pinned | joined
 
         progress(0.9, "classifying")
-        above, slope = (np.asarray(a)[: len(points)] for a in _test(xyz, top - height, frame, true))
+        z = np.pad(top - height, [(0, n - m) for n, m in zip(shape, extent, strict=True)])
+        above, slope = (np.asarray(a)[: len(points)] for a in _test(xyz, z, frame, true))
         margin = self._margin(above)
         ground = margin < 0
         decision = np.where(ground, Decision.ACCEPTED, np.where(above < 0, Decision.LOW, Decision.SURFACE))
@@ -194,30 +196,30 @@ class CSF(Filter):
         )
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "nearest"))
-def _surface(
-    xyz: jax.Array,
-    carries: jax.Array,
-    top: jax.Array,
-    frame: jax.Array,
-    extent: jax.Array,
-    shape: tuple[int, int],
-    nearest: bool,
-) -> tuple[jax.Array, jax.Array]:
-    """Height over the start that each particle can fall to, f32[rows, columns], and which ones have a point.
+def model(params: CSF, cells: LowestCells) -> Cloth:
+    """The cloth over the lowest points of cells, for use inside ``jit`` and ``vmap``: over parameters, clouds, or both.
 
-    ``carries``: bool[n], the points that count. Of points as near to the particle the lowest is taken.
+    ``height`` is the elevation of the cloth, f32[rows, columns], metres. The particles stand in the middle of the cells.
+    Their springs act in the order of :func:`jaxfilter.ops.cloth.settle`, which suits a GPU and is not that of the filter,
+    and nothing is joined to the ground afterwards (``smooth``), so the labels are others than the filter's.
+    There is no gradient. ``rigidness`` and ``gravity`` are static. The surface is NaN if no cell
+    is ``seen``, or one that is has no elevation.
     """
-    at = (xyz[:, :2] - frame[:2]) / frame[2]
-    node = jnp.floor(at + 0.5).astype(jnp.int32)
-    column, row = jnp.clip(node[:, 0], 0, extent[1] - 1), jnp.clip(node[:, 1], 0, extent[0] - 1)
-    index, cells = row * shape[1] + column, shape[0] * shape[1]
-    if nearest:
-        distance = jnp.where(carries, ((at - node) ** 2).sum(axis=1), jnp.inf)
-        carries &= distance == jnp.full(cells, jnp.inf, distance.dtype).at[index].min(distance)[index]
-    lowest = jnp.full(cells, jnp.inf, xyz.dtype).at[index].min(jnp.where(carries, xyz[:, 2], jnp.inf)).reshape(shape)
-    carried = lowest < jnp.inf
-    return jnp.where(carried, top - lowest, 0), carried
+    top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
+    limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
+    cloth = settle(limit, cells.valid, *params._motion(), REST, params.iterations)
+    return cloth._replace(height=top - cloth.height)
+
+
+def test(params: CSF, cells: LowestCells, cloth: Cloth, xyz: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Height over the cloth of :func:`model` of points f32[n, 3], and its margin: ground < 0; f32[n] each, metres.
+
+    Differentiable in the threshold and the elevations.
+    """
+    corner, cell = jnp.asarray(cells.frame)[:2], cells.frame[2]
+    frame = jnp.append(corner + cell / 2, cell)
+    above, _ = _test(xyz, cloth.height, frame, jnp.asarray(cells.extent))
+    return above, jnp.abs(above) - params.threshold
 
 
 @jax.jit
@@ -232,30 +234,3 @@ def _test(xyz: jax.Array, cloth: jax.Array, frame: jax.Array, extent: jax.Array)
     east = (1 - v) * (southeast - southwest) + v * (northeast - northwest)
     slope = jnp.rad2deg(jnp.arctan(jnp.hypot(east, north - south) / frame[2]))
     return xyz[:, 2] - (south + v * (north - south)), slope
-
-
-def _join_slopes(limit: np.ndarray, pinned: np.ndarray, extent: tuple[int, int], max_step: float) -> np.ndarray:
-    """bool[rows, columns]: free particles that are put on the ground (Zhang et al. 2016, section 2.5).
-
-    The ground grows from particles that lie on it to free ones beside them (four neighbours) where ``limit``, f32[rows,
-    columns], differs by less than ``max_step`` metres, in connected groups of more than 50 free particles. What is
-    reached does not depend on the order in which it grows.
-    """
-    rows, columns = extent
-    limit, free = limit[:rows, :columns], ~pinned[:rows, :columns]
-    label, _ = ndimage.label(free)
-    open_ = free & (np.bincount(label.ravel()) > GROUP)[label]
-    number = np.cumsum(open_).reshape(extent) - 1
-    reached = np.zeros(extent, bool)
-    links = []
-    for one, two in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
-        level = np.abs(limit[one] - limit[two]) < np.float32(max_step)
-        reached[one] |= level & open_[one] & ~free[two]
-        reached[two] |= level & open_[two] & ~free[one]
-        both = level & open_[one] & open_[two]
-        links.append((number[one][both], number[two][both]))
-    one_end, other_end = (np.concatenate([link[end] for link in links]) for end in (0, 1))
-    group = groups(one_end, other_end, int(open_.sum()))
-    joined = np.zeros(pinned.shape, bool)
-    joined[:rows, :columns][open_] = np.isin(group, group[reached[open_]])
-    return joined

@@ -14,14 +14,14 @@ from ..core.filter import Filter, Labels
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Decision, Progress, Status
+from ..core.result import Decision, Progress
 from ..ops.grid import inside, padded_shape
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import progressive_opening
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
-from ..stages.quadrants import NearestReferences, QuadrantReferences, local_planes
-from ..stages.seeds import lowest_on_grid
+from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references
+from ..stages.seeds import lowest_seeds, under_canopy
 from . import papers
 
 MAX_CELLS = 100_000_000
@@ -173,7 +173,7 @@ class PPDF(Filter):
         progress(0.0, "points under the canopy")
         grid = grid_over(xyz, self.canopy_cell, points.offset(self.canopy_cell), "PPDF(canopy_cell)", MAX_CELLS)
         barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
-        under = ~barred & _under_canopy(xyz, ~barred, grid, self.canopy_height)
+        under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
         draws = jax.random.uniform(jax.random.key(0) if key is None else key, (self.hypotheses, 3), np.float32)
@@ -188,60 +188,48 @@ class PPDF(Filter):
             ignored_share=self.ignored_share,
             max_slope=self.max_slope,
         )
-        height, slope, distance = planes.height, planes.slope, planes.distance
-        seed = ~barred & (np.abs(distance) <= self.buffer)
+        over = Compared(planes.distance, planes.height, planes.slope)
+
+        seed = ~barred & (np.abs(over.distance) <= self.buffer)
         found = seed.any()
         if not found:
-            seed = _lowest(points, seed, ~barred, self.cell)
-            distance[seed], height[seed], slope[seed] = 0, 0, 0
+            seed = self._lowest(points, seed, ~barred, self.cell)
+            over.distance[seed], over.height[seed], over.slope[seed] = 0, 0, 0
         if self.window > 0 and (found or self.seeds == "lowest"):
-            lowest = _lowest(points, seed, ~barred, self.canopy_cell)
+            lowest = self._lowest(points, seed, ~barred, self.canopy_cell)
             seed &= ~_raised(xyz, lowest, grid, self.window, self.slope, self.max_step)
-
         if self.reference_cell > 0:
-            may_be, side = _lowest(points, seed, ~barred, self.reference_cell), self.reference_cell
+            may_be, side = self._lowest(points, seed, ~barred, self.reference_cell), self.reference_cell
         else:
             may_be, side = np.ones(len(xyz), bool), points.spacing()
+
         reference = seed & may_be
-        new, open_ = np.flatnonzero(reference), np.flatnonzero(may_be & ~reference)
-        around = self._around(xyz, open_, side)
-        steps: list[dict[str, Any]] = []
-        status = Status.ROUND_LIMIT
-        for n in range(self.max_rounds):
-            progress(0.3 + 0.4 * n / self.max_rounds, "growing the references")
-            changed = around.add(new, workers)
-            rows = open_[changed]
-            distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row[changed])
-            new = rows[self._within(distance[rows], self.reference_distance)]
-            reference[new] = True
-            steps.append(
-                {"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())}
-            )
-            if trace:
-                steps[-1]["ground"] = reference.copy()
-            if len(new) == 0:
-                status = Status.CONVERGED
-                break
-            left = ~reference[open_]
-            open_ = open_[left]
-            around.keep(left)
+        status, steps = grow_references(
+            self._around(xyz, np.flatnonzero(may_be & ~reference), side),
+            reference,
+            over,
+            lambda distance: self._within(distance, self.reference_distance),
+            max_rounds=self.max_rounds,
+            workers=workers,
+            progress=lambda fraction, step: progress(0.3 + 0.4 * fraction, step),
+            trace=trace,
+        )
 
         progress(0.7, "classifying")
-        rows = np.flatnonzero(~may_be)
-        around = self._around(xyz, rows, side)
+        around = self._around(xyz, np.flatnonzero(~may_be), side)
         around.add(np.flatnonzero(reference), workers)
-        distance[rows], height[rows], slope[rows] = local_planes(xyz, rows, around.row)
-        ground = self._near(reference, distance)
-        decision = np.where(ground, Decision.ACCEPTED, np.where(distance < 0, Decision.LOW, Decision.ELEVATION))
+        over.update(xyz, around.query, around.row)
+        ground = self._near(reference, over.distance)
+        decision = np.where(ground, Decision.ACCEPTED, np.where(over.distance < 0, Decision.LOW, Decision.ELEVATION))
         decision[reference & seed] = Decision.SEED
         limit = np.where(reference, max(self.buffer, self.reference_distance), self.max_distance)
         progress(1.0, "done")
         return Labels(
             ground,
-            height=height,
-            slope=slope,
-            elevation=distance,
-            margin=(np.abs(distance) - limit).astype(np.float32),
+            height=over.height,
+            slope=over.slope,
+            elevation=over.distance,
+            margin=(np.abs(over.distance) - limit).astype(np.float32),
             decision=decision.astype(np.uint8),
             barred=barred,
             settled=reference,
@@ -257,34 +245,16 @@ class PPDF(Filter):
             trace=steps,
         )
 
+    def _lowest(self, points: Points, seed: np.ndarray, counted: np.ndarray, side: float) -> np.ndarray:
+        grid = grid_over(points.xyz, side, points.offset(side), "PPDF(reference_cell)", MAX_CELLS)
+        return lowest_seeds(points, grid, seed, counted)
+
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
         diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))
         reach = diagonal + 1.0 if math.isinf(self.reach) else self.reach
         if self.references == "nearest":
             return NearestReferences(xyz, query, reach)
         return QuadrantReferences(xyz, query, side, reach)
-
-
-def _under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float) -> np.ndarray:
-    """bool[m]: points less than ``height`` above the lowest point of their cell, of those ``counted`` (eq. 1)."""
-    at = grid.flat(xyz)
-    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    np.minimum.at(lowest, at[counted], xyz[counted, 2])
-    return xyz[:, 2] - lowest[at] < height
-
-
-def _lowest(points: Points, seed: np.ndarray, counted: np.ndarray, side: float) -> np.ndarray:
-    """bool[m]: the lowest seed of every cell that has seeds, and the lowest of the points ``counted`` of the others.
-
-    Of equally low points the first in canonical order is taken.
-    """
-    grid = grid_over(points.xyz, side, points.offset(side), "PPDF(reference_cell)", MAX_CELLS)
-    at = grid.flat(points.xyz)
-    seeded = np.zeros(grid.nx * grid.ny, bool)
-    seeded[at[seed]] = True
-    found = np.zeros(len(points), bool)
-    found[lowest_on_grid(points, grid, ~(seed | (counted & ~seeded[at])))] = True
-    return found
 
 
 def _raised(

@@ -93,3 +93,27 @@ def lowest_of_cells(points: Points, cells: Cells, chosen: jax.Array, barred: np.
     xy[: len(rows)] = points.xyz[rows, :2]
     at = np.asarray(cell_index(xy, cells.frame[:2], cells.frame[2], cells.extent, chosen.shape[1]))[: len(rows)]
     return np.sort(rows[np.unique(at, return_index=True)[1]])
+
+
+def lowest_seeds(points: Points, grid: Grid, seed: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """bool[m]: the lowest seed of every cell that has seeds, and the lowest of the points ``counted`` of the others.
+
+    Of equally low points the first in canonical order is taken. ``seed``, ``counted``: bool[m].
+    """
+    at = grid.flat(points.xyz)
+    seeded = np.zeros(grid.nx * grid.ny, bool)
+    seeded[at[seed]] = True
+    found = np.zeros(len(points), bool)
+    found[lowest_on_grid(points, grid, ~(seed | (counted & ~seeded[at])))] = True
+    return found
+
+
+def under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float) -> np.ndarray:
+    """bool[m]: points less than ``height`` above the lowest point of their cell, of those ``counted``, bool[m].
+
+    Cai et al. (2023), eq. 1.
+    """
+    at = grid.flat(xyz)
+    lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
+    np.minimum.at(lowest, at[counted], xyz[counted, 2])
+    return xyz[:, 2] - lowest[at] < height

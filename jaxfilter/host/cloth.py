@@ -1,0 +1,143 @@
+"""A cloth of particles that falls onto a surface, one particle after the other, in compiled code.
+
+Particles stand on a grid and move up and down only. In each step gravity moves them (Verlet integration), springs to
+the 16 neighbours at one and two nodes, diagonals included, pull them together, and those that are below the surface are
+set on it and stay there: W. Zhang et al. (2016), Remote Sens. 8(6), 501, sections 2.2 to 2.4.
+
+The springs of a particle act at once, each on what the one before left, and particles follow each other row by row.
+That order stiffens the cloth, and no other order that was tried gives the same ground, so it is kept to the letter; the
+memory is laid out so that it can be kept at speed. Particle (x, y) stands at the place
+
+    x w + y (5 w + 1) = w (x + 5 y) + y
+
+of one array, in line x + 5 y of lines that are ``w`` long. ``w`` is a little more than a fifth of a row, or than the number
+of rows if that is less: then no place is taken twice. A particle disturbs nothing beyond two nodes, and those nearer than
+five nodes to each other are at least ``w`` apart and stand in the order of their turns. So the springs of a whole line act
+together, on lines a fixed number of places away, which makes vector instructions of them.
+
+Nothing is disturbed more than 12 lines and 2 places away, so many steps sweep over the array one behind the other, while
+what they need is in the cache.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from ..core.cloth import SPRINGS, Cloth
+from .neighbours import groups
+from .springs import BLOCK, MOVED, sweep
+
+_SWEEP = 50  # steps that follow each other through the cache
+_PARTS = 24  # of a sweep, after which threads wait for each other
+_LEAST = 50_000  # particles that are worth a thread
+_GROUP = 50  # free particles; smaller groups are not joined to the ground
+
+
+class _State(NamedTuple):
+    """Arrays f32[lines, places]."""
+
+    height: np.ndarray
+    before: np.ndarray  # height one step ago
+    spring: np.ndarray  # share of a gap that a neighbour moves; < 0 if pinned, 0 where no particle stands
+
+
+def drape(
+    limit: np.ndarray,
+    moves: tuple[float, float],
+    fall: float,
+    tolerance: float,
+    iterations: int,
+    workers: int | None = None,
+) -> Cloth:
+    """Let a cloth fall from height 0 onto a surface.
+
+    Args:
+        limit: f32[rows, columns], height of the surface below each particle, metres.
+        moves: share of the gap that a particle moves towards its neighbour, if that is pinned and if it is not.
+        fall: metres that gravity adds to a particle's way in each step.
+        tolerance: the cloth is at rest when no particle moves as far in a step, metres.
+        iterations: limit of steps, at least 1.
+        workers: threads; None = one per processor. They change nothing but the time.
+    """
+    rows, columns = limit.shape
+    width = min((columns + 4) // 5, rows + 1) + 1
+    lines = columns + 5 * (rows - 1) + (rows - 1) // width + 2 * BLOCK
+    state = _State(*(np.zeros((lines, width), np.float32) for _ in _State._fields))
+    surface = np.zeros((lines, width), np.float32)
+    _nodes(surface, limit.shape)[:] = limit
+    _nodes(state.spring, limit.shape)[:] = moves[1]
+    exists = state.spring != 0
+    ends = np.where(exists.any(axis=1), [exists.argmax(axis=1), width - exists[:, ::-1].argmax(axis=1)], 0).T.copy()
+    reach = np.array(SPRINGS) @ [width, 5 * width + 1]
+    numbers = np.asarray([moves[0], fall, tolerance], np.float32)
+    threads = min(workers or os.cpu_count() or 1, 1 + limit.size // _LEAST, _SWEEP // 2)
+
+    def after(state: _State, steps: int) -> np.ndarray:
+        """i32[steps]: what moved in each of so many steps of the cloth, which ``state`` is moved by.
+
+        Every thread has some of the steps, and is one part of the time behind the thread with the steps before.
+        """
+        motion = np.zeros(steps, np.int32)
+        share = np.linspace(0, steps + 1, threads + 1).astype(int)
+        parts = _PARTS if threads > 1 else 1
+        time = np.linspace(0, -(-lines // BLOCK) + 2 * steps, parts + 1).astype(int)
+
+        def run(thread: int, part: int) -> None:
+            if 0 <= part < parts:
+                sweep(*state, surface, ends, reach, numbers, motion, *share[thread:][:2], *time[part:][:2])
+
+        for part in range(parts + threads - 1):
+            list(pool.map(run, range(threads), range(part, part - threads, -1)))
+        return motion
+
+    done, resting = 0, False
+    with ThreadPoolExecutor(threads) as pool:
+        while done < iterations and not resting:
+            start = _State(*(a.copy() for a in state))
+            motion = after(state, min(_SWEEP, iterations - done))
+            resting = bool((motion == MOVED).any())
+            taken = int(np.argmax(motion == MOVED)) + 1 if resting else len(motion)
+            if taken < len(motion):  # the sweep went on after the step at which all were at rest
+                state = start
+                after(state, taken)
+            done += taken
+    height, spring = (_nodes(a, limit.shape).copy() for a in (state.height, state.spring))
+    return Cloth(height, spring < 0, done)
+
+
+def _nodes(a: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """View of an array [lines, places] as the grid [rows, columns]."""
+    size, width = a.itemsize, a.shape[1]
+    strides = (size * (5 * width + 1), size * width)
+    return np.lib.stride_tricks.as_strided(a[BLOCK:], shape, strides)
+
+
+def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.ndarray:
+    """bool[rows, columns]: free particles that are put on the ground (Zhang et al. 2016, section 2.5).
+
+    The ground grows from particles that lie on it (``pinned``, bool) to free ones beside them (four neighbours) where
+    ``limit``, f32[rows, columns], differs by less than ``max_step`` metres, in connected groups of more than 50 free
+    particles. What is reached does not depend on the order in which it grows.
+    """
+    free = ~pinned
+    label, _ = ndimage.label(free)
+    open_ = free & (np.bincount(label.ravel()) > _GROUP)[label]
+    number = np.cumsum(open_).reshape(free.shape) - 1
+    reached = np.zeros(free.shape, bool)
+    links = []
+    for one, two in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        level = np.abs(limit[one] - limit[two]) < np.float32(max_step)
+        reached[one] |= level & open_[one] & ~free[two]
+        reached[two] |= level & open_[two] & ~free[one]
+        both = level & open_[one] & open_[two]
+        links.append((number[one][both], number[two][both]))
+    one_end, other_end = (np.concatenate([link[end] for link in links]) for end in (0, 1))
+    group = groups(one_end, other_end, int(open_.sum()))
+    joined = np.zeros(free.shape, bool)
+    joined[open_] = np.isin(group, group[reached[open_]])
+    return joined
