@@ -16,7 +16,8 @@ from jaxfilter.filters import csf
 from jaxfilter.host import cloth as module
 from jaxfilter.host.cloth import drape, join_slopes
 from jaxfilter.ops.cloth import fill_along_lines, lowest_below, settle
-from jaxfilter.stages.surfaces import LowestCells
+from jaxfilter.stages.grid_filter import Surface
+from jaxfilter.stages.surfaces import Cells
 
 MOVES = {1: (0.3, 0.3), 2: (0.51, 0.42), 3: (0.657, 0.468)}
 RING = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1), (1, 0), (0, 1), (1, 1)]
@@ -114,7 +115,7 @@ def test_the_cloth_in_array_operations_is_that_of_one_colour_after_the_other(rng
 
 def cells_over(z, seen):
     extent, frame = np.array(z.shape, np.int32), np.array([100, 200, 2], np.float32)
-    return LowestCells(z, seen, jnp.ones(z.shape, bool), extent, frame)
+    return Cells(z, seen, jnp.ones(z.shape, bool), extent, frame)
 
 
 def test_the_model_runs_over_parameters_and_clouds_at_once(rng):
@@ -125,8 +126,9 @@ def test_the_model_runs_over_parameters_and_clouds_at_once(rng):
     def labels(time_step, threshold, z, seen):
         params = jf.CSF(rigidness=3, iterations=60).replace(time_step=time_step, threshold=threshold)
         cells = cells_over(z, seen)
-        cloth = csf.model(params, cells)
-        return (*csf.test(params, cells, cloth, xyz), cloth)
+        surface = params.model(cells)
+        tested = params.test(surface, xyz)
+        return tested.height, tested.margin, surface
 
     time_steps, thresholds = jnp.array([0.4, 0.65]), jnp.array([0.3, 0.9])
     over_clouds = jax.vmap(labels, in_axes=(None, None, 0, 0))
@@ -135,18 +137,20 @@ def test_the_model_runs_over_parameters_and_clouds_at_once(rng):
         one = labels(float(time_steps[i]), float(thresholds[i]), jnp.asarray(z[k]), jnp.asarray(seen[k]))
         for many, single in zip(jax.tree.leaves(found), jax.tree.leaves(one), strict=True):
             np.testing.assert_allclose(many[i, k], single, atol=1e-4)
-    height, margin, cloth = found
+    height, margin, surface = found
     np.testing.assert_allclose(margin, np.abs(height) - np.array([0.3, 0.9])[:, None, None], atol=1e-6)
     lowest = np.where(seen, z, np.inf).min(axis=(1, 2))
-    assert (cloth.height <= z.max() + 1e-4).all() and (cloth.height > lowest[:, None, None] - 0.06).all()
+    assert (surface.z <= z.max() + 1e-4).all() and (surface.z > lowest[:, None, None] - 0.06).all()
 
 
 def test_heights_of_the_model_are_over_the_middle_of_cells():
     y, x = np.mgrid[:6, :8]
     cells = cells_over(jnp.zeros((6, 8)), jnp.ones((6, 8), bool))
-    plane = csf.Cloth(jnp.asarray(0.5 * (101 + 2 * x) - 0.2 * (201 + 2 * y), jnp.float32), None, None)
+    z = jnp.asarray(0.5 * (101 + 2 * x) - 0.2 * (201 + 2 * y), jnp.float32)
+    plane = Surface(z, jnp.zeros_like(z), cells.extent, cells.frame)
     xyz = np.array([[103.3, 206.9, 4.0], [110.1, 208.2, -1.0]], np.float32)
-    height, margin = csf.test(jf.CSF(threshold=0.5), cells, plane, xyz)
+    tested = jf.CSF(threshold=0.5).test(plane, xyz)
+    height, margin = tested.height, tested.margin
     np.testing.assert_allclose(height, xyz[:, 2] - 0.5 * xyz[:, 0] + 0.2 * xyz[:, 1], atol=1e-4)
     np.testing.assert_allclose(margin, np.abs(height) - 0.5, atol=1e-6)
 
@@ -155,21 +159,21 @@ def test_margins_of_the_model_have_gradients(rng):
     z = -ragged(rng, 20, 24)
     cells = cells_over(jnp.asarray(z), jnp.ones(z.shape, bool))
     xyz = np.column_stack([rng.uniform(101, 139, (50, 2)) + [0, 100], rng.uniform(0, 9, 50)]).astype(np.float32)
-    cloth = csf.model(jf.CSF(), cells)
+    cloth = jf.CSF().model(cells)
 
     def margins(threshold, z):
-        return csf.test(jf.CSF().replace(threshold=threshold), cells, cloth, xyz.at[:, 2].set(z))[1].sum()
+        return jf.CSF().replace(threshold=threshold).test(cloth, xyz.at[:, 2].set(z)).margin.sum()
 
     xyz = jnp.asarray(xyz)
     threshold, elevations = jax.grad(margins, argnums=(0, 1))(0.5, xyz[:, 2])
     assert threshold == -50
-    np.testing.assert_array_equal(elevations, np.sign(csf.test(jf.CSF(), cells, cloth, xyz)[0]))
+    np.testing.assert_array_equal(elevations, np.sign(jf.CSF().test(cloth, xyz).height))
 
 
 def test_what_cannot_be_draped_is_said():
     none, some = np.zeros((4, 5), bool), np.ones((4, 5), bool)
-    assert np.isnan(csf.model(jf.CSF(), cells_over(jnp.zeros((4, 5)), none)).height).all()
-    assert np.isnan(csf.model(jf.CSF(), cells_over(jnp.full((4, 5), jnp.nan), some)).height).all()
+    assert np.isnan(jf.CSF().model(cells_over(jnp.zeros((4, 5)), none)).z).all()
+    assert np.isnan(jf.CSF().model(cells_over(jnp.full((4, 5), jnp.nan), some)).z).all()
     limit = np.full((4, 5), -1, np.float32)
     limit[1, 2] = np.nan
     cloth = settle(limit, some, MOVES[1], 0.1, 0.005, 50)

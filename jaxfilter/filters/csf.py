@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.cloth import Cloth
 from ..core.compilation import bucket
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
@@ -19,8 +18,10 @@ from ..core.result import Decision, Progress
 from ..host.cloth import drape, join_slopes
 from ..ops.cloth import fill_along_lines, lowest_below, settle
 from ..ops.grid import inside, padded_shape
+from ..ops.sampling import bilinear, corners
+from ..stages.grid_filter import Heights, Surface
 from ..stages.outliers import bar_outliers
-from ..stages.surfaces import LowestCells
+from ..stages.surfaces import Cells, steepness
 from . import papers
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
@@ -143,6 +144,31 @@ class CSF(Filter):
         moves = (1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness))
         return moves, GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
 
+    def model(self, cells: Cells) -> Surface:
+        """The cloth over the lowest points of cells. Pure, for ``jit`` and ``vmap`` over parameters, clouds, or both.
+
+        The particles stand in the middle of the cells. Their springs act in the order of :func:`jaxfilter.ops.cloth.settle`,
+        which suits a GPU and is not that of ``classify``, and nothing is joined to the ground afterwards (``smooth``), so
+        the labels are others. There is no gradient. The surface is NaN if no cell is ``seen``, or one that is has no
+        elevation. ``counts`` holds the particles that lie on the ground, and the steps.
+        """
+        top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
+        limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
+        cloth = settle(limit, cells.valid, *self._motion(), REST, self.iterations)
+        z, extent, frame = top - cloth.height, jnp.asarray(cells.extent), jnp.asarray(cells.frame)
+        counts = {"on_ground": cloth.pinned.sum(dtype=jnp.int32), "steps": cloth.steps}
+        return Surface(z, steepness(z, extent, frame[2]), extent, frame, counts=counts)
+
+    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+        """Points f32[n, 3] held against the cloth of ``model``: ground are those with a margin below zero.
+
+        Pure, and differentiable in the threshold and the elevations.
+        """
+        z, slope, extent, frame, *_ = surface
+        sample = bilinear((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, extent, z.shape[1])
+        height = xyz[:, 2] - sample(z)
+        return Heights(height, sample(slope), height - self.threshold, -height - self.threshold)
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         cell = self.resolution
@@ -196,40 +222,11 @@ class CSF(Filter):
         )
 
 
-def model(params: CSF, cells: LowestCells) -> Cloth:
-    """The cloth over the lowest points of cells, for use inside ``jit`` and ``vmap``: over parameters, clouds, or both.
-
-    ``height`` is the elevation of the cloth, f32[rows, columns], metres. The particles stand in the middle of the cells.
-    Their springs act in the order of :func:`jaxfilter.ops.cloth.settle`, which suits a GPU and is not that of the filter,
-    and nothing is joined to the ground afterwards (``smooth``), so the labels are others than the filter's.
-    There is no gradient. ``rigidness`` and ``gravity`` are static. The surface is NaN if no cell
-    is ``seen``, or one that is has no elevation.
-    """
-    top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
-    limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
-    cloth = settle(limit, cells.valid, *params._motion(), REST, params.iterations)
-    return cloth._replace(height=top - cloth.height)
-
-
-def test(params: CSF, cells: LowestCells, cloth: Cloth, xyz: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Height over the cloth of :func:`model` of points f32[n, 3], and its margin: ground < 0; f32[n] each, metres.
-
-    Differentiable in the threshold and the elevations.
-    """
-    corner, cell = jnp.asarray(cells.frame)[:2], cells.frame[2]
-    frame = jnp.append(corner + cell / 2, cell)
-    above, _ = _test(xyz, cloth.height, frame, jnp.asarray(cells.extent))
-    return above, jnp.abs(above) - params.threshold
-
-
 @jax.jit
 def _test(xyz: jax.Array, cloth: jax.Array, frame: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Height of points over the cloth (m) and the slope of the cloth there (degrees), f32[n] each."""
-    at = (xyz[:, :2] - frame[:2]) / frame[2]
-    low = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, extent[::-1] - 2)
-    (u, v), (column, row) = (at - low).T, low.T
-    southwest, southeast = cloth[row, column], cloth[row, column + 1]
-    northwest, northeast = cloth[row + 1, column], cloth[row + 1, column + 1]
+    values, u, v = corners((xyz[:, :2] - frame[:2]) / frame[2], extent, cloth.shape[1])
+    southwest, southeast, northwest, northeast = values(cloth)
     south, north = southwest + u * (southeast - southwest), northwest + u * (northeast - northwest)
     east = (1 - v) * (southeast - southwest) + v * (northeast - northwest)
     slope = jnp.rad2deg(jnp.arctan(jnp.hypot(east, north - south) / frame[2]))

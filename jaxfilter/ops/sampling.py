@@ -1,4 +1,4 @@
-"""Values of a grid at points: bilinear, and of the cell that a point lies in."""
+"""Values of a grid between its nodes."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
+Corners = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
-def bilinear(at: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Array], jax.Array]:
-    """Interpolation between the nodes of a grid, at given places: indices and weights are found once for several grids.
+
+def corners(
+    at: jax.Array, extent: jax.Array, columns: int
+) -> tuple[Callable[[jax.Array], Corners], jax.Array, jax.Array]:
+    """The four nodes around places in a grid, found once for several grids.
 
     Args:
         at: f32[n, 2], column and row of every place, in steps between nodes; node (0, 0) lies at (0, 0). Places beyond the
-            nodes get the values of the border.
+            nodes are moved to the border.
         extent: i32[2], true number of rows and columns of nodes.
         columns: padded number of columns.
 
-    Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.
+    Returns: a function of a grid f32[rows, columns] that gives its values at the southwest, southeast, northwest and
+        northeast, f32[n] each; and how far the places lie east and north of the first, f32[n] each, 0 to 1.
     """
     last = (jnp.asarray(extent) - 1)[::-1]
     at = jnp.clip(at, 0, last)
@@ -25,10 +30,23 @@ def bilinear(at: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Ar
     (u, v), (column, row) = (at - low).T, low.T
     right, above = jnp.minimum(column + 1, last[0]), jnp.minimum(row + 1, last[1])
 
-    def sample(grid: jax.Array) -> jax.Array:
+    def values(grid: jax.Array) -> Corners:
         flat = grid.reshape(-1)
-        southern = (1 - u) * flat[row * columns + column] + u * flat[row * columns + right]
-        northern = (1 - u) * flat[above * columns + column] + u * flat[above * columns + right]
-        return (1 - v) * southern + v * northern
+        south, north = row * columns, above * columns
+        return flat[south + column], flat[south + right], flat[north + column], flat[north + right]
+
+    return values, u, v
+
+
+def bilinear(at: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Array], jax.Array]:
+    """Interpolation between the nodes of a grid; arguments as for :func:`corners`.
+
+    Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.
+    """
+    values, u, v = corners(at, extent, columns)
+
+    def sample(grid: jax.Array) -> jax.Array:
+        southwest, southeast, northwest, northeast = values(grid)
+        return (1 - v) * ((1 - u) * southwest + u * southeast) + v * ((1 - u) * northwest + u * northeast)
 
     return sample

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -9,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
+from ..core.compilation import bucket, in_turn
 from ..core.filter import Filter, Labels
 from ..core.params import declared
 from ..core.points import Points
@@ -139,15 +140,14 @@ class GridFilter(Filter):
             alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
         jobs = [part[k : k + _SETS] for _, part in sorted(alike.items()) for k in range(0, len(part), _SETS)]
         size = max(a.size for a in jax.tree.leaves(prepared))
-        most = int(
-            np.clip(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)), 1, _SURFACES[len(jobs) > _SURFACES[0]])
-        )
-        for start in range(0, len(jobs), most):
-            some = jobs[start : start + most]
+        room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
+        most = int(np.clip(room, 1, _SURFACES[len(jobs) > _SURFACES[0]]))
+
+        def passed(some: list[list[int]]) -> np.ndarray:
             wide = bucket(max(map(len, some)), 1)
             padded = [job + job[-1:] * (wide - len(job)) for job in some + some[-1:] * (most - len(some))]
             stacked = jax.tree.map(
-                lambda *leaves: np.asarray(leaves, np.float32).reshape(-1, wide),  # noqa: B023
+                lambda *leaves: np.asarray(leaves, np.float32).reshape(-1, wide),
                 *(sets[number] for job in padded for number in job),
             )
             surfaces = _surfaces(stacked, prepared)
@@ -155,7 +155,11 @@ class GridFilter(Filter):
                 np.asarray(_passed(stacked, surfaces, chunk))[..., : rows.stop - rows.start]
                 for rows, chunk, _ in chunks(points.xyz)
             ]
-            ground = np.concatenate(parts, axis=-1)
+            return np.concatenate(parts, axis=-1)
+
+        batches = [jobs[start : start + most] for start in range(0, len(jobs), most)]
+        threads = max(1, min(workers or os.cpu_count() or 1, room // most, len(batches)))
+        for some, ground in in_turn(passed, batches, threads):
             yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
 
 
