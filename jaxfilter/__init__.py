@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
     from .scoring import Scores, evaluate
+    from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.sweep import sweep
     from .terrain import dtm, dtm_rmse
@@ -47,6 +48,7 @@ _HOMES = {
     ),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
+    "stages.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.sweep": ("sweep",),
@@ -58,7 +60,8 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError", "JaxfilterError",
     "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "sweep", "write",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "soft_labels", "sweep",
+    "write",
 ]  # fmt: skip
 
 

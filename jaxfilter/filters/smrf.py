@@ -15,7 +15,7 @@ from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening, progressive_opening
 from ..ops.sampling import bilinear
 from ..stages.grid_filter import GridFilter, Heights, Surface
-from ..stages.surfaces import Cells, cell_for, check_width, steepness
+from ..stages.surfaces import Cells, cell_for, cell_values, check_width, steepness
 from . import papers
 
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
@@ -143,11 +143,11 @@ class SMRF(GridFilter):
         surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
         return Opened(cells, surface, *_open(surface, cells.seen, cells.valid, cells.frame[2], self.reach, self.mesh))
 
-    def surface(self, prepared: Opened) -> Surface:
-        """Step 5, the provisional terrain. Pure."""
+    def surface(self, prepared: Opened, share: float = 1.0) -> Surface:
+        """Step 5, the provisional terrain, at a share of the slope. Pure."""
         cells, surface, steepest, bare, counts = prepared
         terrain, slope, objects = _terrain(
-            surface, steepest, bare, cells.valid, cells.extent, cells.frame[2], jnp.float32(self.slope)
+            surface, steepest, bare, cells.valid, cells.extent, cells.frame[2], jnp.float32(share) * self.slope
         )
         return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
 
@@ -155,6 +155,19 @@ class SMRF(GridFilter):
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         z, slope, extent, frame, *_ = surface
         return _hold(xyz, z, slope, extent, frame, jnp.float32(self.threshold), jnp.float32(self.scaling))
+
+    def soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+        """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
+        against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
+        surface as it is. Differentiable in ``slope``, ``threshold`` and ``scaling``; f32[n], 0 to 1. Pure."""
+        cells, filled, steepest, *_ = prepared
+        cell = cells.frame[2]
+        without = self.surface(prepared, share=0.5)
+        kept = Surface(filled, steepness(filled, cells.extent, cell), cells.extent, cells.frame)
+        drop = cell_values(xyz, (steepest,), cells.frame, cells.extent)[0]
+        is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cell) / width)
+        as_object, as_terrain = (jax.nn.sigmoid(-self.test(one, xyz).margin / width) for one in (without, kept))
+        return is_object * as_object + (1 - is_object) * as_terrain
 
 
 class Opened(NamedTuple):

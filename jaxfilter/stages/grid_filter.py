@@ -114,6 +114,10 @@ class GridFilter(Filter):
         """Points f32[n, 3], local metres, held against a surface. Pure."""
         raise TypeError(f"{type(self).__name__} does not define test()")
 
+    def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+        """:func:`soft_labels` of what ``prepare`` has made. Pure."""
+        return jax.nn.sigmoid(-self.test(self.surface(prepared), xyz).margin / width)
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         progress(0.0, "outliers")
@@ -161,6 +165,21 @@ class GridFilter(Filter):
         threads = max(1, min(workers or os.cpu_count() or 1, room // most, len(batches)))
         for some, ground in in_turn(passed, batches, threads):
             yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
+
+
+def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:
+    """How much each point is ground, by smooth functions in place of thresholds: for fits by gradient.
+
+    Args:
+        filter_: SMRF, or PMF on a grid; its traced fields may be what is differentiated.
+        cells: what ``filter_.cells`` has made, once.
+        xyz: f32[n, 3], local metres.
+        width: metres over which a label changes from 0.73 to 0.27 at a threshold.
+
+    Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold; for the slope of SMRF, at which
+        cells become objects, a mixture of both cases (:meth:`jaxfilter.filters.smrf.SMRF.soft`). Pure.
+    """
+    return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
 
 
 @jax.jit
