@@ -200,15 +200,16 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
             any_sheet = np.zeros(len(points), bool)
             any_sheet[row[step["ground"][order]]] = True
             step["ground"] = any_sheet
-    late = np.zeros(len(points), bool)
+    late, seeds = np.zeros(len(points), bool), np.zeros(len(points), bool)
     late[network.row[real[network.late[real]]]] = True
+    seeds[network.row[real[network.seed[real]]]] = True
     return Labels(
         **found,
         barred=barred,
         status=Status.CONVERGED if out.converged else Status.ROUND_LIMIT,
         info={
             "sheets": int(network.sheet[-1]) + 1,
-            "seeds": len(np.unique(network.row[real[network.seed[real]]])),
+            "seeds": int(seeds.sum()),
             "border_points": len(network.virtual),
             "rounds": len(out.trace),
             "facets": len(out.tin),
