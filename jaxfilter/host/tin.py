@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import itertools
+from collections.abc import Callable
 from concurrent.futures import Executor
 
 import numpy as np
@@ -18,7 +19,9 @@ from scipy.spatial import Delaunay, QhullError
 from ..core.cloud import QUANTUM
 
 CHUNK = 65536
-"""Nodes that one call of compiled code works on, so that an interrupt is obeyed and threads share what there is."""
+"""At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
+_SHARE = 4096
+"""At least so many are worth a thread."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _NONE = np.zeros((0, 2), np.int32)
@@ -130,9 +133,11 @@ class Tin:
         off = int(np.argmax(np.abs(turn)))
         return vertices[[0, far, off] if turn[off] > 0 else [0, off, far]]
 
-    def _chunks(self, nodes: np.ndarray) -> list[np.ndarray]:
-        """Parts of ascending nodes of bounded size."""
-        return [nodes[i : i + CHUNK] for i in range(0, len(nodes), CHUNK)]
+    def _spread(self, count: int, work: Callable[[slice], None]) -> None:
+        """Do work on parts of so many nodes, in threads."""
+        size = min(CHUNK, max(_SHARE, -(-count // self.workers)))
+        parts = [slice(i, i + size) for i in range(0, count, size)]
+        list((self.pool.map if self.workers > 1 and len(parts) > 1 else map)(work, parts))
 
     def _fresh(self, count: int) -> np.ndarray:
         """i32[count, 2]: numbers for new triangles."""
@@ -148,7 +153,7 @@ class Tin:
         def one(job: slice) -> None:
             for part in _coarse_first(job.stop - job.start):
                 own, numbers = nodes[job][part], fresh[job][part]
-                if len(jobs) == 1 and self.workers > 1 and len(own) > CHUNK:
+                if len(jobs) == 1 and self.workers > 1 and len(own) > 2 * _SHARE:
                     left = self._insert_apart(own, numbers)
                     own, numbers = own[left], numbers[left]
                 self._insert(own, numbers)
@@ -208,23 +213,25 @@ class Tin:
 
     def remove(self, nodes: np.ndarray) -> None:
         """Make vertices (i64, not on the hull of their sheet) ordinary nodes again. Raises: ValueError."""
-        for part in (nodes[chunk] for order in reversed(_coarse_first(len(nodes))) for chunk in self._chunks(order)):
-            freed = np.empty(2 * len(part), np.int32)
-            done = self.flips.remove(*self._tables, part, freed, self.now)
-            if done < len(part):
-                raise ValueError(f"node {part[done]} is on the hull")
-            self._unused = np.concatenate([self._unused, freed])
-            self.vertex[part] = False
+        for order in reversed(_coarse_first(len(nodes))):
+            for start in range(0, len(order), CHUNK):
+                part = nodes[order[start : start + CHUNK]]
+                freed = np.empty(2 * len(part), np.int32)
+                done = self.flips.remove(*self._tables, part, freed, self.now)
+                if done < len(part):
+                    raise ValueError(f"node {part[done]} is on the hull")
+                self._unused = np.concatenate([self._unused, freed])
+                self.vertex[part] = False
         if self.sheet[-1] > 0:  # or nodes would be in the wrong sheet when another takes these numbers
             self.flips.leave(self.triangles, self.neighbours, self.where)
 
     def locate(self, nodes: np.ndarray) -> None:
         """Bring ``where`` up to date for nodes, i64, best in canonical order."""
 
-        def one(part: np.ndarray) -> None:
-            self.flips.locate(*self._tables[:4], self.sheet, part, self._first)
+        def one(part: slice) -> None:
+            self.flips.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
 
-        list((self.pool.map if self.workers > 1 else map)(one, self._chunks(nodes)))
+        self._spread(len(nodes), one)
 
     def walk(self, xy: np.ndarray, start: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position [n, >=2] in local metres, walking from triangles near it.
@@ -232,13 +239,15 @@ class Tin:
         Positions count to a quantum. Outside the hull it is -1 - t, where t is the triangle behind an edge in sight.
         """
         out = np.empty(len(xy), np.int32)
-        self.flips.locate_positions(self.xy, self.triangles, self.neighbours, start, lattice(xy), out)
+        tables, xy = self._tables[:3], lattice(xy)
+        self._spread(len(xy), lambda part: self.flips.locate_positions(*tables, start[part], xy[part], out[part]))
         return out
 
     def twins(self, nodes: np.ndarray) -> np.ndarray:
         """i64[n]: for located nodes, i64, the vertex at the same position, or -1."""
         out = np.empty(len(nodes), np.int64)
-        self.flips.twins(self.xy, self.triangles, self.where, nodes, out)
+        tables = self.xy, self.triangles, self.where
+        self._spread(len(nodes), lambda part: self.flips.twins(*tables, nodes[part], out[part]))
         return out
 
     def nearest(self, vertices: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -250,7 +259,8 @@ class Tin:
     def changed(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
         """bool[n]: nodes, i64, of which the triangle, or that of their image (i32[k], -1 = none), has changed now."""
         out = np.empty(len(nodes), bool)
-        self.flips.changed(self.where, self.stamp, nodes, image, self.now, out)
+        tables = self.where, self.stamp
+        self._spread(len(nodes), lambda part: self.flips.changed(*tables, nodes[part], image, self.now, out[part]))
         return out
 
     def touch(self, vertices: np.ndarray) -> None:
@@ -263,7 +273,8 @@ class Tin:
         Beyond an edge of a hull they are those of the triangle behind it.
         """
         out = np.empty((len(rows), 3), np.int32)
-        self.flips.corners(self.triangles, self.neighbours, rows, out)
+        tables = self.triangles, self.neighbours
+        self._spread(len(rows), lambda part: self.flips.corners(*tables, rows[part], out[part]))
         return out
 
     def facets(self) -> tuple[np.ndarray, np.ndarray]:
