@@ -1,20 +1,17 @@
 """Triangulated irregular networks that grow: Delaunay triangulations whose vertices come and go in place.
 
 The triangulation of the vertices is unique whatever the order, the batches and the history in which they came: it depends
-on their positions only (:mod:`jaxfilter.host.flips`). SciPy triangulates a sparse part of the first vertices; compiled code
-inserts all others.
+on their positions only (:mod:`jaxfilter.host.flips`). It begins with one triangle of each sheet.
 """
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import itertools
 from collections.abc import Callable
 from concurrent.futures import Executor
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from ..core.cloud import QUANTUM
 
@@ -25,7 +22,9 @@ _SHARE = 4096
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _NONE = np.zeros((0, 2), np.int32)
-_ROOT = 256
+_CORNERS = np.array([[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 3]])
+_BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
+"""A triangle and the ghosts beyond its edges: their corners, of which the last is nowhere, and neighbours."""
 
 
 def lattice(xy: np.ndarray) -> np.ndarray:
@@ -67,20 +66,16 @@ class Tin:
         self.now = 0
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
-        roots = list(pool.map(self._root, of_sheet))
-        first = np.cumsum([0] + [len(table) for _, table, _ in roots])
-        most, used = 2 * len(xyz), int(first[-1])  # with ghosts, k vertices have 2 k - 2 triangles
+        begin = np.array([self._one(part) for part in of_sheet])
+        used, most = 4 * len(begin), 2 * len(xyz)  # with ghosts, k vertices have 2 k - 2 triangles
+        self._first, self._hull = np.arange(0, used, 4), np.full(len(begin), 3)
         self.triangles = np.full((most, 3), flips.DEAD, np.int32)
         self.neighbours, self.stamp = np.empty((most, 3), np.int32), np.zeros(most, np.int32)
         self._unused = np.arange(used, most, dtype=np.int32)
-        self.triangles[:used] = np.concatenate([table for _, table, _ in roots])
-        self.neighbours[:used] = np.concatenate([table + f for (_, _, table), f in zip(roots, first, strict=False)])
-        inner = np.flatnonzero((self.triangles[:used] >= 0).all(axis=1)).astype(np.int32)
-        self.where[self.triangles[inner].ravel()] = np.repeat(inner, 3)
-        self.vertex[np.concatenate([root for root, _, _ in roots])] = True
-        self._first = first[:-1]
-        flips.legalise(*self._tables, np.arange(used, dtype=np.int32), self.now)
-        self._hull = np.array([(self.triangles[a:b] == flips.NOWHERE).sum() for a, b in itertools.pairwise(first)])
+        self.triangles[:used] = np.insert(begin, 3, flips.NOWHERE, axis=1)[:, _CORNERS].reshape(-1, 3)
+        self.neighbours[:used] = (self._first[:, None, None] + _BESIDE).reshape(-1, 3)
+        self.where[begin] = self._first[:, None]
+        self.vertex[begin] = True
         rest = vertices[~self.vertex[vertices]]
         self.locate(rest)
         self.insert(rest)
@@ -100,30 +95,6 @@ class Tin:
         for name in ("xyz", "vertex", "where", "triangles", "neighbours", "stamp", "_hull"):
             setattr(out, name, getattr(self, name).copy())
         return out
-
-    def _root(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nodes of a sparse part of some vertices, with their triangles and neighbours, ghosts included."""
-        root = vertices[:: max(1, len(vertices) // _ROOT)]
-        xy = self.xy[root].astype(np.int64)
-        sound = False
-        with contextlib.suppress(QhullError):  # on a line
-            mesh = Delaunay(xy - xy[0])
-            triangles, neighbours = root[mesh.simplices], mesh.neighbors.copy()
-            a, b, c = self.xy[triangles].astype(np.int64).transpose(1, 2, 0)
-            whole = len(triangles) == 2 * len(root) - 2 - (neighbours < 0).sum()
-            sound = whole and bool(((b - a)[0] * (c - a)[1] > (b - a)[1] * (c - a)[0]).all())
-        if not sound:  # nearly on a line, too: one triangle that is
-            triangles, neighbours = self._one(vertices)[None], np.full((1, 3), -1)
-            root = np.sort(triangles[0])
-        row, k = np.nonzero(neighbours < 0)
-        tail, head = triangles[row, (k + 1) % 3], triangles[row, (k + 2) % 3]  # edges of the hull; a ghost beyond each
-        ghost = len(triangles) + np.arange(len(row))
-        neighbours[row, k] = ghost
-        before, after = np.empty_like(ghost), np.empty_like(ghost)
-        before[np.argsort(tail)], after[np.argsort(head)] = ghost[np.argsort(head)], ghost[np.argsort(tail)]
-        triangles = np.concatenate([triangles, np.column_stack([head, tail, np.full(len(row), -1)])])
-        neighbours = np.concatenate([neighbours, np.column_stack([before, after, row])])
-        return root, triangles.astype(np.int32), neighbours.astype(np.int32)
 
     def _one(self, vertices: np.ndarray) -> np.ndarray:
         """A triangle of vertices, counter-clockwise: the first, the farthest from it, and the farthest from their line."""

@@ -178,7 +178,8 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
     points, barred = network.points, network.barred
     barred = np.zeros(len(points), bool) if barred is None else barred
     real = np.flatnonzero(network.row >= 0)
-    order = real[np.argsort(out.ground[real], kind="stable")]  # accepting sheets last, so that they prevail
+    several = network.sheet[-1] > 0
+    order = real[np.argsort(out.ground[real], kind="stable")] if several else real  # accepting sheets last: they prevail
     row = network.row[order]
 
     def gather(values: np.ndarray) -> np.ndarray:
