@@ -17,8 +17,8 @@ from ..core.cloud import QUANTUM
 
 CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
-_SHARE = 4096
-"""At least so many are worth a thread."""
+_SHARE = 8192
+"""At least so many are worth a thread of their own where each takes a walk."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _NONE = np.zeros((0, 2), np.int32)
@@ -104,9 +104,9 @@ class Tin:
         off = int(np.argmax(np.abs(turn)))
         return vertices[[0, far, off] if turn[off] > 0 else [0, off, far]]
 
-    def _spread(self, count: int, work: Callable[[slice], None]) -> None:
-        """Do work on parts of so many nodes, in threads."""
-        size = min(CHUNK, max(_SHARE, -(-count // self.workers)))
+    def _spread(self, count: int, work: Callable[[slice], None], least: int | None = None) -> None:
+        """Do work on parts of so many nodes, in threads; a part has ``least``, or else :data:`CHUNK`."""
+        size = min(CHUNK, max(least or CHUNK, -(-count // self.workers)))
         parts = [slice(i, i + size) for i in range(0, count, size)]
         list((self.pool.map if self.workers > 1 and len(parts) > 1 else map)(work, parts))
 
@@ -202,7 +202,7 @@ class Tin:
         def one(part: slice) -> None:
             self.flips.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
 
-        self._spread(len(nodes), one)
+        self._spread(len(nodes), one, _SHARE)
 
     def walk(self, xy: np.ndarray, start: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position [n, >=2] in local metres, walking from triangles near it.
@@ -211,7 +211,9 @@ class Tin:
         """
         out = np.empty(len(xy), np.int32)
         tables, xy = self._tables[:3], lattice(xy)
-        self._spread(len(xy), lambda part: self.flips.locate_positions(*tables, start[part], xy[part], out[part]))
+        self._spread(
+            len(xy), lambda part: self.flips.locate_positions(*tables, start[part], xy[part], out[part]), _SHARE
+        )
         return out
 
     def twins(self, nodes: np.ndarray) -> np.ndarray:

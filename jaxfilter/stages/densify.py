@@ -15,7 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ..core.compilation import on_same_device
@@ -308,7 +308,7 @@ class Densification:
             return {name: np.asarray(v)[: stop - start] for name, v in kernel(*given).items()}
 
         parts = _parts(n)
-        spread = self.tin.workers > 1 and len(parts) > 1
+        spread = self.tin.workers > 1 and len(parts) > 2
         found = list(self.tin.pool.map(on_same_device(one), parts) if spread else map(one, parts))
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
@@ -323,7 +323,7 @@ class Densification:
 
 def _on_device(rule: Rule) -> Rule:
     """The thresholds as arrays, so that calls need not make them."""
-    return Rule(*(jnp.float32(limit) for limit in rule))
+    return Rule(*jax.device_put([np.float32(limit) for limit in rule]))
 
 
 def _parts(n: int) -> list[tuple[int, int]]:

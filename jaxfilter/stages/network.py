@@ -178,8 +178,9 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
     points, barred = network.points, network.barred
     barred = np.zeros(len(points), bool) if barred is None else barred
     real = np.flatnonzero(network.row >= 0)
-    several = network.sheet[-1] > 0
-    order = real[np.argsort(out.ground[real], kind="stable")] if several else real  # accepting sheets last: they prevail
+    order = real
+    if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
+        order = real[np.argsort(out.ground[real], kind="stable")]
     row = network.row[order]
 
     def gather(values: np.ndarray) -> np.ndarray:
