@@ -26,7 +26,7 @@ from .growth import Growth, Mirror, Network
 from .vertices import LowestPerCell, Spaced
 
 _BATCHES = (1024, 8192)
-"""Sizes of kernel calls: what does not nearly fill one is cut into smaller ones."""
+"""Sizes of kernel calls: what does not fill half of the large one is cut into small ones."""
 _SAMPLE = 65536
 """At most about so many quantities decide adaptive thresholds."""
 _DEVIATION = ("distance", "angle")
