@@ -49,6 +49,17 @@ def test_scores_equal_float64_geometry_also_far_from_the_origin(scene):
             np.testing.assert_allclose(got, want, atol=2e-3, rtol=2e-4)
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_a_point_has_the_same_result_among_few_and_among_many(scene, late):
+    points, facets = (np.tile(a, (25, *[1] * (a.ndim - 1)))[:8192] for a in scene)
+    rule = Rule(max_angle=np.float32(20), max_elevation=np.float32(1.4))
+    many = judge(rule, np.full(8192, late), points, facets)
+    for size in (7, 300, 1024):
+        few = judge(rule, np.full(size, late), points[:size], facets[:size])
+        for name in QUANTITIES:
+            np.testing.assert_array_equal(few[name], many[name][:size], err_msg=name)
+
+
 def test_quantities_are_those_that_are_named(scene):
     points, facets = scene
     late = np.zeros(len(points), bool)

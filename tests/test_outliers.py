@@ -12,7 +12,7 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
 from jaxfilter.host.cells import Cells
-from jaxfilter.host.depressions import depressions
+from jaxfilter.host.depressions import _ascending, depressions
 from jaxfilter.host.trend import low_trend
 from jaxfilter.scenes import Kind
 from jaxfilter.stages.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
@@ -94,7 +94,7 @@ def flooded(z, depth, max_cells):
 
 def pits_of(z, depth, max_points, points=None):
     """Depressions of a grid that has one point in each cell."""
-    around = Cells(np.arange(z.size), z.shape).around()
+    around = Cells.of(*map(np.ravel, np.indices(z.shape)), z.shape)[0].around()
     return depressions(z.ravel(), around, np.ones(z.size, np.int64) if points is None else points, depth, max_points)
 
 
@@ -113,6 +113,12 @@ def test_depressions_equal_flooding(seed):
     assert len(drained) > 3
     assert drained == flooded(z, 60.0, 15)
     assert pits.points.tolist() == [len(c) for c in cells]
+
+
+def test_order_of_levels_equals_a_stable_sort(rng):
+    level = np.concatenate([rng.integers(-9, 9, 500) / 4, rng.normal(0, 1e-30, 50), [0.0, -0.0, np.inf]])
+    level = level.astype(np.float32)
+    np.testing.assert_array_equal(_ascending(level), np.argsort(level, kind="stable"))
 
 
 def test_three_pits_that_meet_at_one_level_stay_apart():

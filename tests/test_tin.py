@@ -231,13 +231,14 @@ def test_threads_and_parts_change_nothing(rng, monkeypatch, chunk, kinds):
     found = []
     for threads in (1, 4):
         monkeypatch.setattr(tin_module, "CHUNK", 65536 if threads == 1 else chunk)
+        monkeypatch.setattr(tin_module, "_SHARE", min(4096, tin_module.CHUNK))
         with ThreadPoolExecutor(threads) as executor:
             tin = Tin(xyz, sheet, every[::2], executor, threads)
             tin.now += 1
             tin.insert(every[1::2])
             tin.remove(inner(tin)[::2])
             tin.locate(np.flatnonzero(~tin.vertex))
-        found.append([*tin.facets(), tin.vertex, tin.corners(tin.where[np.flatnonzero(~tin.vertex)])])
+            found.append([*tin.facets(), tin.vertex, tin.corners(tin.where[np.flatnonzero(~tin.vertex)])])
     assert all(np.array_equal(one, two) for one, two in zip(*found, strict=True))
 
 

@@ -197,7 +197,7 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
     if m == 0:
         return Labels(np.zeros(0, bool), status=Status.NO_CANDIDATES)
     z = points.xyz[:, 2]
-    three = all(len(np.unique(xy, axis=0)) <= 3 for xy in (points.xyz[:1000, :2], points.xyz[:, :2]))
+    three = all(len(np.unique(points.xyz[:few, :2], axis=0)) <= 3 for few in (10, 1000, m))
     if three or not points.has_area():
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))

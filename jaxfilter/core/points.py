@@ -67,9 +67,9 @@ class Points:
         spacing = float(np.sqrt(sides.prod() / m))
         for _ in range(3):
             cell = max(3 * spacing, float(sides.max()) / 2**15)
-            i = np.floor(self.xyz[:, :2] / np.float32(cell)).astype(np.int64)
-            columns = int(i[:, 1].max()) + 1
-            key = i[:, 0] * columns + i[:, 1]
+            x, y = ((self.xyz[:, axis] / np.float32(cell)).astype(np.int32) for axis in range(2))
+            columns = int(y.max()) + 1
+            key = x.astype(np.int64) * columns + y
             few = int(key.max()) < 8 * m + 1000
             occupied = int(np.count_nonzero(np.bincount(key))) if few else len(np.unique(key))
             before, spacing = spacing, float(np.sqrt(min(occupied * cell**2, sides.prod()) / m))

@@ -15,13 +15,14 @@ class Cells:
     """
 
     def __init__(self, key: np.ndarray, shape: tuple[int, int]) -> None:
-        """``key``: i64[c], row x columns + column, ascending and distinct."""
-        self.shape = shape
+        """``key``: i64[c], row x columns + column in the grid with a ring of empty cells around it, ascending and distinct."""
+        self.shape, self._wide = shape, shape[1] + 2
         self._key = key
-        self.row, self.column = np.divmod(key, shape[1])
+        row, column = np.divmod(key, self._wide)
+        self.row, self.column = row - 1, column - 1
         self._table: np.ndarray | None = None
-        if shape[0] * shape[1] <= _TABLE * len(key) + 1000:
-            self._table = np.full(shape[0] * shape[1], len(key), np.int32)
+        if (size := (shape[0] + 2) * self._wide) <= _TABLE * len(key) + 1000:
+            self._table = np.full(size, len(key), np.int32)
             self._table[key] = np.arange(len(key), dtype=np.int32)
 
     def __len__(self) -> int:
@@ -30,12 +31,12 @@ class Cells:
     @classmethod
     def of(cls, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> tuple[Cells, np.ndarray]:
         """The cells that points are in, and i[m], which one each point is in; ``row`` and ``column``: i[m]."""
-        key = row.astype(np.int64) * shape[1] + column
-        if shape[0] * shape[1] <= _TABLE * len(key):
-            seen = np.zeros(shape[0] * shape[1], bool)
+        key = _key(row, column, shape[1] + 2)
+        if (size := (shape[0] + 2) * (shape[1] + 2)) <= _TABLE * len(key):
+            seen = np.zeros(size, bool)
             seen[key] = True
             cells = cls(np.flatnonzero(seen), shape)
-            return cells, cells.find(row, column)
+            return cells, cells._number(key)
         distinct, member = np.unique(key, return_inverse=True)
         return cls(distinct, shape), member
 
@@ -43,24 +44,31 @@ class Cells:
         """With the cells of the grid that are at most so many rows and columns away."""
         key = self._key
         for _ in range(steps):
-            column = key % self.shape[1]
-            key = _merged(key[column > 0] - 1, key, key[column < self.shape[1] - 1] + 1)
-            key = _merged(key - self.shape[1], key, key + self.shape[1])
-            key = key[(key >= 0) & (key < self.shape[0] * self.shape[1])]
+            key = _merged(key - 1, key, key + 1)
+            column = key % self._wide
+            key = key[(column > 0) & (column <= self.shape[1])]
+            key = _merged(key - self._wide, key, key + self._wide)
+            key = key[slice(*np.searchsorted(key, (self._wide, (self.shape[0] + 1) * self._wide)))]
         return Cells(key, self.shape)
 
     def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """i[...]: the number of each cell; the number of cells for those that are not in the set."""
         inside = (row >= 0) & (row < self.shape[0]) & (column >= 0) & (column < self.shape[1])
-        key = np.where(inside, row * self.shape[1] + column, 0)
-        if self._table is not None:
-            return np.where(inside, self._table[key], len(self))
-        number = np.minimum(np.searchsorted(self._key, key), len(self) - 1)
-        return np.where(inside & (self._key[number] == key), number, len(self))
+        return self._number(np.where(inside, _key(row, column, self._wide), 0))
 
     def around(self) -> np.ndarray:
         """i[9, c]: the number of each cell and of its neighbours, row by row, the cell itself being the fifth."""
-        return np.stack([self.find(self.row + dy, self.column + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+        return np.stack([self._number(self._key + dy * self._wide + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+
+    def _number(self, key: np.ndarray) -> np.ndarray:
+        if self._table is not None:
+            return self._table[key]
+        number = np.minimum(np.searchsorted(self._key, key), len(self) - 1)
+        return np.where(self._key[number] == key, number, len(self))
+
+
+def _key(row: np.ndarray, column: np.ndarray, wide: int) -> np.ndarray:
+    return (row.astype(np.int64) + 1) * wide + (column + 1)
 
 
 def _merged(*sorted_keys: np.ndarray) -> np.ndarray:

@@ -43,25 +43,21 @@ def depressions(z: np.ndarray, around: np.ndarray, points: np.ndarray, depth: fl
     from . import pours  # imports Numba
 
     walled = np.append(z, np.float32(np.inf))
-    label, bottom = pours.descend(walled, around)
-    low = z[bottom]
-    a, b, level = pours.passes(walled, around, label)
-    order = np.argsort(level, kind="stable")
-    spill, count, basin = pours.mergers(low, a[order], b[order], level[order], depth, max_points)
-    order = np.argsort(label, kind="stable")  # cells, basin by basin; walls first
-    start = np.searchsorted(label[order], np.arange(len(low) + 1))
-    cells = start[basin + 1] - start[basin]
-    within = np.arange(int(cells.sum())) - np.repeat(np.cumsum(cells) - cells, cells)
-    cell = order[np.repeat(start[basin], cells) + within]
-    owner = np.repeat(np.repeat(np.arange(len(spill)), count), cells)
-    below = z[cell] < spill[owner]
-    cell, owner = cell[below], owner[below]
-    held = np.bincount(owner, weights=points[cell], minlength=len(spill)).astype(np.int64)
-    fits = held <= max_points
-    cell, owner = cell[fits[owner]], owner[fits[owner]]
-    outermost = np.full(z.size, -1)
-    np.maximum.at(outermost, cell, owner)  # mergers are listed from the lowest to the highest
+    basin, bottom = pours.descend(walled, around)
+    a, b, level = pours.passes(walled, around, basin)
+    order = _ascending(level)
+    outermost, spill, held = pours.mergers(
+        z[bottom], a[order], b[order], level[order], depth, max_points, z, basin, points
+    )
     cell = np.flatnonzero(outermost >= 0)
     kept, owner = np.unique(outermost[cell], return_inverse=True)
     order = np.argsort(owner, kind="stable")
     return Depressions(cell[order], owner[order], spill[kept], held[kept])
+
+
+def _ascending(level: np.ndarray) -> np.ndarray:
+    """i64[n]: the stable order of f32[n], by sorting whole numbers made of value and place; argsort takes twice as long."""
+    bits = (level + np.float32(0)).view(np.int32).astype(np.int64)  # no negative zero
+    key = (np.where(bits < 0, bits ^ 0x7FFFFFFF, bits) << 32) | np.arange(len(level))
+    key.sort()
+    return key & 0xFFFFFFFF

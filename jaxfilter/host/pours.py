@@ -61,23 +61,26 @@ def passes(z, around, basin):
 
 
 @compiled
-def mergers(low, a, b, level, depth, most):
-    """Depressions at least ``depth`` deep at the pass where they overflow, in ascending order of that pass.
+def mergers(low, a, b, level, depth, most, z, basin, points):
+    """Depressions at least ``depth`` deep at the pass where they overflow, of at most ``most`` basins and points.
 
-    Passes ascend, and lead from basin ``a`` to ``b``; ``low``: f32[k], the bottom of each basin. Depressions that walls
-    surround come last; those of more than ``most`` basins are left out. Returns spill levels f32[d], numbers of basins
-    i64[d], and these basins, one depression after the other.
+    Passes ascend, and lead from basin ``a`` to ``b``; ``low``: f32[k], the bottom of each basin; ``z``: f32[n], ``basin`` and
+    ``points``: i64[n], of the cells. Returns i64[n], the outermost depression of each cell or -1, and of each depression its
+    spill level f32[d] and its points i64[d]. They are numbered in ascending order of the pass; those that walls surround
+    come last.
     """
     k = len(low)
     parent, lowest, formed = np.arange(k), low.copy(), np.full(k, -np.inf)
-    size, last, after = (
-        np.ones(k, np.int64),
-        np.arange(k),
-        np.full(k, -1),
-    )  # members of a root: a chain that begins with
-    first = np.arange(k)  # ``first``; size 0 = too many
-    spill, count, members = np.empty(256, np.float32), np.empty(256, np.int64), np.empty(1024, np.int64)
-    found = listed = 0
+    size = np.ones(k, np.int64)  # basins of a root; 0 = too many, or too many points
+    last, after = np.arange(k), np.full(k, -1)  # they are a chain from the root to ``last``
+    first, beside = np.full(k, -1), np.full(len(z), -1)  # cells of a basin: a chain from ``first`` on
+    for cell in range(len(z) - 1, -1, -1):
+        if basin[cell] >= 0:
+            beside[cell] = first[basin[cell]]
+            first[basin[cell]] = cell
+    owner = np.full(len(z), -1)
+    spill, held = np.empty(256, np.float32), np.empty(256, np.int64)
+    found = 0
     for edge in range(len(a) + k):
         walled = edge >= len(a)
         at = np.float32(np.inf) if walled else level[edge]
@@ -88,37 +91,39 @@ def mergers(low, a, b, level, depth, most):
         while parent[j] != j:
             parent[j] = parent[parent[j]]
             j = parent[j]
-        if walled:
-            if i != edge - len(a):
-                continue
-        elif i == j:
+        if (walled and i != edge - len(a)) or (not walled and i == j):
             continue
         if lowest[j] < lowest[i]:
             i, j = j, i
         for turn in range(1 if walled else 2):
             root = i if turn == 0 else j
+            # what forms and merges at one level has no cells below it but those of its parts
             if size[root] == 0 or not (walled or (at - lowest[root] >= depth and formed[root] < at)):
                 continue
             if found == len(spill):
-                spill = np.concatenate((spill, np.empty_like(spill)))
-                count = np.concatenate((count, np.empty_like(count)))
-            while listed + size[root] > len(members):
-                members = np.concatenate((members, np.empty_like(members)))
-            spill[found], count[found] = at, size[root]
-            found += 1
-            member = first[root]
-            while member >= 0:
-                members[listed] = member
-                listed += 1
-                member = after[member]
-        if walled:
-            continue
-        parent[j] = i
-        formed[i] = at  # what forms and merges at one level has no cells below it but those of its parts
-        if size[i] > 0 and size[j] > 0 and size[i] + size[j] <= most:
-            after[last[i]] = first[j]
-            last[i] = last[j]
-            size[i] += size[j]
-        else:
-            size[i] = 0
-    return spill[:found].copy(), count[:found].copy(), members[:listed].copy()
+                spill, held = np.concatenate((spill, np.empty_like(spill))), np.concatenate((held, np.empty_like(held)))
+            spill[found], held[found] = at, 0
+            for count in range(2):  # first how many points it holds
+                member = root
+                while member >= 0 and held[found] <= most:
+                    cell = first[member]
+                    while cell >= 0:
+                        if z[cell] < at and count == 0:
+                            held[found] += points[cell]
+                        elif z[cell] < at:
+                            owner[cell] = found
+                        cell = beside[cell]
+                    member = after[member]
+            if held[found] <= most:
+                found += 1
+            else:
+                size[root] = 0
+        if not walled:
+            parent[j], formed[i] = i, at
+            if size[i] > 0 and size[j] > 0 and size[i] + size[j] <= most:
+                after[last[i]] = j
+                last[i] = last[j]
+                size[i] += size[j]
+            else:
+                size[i] = 0
+    return owner, spill[:found].copy(), held[:found].copy()

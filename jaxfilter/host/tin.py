@@ -1,28 +1,30 @@
 """Triangulated irregular networks that grow: Delaunay triangulations whose vertices come and go in place.
 
 The triangulation of the vertices is unique whatever the order, the batches and the history in which they came: it depends
-on their positions only (:mod:`jaxfilter.host.flips`). SciPy triangulates a sparse part of the first vertices; compiled code
-inserts all others.
+on their positions only (:mod:`jaxfilter.host.flips`). It begins with one triangle of each sheet.
 """
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import itertools
+from collections.abc import Callable
 from concurrent.futures import Executor
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from ..core.cloud import QUANTUM
 
 CHUNK = 65536
-"""Nodes that one call of compiled code works on, so that an interrupt is obeyed and threads share what there is."""
+"""At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
+_SHARE = 8192
+"""At least so many are worth a thread of their own where each takes a walk."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _NONE = np.zeros((0, 2), np.int32)
-_ROOT = 256
+_CORNERS = np.array([[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 3]])
+_BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
+"""A triangle and the ghosts beyond its edges: their corners, of which the last is nowhere, and neighbours."""
 
 
 def lattice(xy: np.ndarray) -> np.ndarray:
@@ -64,20 +66,16 @@ class Tin:
         self.now = 0
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
-        roots = list(pool.map(self._root, of_sheet))
-        first = np.cumsum([0] + [len(table) for _, table, _ in roots])
-        most, used = 2 * len(xyz), int(first[-1])  # with ghosts, k vertices have 2 k - 2 triangles
+        begin = np.array([self._one(part) for part in of_sheet])
+        used, most = 4 * len(begin), 2 * len(xyz)  # with ghosts, k vertices have 2 k - 2 triangles
+        self._first, self._hull = np.arange(0, used, 4), np.full(len(begin), 3)
         self.triangles = np.full((most, 3), flips.DEAD, np.int32)
         self.neighbours, self.stamp = np.empty((most, 3), np.int32), np.zeros(most, np.int32)
         self._unused = np.arange(used, most, dtype=np.int32)
-        self.triangles[:used] = np.concatenate([table for _, table, _ in roots])
-        self.neighbours[:used] = np.concatenate([table + f for (_, _, table), f in zip(roots, first, strict=False)])
-        inner = np.flatnonzero((self.triangles[:used] >= 0).all(axis=1)).astype(np.int32)
-        self.where[self.triangles[inner].ravel()] = np.repeat(inner, 3)
-        self.vertex[np.concatenate([root for root, _, _ in roots])] = True
-        self._first = first[:-1]
-        flips.legalise(*self._tables, np.arange(used, dtype=np.int32), self.now)
-        self._hull = np.array([(self.triangles[a:b] == flips.NOWHERE).sum() for a, b in itertools.pairwise(first)])
+        self.triangles[:used] = np.insert(begin, 3, flips.NOWHERE, axis=1)[:, _CORNERS].reshape(-1, 3)
+        self.neighbours[:used] = (self._first[:, None, None] + _BESIDE).reshape(-1, 3)
+        self.where[begin] = self._first[:, None]
+        self.vertex[begin] = True
         rest = vertices[~self.vertex[vertices]]
         self.locate(rest)
         self.insert(rest)
@@ -98,30 +96,6 @@ class Tin:
             setattr(out, name, getattr(self, name).copy())
         return out
 
-    def _root(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nodes of a sparse part of some vertices, with their triangles and neighbours, ghosts included."""
-        root = vertices[:: max(1, len(vertices) // _ROOT)]
-        xy = self.xy[root].astype(np.int64)
-        sound = False
-        with contextlib.suppress(QhullError):  # on a line
-            mesh = Delaunay(xy - xy[0])
-            triangles, neighbours = root[mesh.simplices], mesh.neighbors.copy()
-            a, b, c = self.xy[triangles].astype(np.int64).transpose(1, 2, 0)
-            whole = len(triangles) == 2 * len(root) - 2 - (neighbours < 0).sum()
-            sound = whole and bool(((b - a)[0] * (c - a)[1] > (b - a)[1] * (c - a)[0]).all())
-        if not sound:  # nearly on a line, too: one triangle that is
-            triangles, neighbours = self._one(vertices)[None], np.full((1, 3), -1)
-            root = np.sort(triangles[0])
-        row, k = np.nonzero(neighbours < 0)
-        tail, head = triangles[row, (k + 1) % 3], triangles[row, (k + 2) % 3]  # edges of the hull; a ghost beyond each
-        ghost = len(triangles) + np.arange(len(row))
-        neighbours[row, k] = ghost
-        before, after = np.empty_like(ghost), np.empty_like(ghost)
-        before[np.argsort(tail)], after[np.argsort(head)] = ghost[np.argsort(head)], ghost[np.argsort(tail)]
-        triangles = np.concatenate([triangles, np.column_stack([head, tail, np.full(len(row), -1)])])
-        neighbours = np.concatenate([neighbours, np.column_stack([before, after, row])])
-        return root, triangles.astype(np.int32), neighbours.astype(np.int32)
-
     def _one(self, vertices: np.ndarray) -> np.ndarray:
         """A triangle of vertices, counter-clockwise: the first, the farthest from it, and the farthest from their line."""
         x, y = (self.xy[vertices].astype(np.int64) - self.xy[vertices[0]]).T
@@ -130,9 +104,11 @@ class Tin:
         off = int(np.argmax(np.abs(turn)))
         return vertices[[0, far, off] if turn[off] > 0 else [0, off, far]]
 
-    def _chunks(self, nodes: np.ndarray) -> list[np.ndarray]:
-        """Parts of ascending nodes of bounded size."""
-        return [nodes[i : i + CHUNK] for i in range(0, len(nodes), CHUNK)]
+    def _spread(self, count: int, work: Callable[[slice], None], least: int | None = None) -> None:
+        """Do work on parts of so many nodes, in threads; a part has ``least``, or else :data:`CHUNK`."""
+        size = min(CHUNK, max(least or CHUNK, -(-count // self.workers)))
+        parts = [slice(i, i + size) for i in range(0, count, size)]
+        list((self.pool.map if self.workers > 1 and len(parts) > 1 else map)(work, parts))
 
     def _fresh(self, count: int) -> np.ndarray:
         """i32[count, 2]: numbers for new triangles."""
@@ -148,7 +124,7 @@ class Tin:
         def one(job: slice) -> None:
             for part in _coarse_first(job.stop - job.start):
                 own, numbers = nodes[job][part], fresh[job][part]
-                if len(jobs) == 1 and self.workers > 1 and len(own) > CHUNK:
+                if len(jobs) == 1 and self.workers > 1 and len(own) > 2 * _SHARE:
                     left = self._insert_apart(own, numbers)
                     own, numbers = own[left], numbers[left]
                 self._insert(own, numbers)
@@ -208,23 +184,25 @@ class Tin:
 
     def remove(self, nodes: np.ndarray) -> None:
         """Make vertices (i64, not on the hull of their sheet) ordinary nodes again. Raises: ValueError."""
-        for part in (nodes[chunk] for order in reversed(_coarse_first(len(nodes))) for chunk in self._chunks(order)):
-            freed = np.empty(2 * len(part), np.int32)
-            done = self.flips.remove(*self._tables, part, freed, self.now)
-            if done < len(part):
-                raise ValueError(f"node {part[done]} is on the hull")
-            self._unused = np.concatenate([self._unused, freed])
-            self.vertex[part] = False
+        for order in reversed(_coarse_first(len(nodes))):
+            for start in range(0, len(order), CHUNK):
+                part = nodes[order[start : start + CHUNK]]
+                freed = np.empty(2 * len(part), np.int32)
+                done = self.flips.remove(*self._tables, part, freed, self.now)
+                if done < len(part):
+                    raise ValueError(f"node {part[done]} is on the hull")
+                self._unused = np.concatenate([self._unused, freed])
+                self.vertex[part] = False
         if self.sheet[-1] > 0:  # or nodes would be in the wrong sheet when another takes these numbers
             self.flips.leave(self.triangles, self.neighbours, self.where)
 
     def locate(self, nodes: np.ndarray) -> None:
         """Bring ``where`` up to date for nodes, i64, best in canonical order."""
 
-        def one(part: np.ndarray) -> None:
-            self.flips.locate(*self._tables[:4], self.sheet, part, self._first)
+        def one(part: slice) -> None:
+            self.flips.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
 
-        list((self.pool.map if self.workers > 1 else map)(one, self._chunks(nodes)))
+        self._spread(len(nodes), one, _SHARE)
 
     def walk(self, xy: np.ndarray, start: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position [n, >=2] in local metres, walking from triangles near it.
@@ -232,13 +210,17 @@ class Tin:
         Positions count to a quantum. Outside the hull it is -1 - t, where t is the triangle behind an edge in sight.
         """
         out = np.empty(len(xy), np.int32)
-        self.flips.locate_positions(self.xy, self.triangles, self.neighbours, start, lattice(xy), out)
+        tables, xy = self._tables[:3], lattice(xy)
+        self._spread(
+            len(xy), lambda part: self.flips.locate_positions(*tables, start[part], xy[part], out[part]), _SHARE
+        )
         return out
 
     def twins(self, nodes: np.ndarray) -> np.ndarray:
         """i64[n]: for located nodes, i64, the vertex at the same position, or -1."""
         out = np.empty(len(nodes), np.int64)
-        self.flips.twins(self.xy, self.triangles, self.where, nodes, out)
+        tables = self.xy, self.triangles, self.where
+        self._spread(len(nodes), lambda part: self.flips.twins(*tables, nodes[part], out[part]))
         return out
 
     def nearest(self, vertices: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -250,7 +232,8 @@ class Tin:
     def changed(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
         """bool[n]: nodes, i64, of which the triangle, or that of their image (i32[k], -1 = none), has changed now."""
         out = np.empty(len(nodes), bool)
-        self.flips.changed(self.where, self.stamp, nodes, image, self.now, out)
+        tables = self.where, self.stamp
+        self._spread(len(nodes), lambda part: self.flips.changed(*tables, nodes[part], image, self.now, out[part]))
         return out
 
     def touch(self, vertices: np.ndarray) -> None:
@@ -263,7 +246,8 @@ class Tin:
         Beyond an edge of a hull they are those of the triangle behind it.
         """
         out = np.empty((len(rows), 3), np.int32)
-        self.flips.corners(self.triangles, self.neighbours, rows, out)
+        tables = self.triangles, self.neighbours
+        self._spread(len(rows), lambda part: self.flips.corners(*tables, rows[part], out[part]))
         return out
 
     def facets(self) -> tuple[np.ndarray, np.ndarray]:

@@ -17,19 +17,20 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
     """
     x = (xyz[:, 0] - np.float32(x0)) / np.float32(size)
     y = (xyz[:, 1] - np.float32(y0)) / np.float32(size)
-    row, column = y.astype(np.int64), x.astype(np.int64)
+    row, column = y.astype(np.int32), x.astype(np.int32)
     occupied, at = Cells.of(row, column, (int(row.max()) + 1, int(column.max()) + 1))
     low = np.full(len(occupied) + 1, np.inf, np.float32)
     np.minimum.at(low, at, xyz[:, 2])
     smooth, level = _smoothed(occupied, low)
     x += np.float32(0.5)
     y += np.float32(0.5)
-    row, column = y.astype(np.int64), x.astype(np.int64)
+    row, column = y.astype(np.int32), x.astype(np.int32)
     x -= column.astype(np.float32)
     y -= row.astype(np.float32)
+    between, at = Cells.of(row, column, (int(row.max()) + 1, int(column.max()) + 1))  # the squares between four centres
 
     def node(dy: int, dx: int) -> np.ndarray:
-        return level[_clamped(smooth, row + (dy - 1), column + (dx - 1))]
+        return level[_clamped(smooth, between.row + (dy - 1), between.column + (dx - 1))][at]
 
     south = node(0, 0) * (1 - x) + node(0, 1) * x
     north = node(1, 0) * (1 - x) + node(1, 1) * x

@@ -20,6 +20,10 @@ _FLAT_AREA = (
     1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
 )
 
+Vector = list[jax.Array]
+"""Three components. Kernels are written in these, which compile to one loop over all points; reductions over an axis of
+length three do not, and add up in an order that depends on the number of points."""
+
 
 class Rule(NamedTuple):
     """Thresholds of one densification; f32 scalars (or, under vmap, arrays). Infinity switches a test off.
@@ -61,30 +65,42 @@ class Verdict(NamedTuple):
     score: FacetScore
 
 
+def _minus(u: Vector, v: Vector) -> Vector:
+    return [u[0] - v[0], u[1] - v[1], u[2] - v[2]]
+
+
+def _dot(u: Vector, v: Vector) -> jax.Array:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _least(values: Vector, counted: jax.Array | None) -> jax.Array:
+    """The least of three values, of those only that are ``counted`` (bool[3]) if any are."""
+    if counted is not None:
+        values = [jnp.where(counted[k] | ~counted.any(), values[k], jnp.inf) for k in range(3)]
+    return jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
+
+
 def facet_score(p: jax.Array, corners: jax.Array, counted: jax.Array | None = None) -> FacetScore:
     """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres.
 
     ``counted``: bool[3], the vertices that can be the nearest and the highest; None, or none of them = all.
     """
-    counted = jnp.ones(3, bool) if counted is None else counted | ~counted.any()
-    a, b, c = corners[0] - p, corners[1] - p, corners[2] - p  # exact in float32 for quantised coordinates
-    u, v = b - a, c - a
-    n = jnp.cross(u, v)
-    n = jnp.where(n[2] < 0, -n, n)
-    size = jnp.sqrt(jnp.dot(n, n))
-    longest = jnp.maximum(jnp.maximum(jnp.dot(u, u), jnp.dot(v, v)), jnp.dot(v - u, v - u))
+    a, b, c = ([corner[k] - p[k] for k in range(3)] for corner in corners)  # exact in float32 for quantised coordinates
+    u, v = _minus(b, a), _minus(c, a)
+    n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    n = [jnp.where(n[2] < 0, -component, component) for component in n]
+    size = jnp.sqrt(_dot(n, n))
+    longest = jnp.maximum(jnp.maximum(_dot(u, u), _dot(v, v)), _dot(_minus(v, u), _minus(v, u)))
     planar = (size * size > _FLAT_AREA * longest * longest) & (n[2] > 1e-6 * size)
-    n = n / jnp.where(planar, size, 1.0)
-    squares = jnp.stack([jnp.dot(a, a), jnp.dot(b, b), jnp.dot(c, c)])
-    nearest = jnp.sqrt(jnp.min(squares, initial=jnp.inf, where=counted))
-    lowest_rise = jnp.min(jnp.stack([-a[2], -b[2], -c[2]]), initial=jnp.inf, where=counted)
-    distance = -jnp.dot(a, n)
+    n = [component / jnp.where(planar, size, 1.0) for component in n]
+    nearest = jnp.sqrt(_least([_dot(a, a), _dot(b, b), _dot(c, c)], counted))
+    distance = -_dot(a, n)
     sine = jnp.where(nearest > 0, distance / jnp.where(nearest > 0, nearest, 1.0), 0.0)
     return FacetScore(
         distance=distance,
         height=distance / jnp.where(planar, n[2], 1.0),
         angle=jnp.degrees(jnp.arcsin(jnp.clip(sine, -1.0, 1.0))),
-        elevation=lowest_rise,
+        elevation=_least([-a[2], -b[2], -c[2]], counted),
         slope=jnp.degrees(jnp.arctan2(jnp.hypot(n[0], n[1]), n[2])),
         planar=planar,
     )
@@ -153,7 +169,8 @@ def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) ->
     """
 
     def one(p: jax.Array, facet: jax.Array) -> jax.Array:
-        near = jnp.argmin(jnp.sum((facet - p) ** 2, axis=1))
+        away = [[corner[k] - p[k] for k in range(3)] for corner in facet]
+        near = jnp.argmin(jnp.stack([_dot(to, to) for to in away]))
         v = facet[jnp.where(about_highest, jnp.argmax(facet[:, 2]), near)]
         return jnp.stack([2 * v[0] - p[0], 2 * v[1] - p[1], p[2]])
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 
 from ..core.compilation import on_same_device
@@ -25,8 +25,8 @@ from ..ops.facets import Rule, judge, mirrored
 from .growth import Growth, Mirror, Network
 from .vertices import LowestPerCell, Spaced
 
-_BATCHES = (512, 4096, 32768)
-"""Sizes of kernel calls: what does not nearly fill one is cut into smaller ones."""
+_BATCHES = (1024, 8192)
+"""Sizes of kernel calls: what does not fill half of the large one is cut into small ones."""
 _SAMPLE = 65536
 """At most about so many quantities decide adaptive thresholds."""
 _DEVIATION = ("distance", "angle")
@@ -67,7 +67,7 @@ def densify(
 
 def triangulated(network: Network, growth: Growth, pool: ThreadPoolExecutor, workers: int) -> Tin:
     """The triangulation of the seeds of a network, and of its border nodes, with all others located in it."""
-    vertices = np.union1d(_choice(network, growth).begin(), network.virtual)
+    vertices = np.sort(np.concatenate([_choice(network, growth).begin(), network.virtual]))
     return Tin(network.xyz.copy(), network.sheet, vertices, pool, workers)
 
 
@@ -308,7 +308,7 @@ class Densification:
             return {name: np.asarray(v)[: stop - start] for name, v in kernel(*given).items()}
 
         parts = _parts(n)
-        spread = self.tin.workers > 1 and n > _BATCHES[1]
+        spread = self.tin.workers > 1 and len(parts) > 2
         found = list(self.tin.pool.map(on_same_device(one), parts) if spread else map(one, parts))
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
@@ -323,7 +323,7 @@ class Densification:
 
 def _on_device(rule: Rule) -> Rule:
     """The thresholds as arrays, so that calls need not make them."""
-    return Rule(*(jnp.float32(limit) for limit in rule))
+    return Rule(*jax.device_put([np.float32(limit) for limit in rule]))
 
 
 def _parts(n: int) -> list[tuple[int, int]]:
@@ -331,7 +331,7 @@ def _parts(n: int) -> list[tuple[int, int]]:
     parts: list[tuple[int, int]] = []
     start = 0
     for size in reversed(_BATCHES):
-        least = 3 * size // 4 if size > _BATCHES[0] else 0
+        least = size // 2 if size > _BATCHES[0] else 0
         while n - start > least or (size == _BATCHES[0] and not parts):
             parts.append((start, size))
             start += size

@@ -178,7 +178,9 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
     points, barred = network.points, network.barred
     barred = np.zeros(len(points), bool) if barred is None else barred
     real = np.flatnonzero(network.row >= 0)
-    order = real[np.argsort(out.ground[real], kind="stable")]  # accepting sheets last, so that they prevail
+    order = real
+    if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
+        order = real[np.argsort(out.ground[real], kind="stable")]
     row = network.row[order]
 
     def gather(values: np.ndarray) -> np.ndarray:
@@ -200,15 +202,16 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
             any_sheet = np.zeros(len(points), bool)
             any_sheet[row[step["ground"][order]]] = True
             step["ground"] = any_sheet
-    late = np.zeros(len(points), bool)
+    late, seeds = np.zeros(len(points), bool), np.zeros(len(points), bool)
     late[network.row[real[network.late[real]]]] = True
+    seeds[network.row[real[network.seed[real]]]] = True
     return Labels(
         **found,
         barred=barred,
         status=Status.CONVERGED if out.converged else Status.ROUND_LIMIT,
         info={
             "sheets": int(network.sheet[-1]) + 1,
-            "seeds": len(np.unique(network.row[real[network.seed[real]]])),
+            "seeds": int(seeds.sum()),
             "border_points": len(network.virtual),
             "rounds": len(out.trace),
             "facets": len(out.tin),

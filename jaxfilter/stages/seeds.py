@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -37,25 +39,41 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
             f"{layout.blocks[0]} x {layout.blocks[1]} cells over this extent: let the stride divide the window, or remove "
             "stray points far from the rest"
         )
-    rows, columns = padded_shape(layout.blocks)
     n = bucket(len(points))
-    z = np.full(n, np.inf, np.float32)
-    z[: len(points)] = np.where(barred, np.inf, points.xyz[:, 2])
-    where = np.zeros((n, 2), np.float32)
-    where[: len(points)] = points.xyz[:, :2]
-    cell = cell_index(
-        where, jnp.asarray(corner, jnp.float32), np.float32(layout.block), np.array(layout.blocks, np.int32), columns
+    xyz = np.zeros((n, 3), np.float32)
+    xyz[: len(points)] = points.xyz
+    xyz[len(points) :, 2] = xyz[: len(points), 2][barred] = np.inf
+    blocks, counts = np.array(layout.blocks, np.int32), np.array(layout.counts, np.int32)
+    found = _lowest_of_windows(
+        xyz,
+        corner.astype(np.float32),
+        np.float32(layout.block),
+        blocks,
+        counts,
+        shape=padded_shape(layout.blocks),
+        width=layout.width,
+        stride=layout.stride,
     )
-    lowest, first = block_minima(cell, z, rows * columns)
-    _, lowest_point = window_minima(
-        lowest.reshape(rows, columns),
-        first.reshape(rows, columns),
-        np.array(layout.counts, np.int32),
-        layout.width,
-        layout.stride,
-    )
-    found = np.unique(np.asarray(lowest_point))
+    found = np.unique(np.asarray(found))
     return found[found < len(points)].astype(np.int64)
+
+
+@functools.partial(jax.jit, static_argnames=("shape", "width", "stride"))
+def _lowest_of_windows(
+    xyz: jax.Array,
+    corner: jax.Array,
+    block: jax.Array,
+    blocks: jax.Array,
+    counts: jax.Array,
+    *,
+    shape: tuple[int, int],
+    width: int,
+    stride: int,
+) -> jax.Array:
+    """i32[rows, columns]: the lowest point of each window; see :func:`jaxfilter.ops.windows.window_minima`."""
+    cell = cell_index(xyz, corner, block, blocks, shape[1])
+    lowest, first = block_minima(cell, xyz[:, 2], shape[0] * shape[1])
+    return window_minima(lowest.reshape(shape), first.reshape(shape), counts, width, stride)[1]
 
 
 def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarray:
