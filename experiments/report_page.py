@@ -184,7 +184,10 @@ def _bench(folder: Path, link: str) -> list[str]:
         ("peak", "peak memory of the command, GB", ".2f"),
     ]
     path = f"{link}/bench/results/results.md"
-    return ["## Speed and memory", f"The largest simulated scenes; all: [{path}]({path}).", markdown(columns, lines)]
+    text = (
+        f"The largest simulated scenes; all: [{path}]({path}); which rows are older: [README]({link}/bench/README.md)."
+    )
+    return ["## Speed and memory", text, markdown(columns, lines)]
 
 
 def _papers(folder: Path, link: str) -> list[str]:

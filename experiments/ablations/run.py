@@ -97,6 +97,12 @@ def _with(method: str, **changes: Any) -> Maker:
     return lambda sample: spaces.fixed(method, sample).replace(**changes)
 
 
+def _switched(method: str, field: str, value: Any) -> Maker:
+    """One switch thrown. Where fewer points are added in a round, as many rounds as it takes."""
+    more = {"max_rounds": 1000} if field == "insertion" and value != "batch" else {}
+    return _with(method, **{field: value}, **more)
+
+
 def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Callable[..., Any]) -> Maker:
     """The fixed set of a method with steps replaced, as a subclass of it. Raises: AttributeError for a step that it has not."""
 
@@ -337,7 +343,7 @@ def _insertion() -> list[Variant]:
                 Variant(
                     "8. insertion",
                     f"{method.upper()}: {way}",
-                    _with(method, insertion=way),
+                    _switched(method, "insertion", way),
                     baseline=way == field.default,
                 )
             )
@@ -419,7 +425,7 @@ def _switches() -> list[Variant]:
                     continue
                 if value != getattr(base, field.name):
                     name = f"{method.upper()}: {field.name}={value}"
-                    out.append(Variant(choice, name, _with(method, **{field.name: value})))
+                    out.append(Variant(choice, name, _switched(method, field.name, value)))
     return out
 
 

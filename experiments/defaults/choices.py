@@ -101,7 +101,8 @@ DENSE = ("15 per m2", "tiles")
 def _thresholds() -> list[Choice]:
     """Thresholds and switches, one at a time."""
     degrees = {f"{a} degrees, {h:g} m": _constant({"slope": s, "max_height": h})
-               for a, s, h in ((15, 0.268, 3.0), (20, 0.364, 4.0), (30, 0.577, 6.0), (40, 0.839, 9.0))}  # fmt: skip
+               for a, s, h in ((15, 0.268, 3.0), (20, 0.364, 4.0), (30, 0.577, 6.0), (40, 0.839, 9.0),
+                               (50, 1.192, 12.0))}  # fmt: skip
     openings = {f"slope {s:g}, {h:g} m": _constant({"slope": s, "max_distance": h})
                 for s, h in ((0.15, 2.5), (0.268, 3.0), (0.5, 3.0))}  # fmt: skip
     adaptive = {
@@ -115,20 +116,22 @@ def _thresholds() -> list[Choice]:
         Choice("atin: deviations", "atin", adaptive, "adaptive, 15 deviations", SPARSE),
     ]
     tried: dict[str, dict[str, tuple[Any, ...]]] = {
-        "spf": {"max_angle": (15.0, 20.0, 25.0, 30.0), "slope": (0.3, 0.5, 0.7)},
-        "stin": {"max_angle": (20.0, 25.0, 30.0, 35.0), "max_distance": (1.0, 1.4, 2.0), "mirror": ("off", "nearest"),
-                 "outlier_surface": ("local", "quadratic", "off")},
-        "iptd": {"max_angle": (20.0, 25.0, 30.0), "tolerance": (0.5, 1.0, 2.0), "plane_error": (0.4, 0.8, 1.2),
+        "atin": {"max_angle": (15.0, 20.0, 25.0, 30.0, 35.0)},
+        "spf": {"max_angle": (15.0, 20.0, 25.0, 30.0, 35.0), "slope": (0.3, 0.5, 0.7)},
+        "stin": {"max_angle": (20.0, 25.0, 30.0, 35.0, 40.0), "max_distance": (1.0, 1.4, 2.0, 3.0),
+                 "mirror": ("off", "nearest"), "outlier_surface": ("local", "quadratic", "off")},
+        "iptd": {"max_angle": (20.0, 25.0, 30.0, 35.0), "tolerance": (0.5, 1.0, 2.0, 3.0), "plane_error": (0.4, 0.8, 1.2),
                  "k": (50, 100, 200), "translation": ("none", "lowest")},
-        "csf": {"surface": ("nearest", "lowest"), "rigidness": (1, 2, 3), "resolution": (0.5, 1.0, 1.5)},
-        "ppdf": {"reference_cell": (0.5, 1.0, 2.0), "reference_distance": (0.3, 0.5, 0.7), "max_distance": (0.2, 0.3, 0.4, 0.5),
-                 "window": (0.0, 18.0, 30.0), "slope": (0.2, 0.3, 0.5)},
+        "csf": {"surface": ("nearest", "lowest"), "rigidness": (1, 2, 3), "resolution": (0.5, 1.0, 1.5, 2.0)},
+        "ppdf": {"reference_cell": (0.5, 1.0, 2.0), "reference_distance": (0.3, 0.5, 0.7, 1.0),
+                 "max_distance": (0.2, 0.3, 0.4, 0.5), "window": (0.0, 18.0, 30.0, 40.0), "slope": (0.2, 0.3, 0.5)},
     }  # fmt: skip
     for method, fields in tried.items():
         for field, given in fields.items():
             alternatives = {f"{field} {_text(value)}": _constant({field: value}) for value in given}
             present = f"{field} {_text(getattr(jf.FILTERS[method](), field))}"
-            out.append(Choice(f"{method}: {field}", method, alternatives, present, SPARSE))
+            on = ("0.1 per m2", *SPARSE) if field == "resolution" else SPARSE
+            out.append(Choice(f"{method}: {field}", method, alternatives, present, on))
     for field, values, present in (
         ("noise_floor", (0.0, 0.05, 0.1, 0.2), 0.1),
         ("vertex_spacing", (0.0, 0.5, 0.7, 1.0), 0.7),

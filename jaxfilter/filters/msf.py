@@ -39,8 +39,8 @@ class MSF(GridFilter):
 
     "paper" is the plain rule with the thresholds of Cai et al., who name no tolerance for noise. It has no defence against
     low outliers, each of which clears the ground around it up to the window. "recommended" is the default: clusters of low
-    points are barred from the cells' minima, and terrain may rise by 30 degrees and 6 m, values that did best on simulated
-    scenes (15 degrees rejects all of a steeper hillside).
+    points are barred from the cells' minima, and terrain may rise by 30 degrees and 6 m (15 degrees rejects all of a steeper
+    hillside; on steep simulated scenes still more does better, see docs/fidelity.md).
 
     Departures (docs/fidelity.md): minima of cells instead of all points; distances between cell centres unless
     ``distance`` is "points"; one constant slope instead of a function learned from a training area.
