@@ -60,8 +60,8 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError", "JaxfilterError",
     "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes", "soft_labels", "sweep",
-    "write",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes",
+    "soft_labels", "sweep", "write",
 ]  # fmt: skip
 
 

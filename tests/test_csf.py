@@ -12,7 +12,6 @@ import pytest
 from scipy import ndimage
 
 import jaxfilter as jf
-from jaxfilter.filters import csf
 from jaxfilter.host import cloth as module
 from jaxfilter.host.cloth import drape, join_slopes
 from jaxfilter.ops.cloth import fill_along_lines, lowest_below, settle

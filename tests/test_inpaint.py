@@ -100,6 +100,17 @@ def test_nearest_fill_takes_a_nearest_known_cell(kind):
     np.testing.assert_allclose(distance, ndimage.distance_transform_edt(~known), atol=1e-9)
 
 
+def test_nearest_fill_of_many_blocks_settles_ties_as_it_says(rng):
+    known = rng.random((70, 300)) < 0.004
+    z = np.arange(known.size, dtype=np.float32).reshape(known.shape)
+    filled = np.asarray(fill_nearest(z, known, np.ones_like(known)))
+    row, column = np.nonzero(known)
+    for y, x in rng.integers(0, known.shape, (400, 2)):
+        apart, beside = (row - y) ** 2 + (column - x) ** 2, column - x
+        first = np.lexsort((row, beside, np.abs(beside), apart))[0]
+        assert filled[y, x] == z[row[first], column[first]]
+
+
 def test_nearest_fill_without_known_cells_changes_nothing():
     z, known = terrain("dots")
     np.testing.assert_array_equal(fill_nearest(z, np.zeros_like(known), np.ones_like(known)), z)

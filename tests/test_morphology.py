@@ -1,9 +1,11 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from jaxfilter.core.compilation import compilations, watch_compilations
-from jaxfilter.ops.morphology import dilation, erosion, opening
+from jaxfilter.ops import morphology
+from jaxfilter.ops.morphology import dilation, erosion, opening, progressive_opening
 
 REACH = 9
 
@@ -29,6 +31,37 @@ def test_equals_scipy_bit_for_bit(radius, element):
     np.testing.assert_array_equal(erosion(z, radius, REACH, element), eroded)
     np.testing.assert_array_equal(dilation(z, radius, REACH, element), dilated)
     np.testing.assert_array_equal(opening(z, radius, REACH, element), opened)
+
+
+@pytest.mark.parametrize("element", ["disk", "diamond"])
+@pytest.mark.parametrize("columns", [31, 300])
+def test_strips_of_a_tall_grid_join(element, columns, monkeypatch):
+    monkeypatch.setattr(morphology, "_STRIP", 700)
+    z, cells = surface((67, columns)), footprint(7, element)
+    expected = ndimage.grey_erosion(z, footprint=cells, mode="constant", cval=np.inf)
+    np.testing.assert_array_equal(erosion(z, 7, REACH, element), expected)
+
+
+def test_negative_infinite_and_double_precision_values_keep_their_order(rng):
+    z = rng.choice(np.array([-np.inf, -3.5, -0.0, 0.0, 1e-38, 2.5, np.inf], np.float32), (30, 40))
+    expected = ndimage.grey_erosion(z, footprint=footprint(2, "disk"), mode="constant", cval=np.inf)
+    np.testing.assert_array_equal(erosion(z, 2, REACH), expected)
+
+
+def test_progressive_opening_shows_each_opening_of_the_one_before():
+    z, valid = surface(), np.ones((41, 57), bool)
+    valid[35:] = False
+    radii = np.array([1, 3, 4], np.int32)
+
+    def look(k, before, opened, found):
+        return found.at[k].set(before - opened)
+
+    last, drops = progressive_opening(z, valid, radii, look, jnp.zeros((3, *z.shape)), reach=REACH, element="square")
+    for radius, drop in zip(radii, drops, strict=True):
+        opened = opening(z, radius, REACH, "square", valid)
+        np.testing.assert_array_equal(drop, z - opened)
+        z = opened
+    np.testing.assert_array_equal(last, z)
 
 
 def test_disk_wider_than_the_grid():

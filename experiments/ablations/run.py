@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
@@ -24,15 +25,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
-from jaxfilter.core.filter import Labels
 from jaxfilter.core.points import Points
 from jaxfilter.filters import smrf
 from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
-from jaxfilter.ops.morphology import opening
+from jaxfilter.ops.morphology import progressive_opening
 from jaxfilter.stages import outliers
+from jaxfilter.stages.grid_filter import Surface
 from jaxfilter.stages.growth import Border
 from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
-from jaxfilter.stages.surfaces import hold_against, steepness
+from jaxfilter.stages.surfaces import Cells, steepness
 from jaxfilter.stages.tin_filter import TinFilter
 
 HERE = Path(__file__).parent
@@ -470,11 +471,11 @@ def _smrf() -> list[Variant]:
     choice = "13. element and inpainting of SMRF"
     return [
         Variant(choice, "SMRF: disks, membrane", _with("smrf"), baseline=True),
-        Variant(choice, "SMRF: squares, membrane", _modified("smrf", classify=_smrf_steps("square", _membrane))),
-        Variant(choice, "SMRF: diamonds, membrane", _modified("smrf", classify=_smrf_steps("diamond", _membrane))),
-        Variant(choice, "SMRF: disks, nearest cell", _modified("smrf", classify=_smrf_steps("disk", fill_nearest))),
-        Variant(choice, "SMRF: disks, triangles", _modified("smrf", classify=_smrf_steps("disk", _triangles))),
-        Variant(choice, "SMRF: disks, inverse distance", _modified("smrf", classify=_smrf_steps("disk", _inverse))),
+        Variant(choice, "SMRF: squares, membrane", _modified("smrf", **_smrf_steps("square", _membrane))),
+        Variant(choice, "SMRF: diamonds, membrane", _modified("smrf", **_smrf_steps("diamond", _membrane))),
+        Variant(choice, "SMRF: disks, nearest cell", _modified("smrf", **_smrf_steps("disk", fill_nearest))),
+        Variant(choice, "SMRF: disks, triangles", _modified("smrf", **_smrf_steps("disk", _triangles))),
+        Variant(choice, "SMRF: disks, inverse distance", _modified("smrf", **_smrf_steps("disk", _inverse))),
     ]
 
 
@@ -482,33 +483,22 @@ Fill = Callable[[jax.Array, jax.Array, jax.Array], Any]
 """Elevations f32, known cells bool and existing cells bool, [rows, columns] each, to elevations without holes."""
 
 
-def _smrf_steps(element: str, fill: Fill) -> Callable[..., Labels]:
+def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
     """SMRF with another structuring element, or another way to fill holes: a square is as wide as the disk that it replaces."""
 
-    @functools.partial(jax.jit, static_argnames="reach")
-    def bare(surface: jax.Array, seen: jax.Array, valid: jax.Array, rises: jax.Array, reach: int) -> jax.Array:
-        def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            last, objects = state
-            opened = opening(last, k, reach, element, valid)
-            return opened, objects | (last - opened > rises[0] * k)
+    def prepare(self: Any, cells: Cells) -> smrf.Opened:
+        filled = fill(cells.lowest, cells.seen, cells.valid)
+        _, bare, counts = smrf._open(filled, cells.seen, cells.valid, cells.frame[2], 0, 0)
+        radii, nothing = np.arange(1, self.reach + 1), jnp.zeros_like(filled)
+        open_all = functools.partial(progressive_opening, reach=self.reach, element=element)
+        return smrf.Opened(cells, filled, open_all(filled, cells.valid, radii, smrf.steeper, nothing)[1], bare, counts)
 
-        low, net, _ = smrf._low_and_net(surface, valid, rises[1], 0)
-        return seen & ~low & ~jax.lax.fori_loop(1, reach + 1, open_once, (surface, net))[1]
+    def surface(self: Any, prepared: smrf.Opened) -> Surface:
+        cells, filled, steepest, bare, _ = prepared
+        terrain = fill(filled, bare & (steepest <= self.slope * self.cell), cells.valid)
+        return Surface(terrain, steepness(terrain, cells.extent, cells.frame[2]), cells.extent, cells.frame)
 
-    def classify(self: Any, points: Points, **options: Any) -> Labels:
-        cells = self.cells(points)
-        surface = fill(cells.lowest, cells.seen, cells.valid)
-        rises = np.asarray([self.slope * self.cell, smrf.LOW_SLOPE * self.cell], np.float32)
-        terrain = fill(surface, bare(surface, cells.seen, cells.valid, rises, self.reach), cells.valid)
-        slopes = steepness(terrain, cells.extent, cells.frame[2])
-        limits = np.asarray([self.threshold, self.scaling], np.float32)
-
-        def test(chunk: np.ndarray) -> tuple[jax.Array, ...]:
-            return smrf._test(chunk, terrain, slopes, cells.frame, cells.extent, limits)
-
-        return Labels(hold_against(points.xyz, test)[2] <= 0)
-
-    return classify
+    return {"prepare": prepare, "surface": surface}
 
 
 def _membrane(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:

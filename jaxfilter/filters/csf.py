@@ -159,12 +159,12 @@ class CSF(Filter):
         counts = {"on_ground": cloth.pinned.sum(dtype=jnp.int32), "steps": cloth.steps}
         return Surface(z, steepness(z, extent, frame[2]), extent, frame, counts=counts)
 
-    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points f32[n, 3] held against the cloth of ``model``: ground are those with a margin below zero.
 
         Pure, and differentiable in the threshold and the elevations.
         """
-        z, slope, extent, frame, *_ = surface
+        (z, slope, extent, frame, *_), xyz = surface, jnp.asarray(xyz)
         sample = bilinear((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, extent, z.shape[1])
         height = xyz[:, 2] - sample(z)
         return Heights(height, sample(slope), height - self.threshold, -height - self.threshold)

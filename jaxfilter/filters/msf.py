@@ -107,7 +107,7 @@ class MSF(GridFilter):
         fields = (self.slope, self.max_height, self.initial_distance)
         return _erode(cells, *map(jnp.float32, fields), reach=math.floor(self.window / self.cell + 1e-6))
 
-    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points held against the limits of their cell, or by their distances to lowest points. Pure."""
         if self.distance == "cells":
             return between(surface, xyz)

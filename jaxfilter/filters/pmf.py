@@ -205,7 +205,7 @@ class PMF(GridFilter):
         slope = steepness(last, cells.extent, cells.frame[2])
         return Surface(last, slope, cells.extent, cells.frame, (ceiling, floor))
 
-    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points held against the limits of their cell. Pure."""
         return between(surface, xyz)
 
@@ -246,7 +246,7 @@ class PMF(GridFilter):
         cells = lowest_cells(places, self.cell, self.corner(points), name="PMF(cell)", barred=~known)
         last = fill_nearest(cells.lowest, cells.seen, cells.valid)
         surface, slope = look_up(points.xyz, cells, last, steepness(last, cells.extent, cells.frame[2]))
-        labels = labels_of(Heights(z - np.where(known, opened, surface), slope, z - ceiling, floor - z))
+        labels = labels_of(z - np.where(known, opened, surface), slope, z - ceiling, floor - z)
         labels.barred = barred
         return labels
 

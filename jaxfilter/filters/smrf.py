@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
@@ -151,7 +152,7 @@ class SMRF(GridFilter):
         )
         return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
 
-    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         z, slope, extent, frame, *_ = surface
         return _hold(xyz, z, slope, extent, frame, jnp.float32(self.threshold), jnp.float32(self.scaling))
@@ -188,6 +189,11 @@ class Opened(NamedTuple):
     counts: dict[str, jax.Array]
 
 
+def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
+    """The largest drop per cell of radius, with that of the opening number ``k``, whose radius is ``k`` + 1 cells."""
+    return jnp.maximum(steepest, (before - opened) / (k + 1))
+
+
 @functools.partial(jax.jit, static_argnames=("reach", "mesh"))
 def _open(
     surface: jax.Array, seen: jax.Array, valid: jax.Array, cell: jax.Array, reach: int, mesh: int
@@ -199,12 +205,8 @@ def _open(
         row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
         net = valid & ((row % mesh == 0) | (column % mesh == 0))
         surface = jnp.where(net, opening(surface, 2 * mesh, 2 * mesh, valid=valid), surface)
-
-    def look(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
-        return jnp.maximum(steepest, (before - opened) / (k + 1))
-
     radii = jnp.arange(1, reach + 1)
-    _, steepest = progressive_opening(surface, valid, radii, look, jnp.zeros_like(surface), reach=reach)
+    _, steepest = progressive_opening(surface, valid, radii, steeper, jnp.zeros_like(surface), reach=reach)
     steepest = jnp.where(net, jnp.inf, jnp.where(valid, steepest, 0))
     counted = {"cells": valid, "empty_cells": valid & ~seen, "low_cells": low}
     return steepest, seen & ~low & ~net, {name: cells.sum(dtype=jnp.int32) for name, cells in counted.items()}

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -175,20 +175,20 @@ def fill_membrane(
     """
 
     @custom_vmap
-    def fill(*arguments: jax.Array) -> Membrane:
-        return _fill(*arguments, max_rounds)
+    def fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array) -> tuple[jax.Array, ...]:
+        return tuple(_fill(z, known, inside, tolerance, max_rounds))
 
     @fill.def_vmap
-    def fill_many(_: int, batched: Sequence[bool], *arguments: jax.Array) -> tuple[Membrane, Membrane]:
-        last = [jnp.moveaxis(a, 0, -1) if on else a for a, on in zip(arguments, batched, strict=True)]
-        shape = jnp.broadcast_shapes(*(a.shape for a, on in zip(last[:3], batched, strict=False) if on), (1, 1, 1))
-        known = jnp.broadcast_to(
-            last[1].reshape(*last[1].shape, *(1,) * (3 - last[1].ndim)), (*last[1].shape[:2], shape[2])
+    def fill_many(grids: int, batched: Sequence[bool], *arguments: jax.Array) -> tuple[Any, Any]:
+        z, known, inside, tolerance = (
+            jnp.moveaxis(a, 0, -1) if on else a for a, on in zip(arguments, batched, strict=True)
         )
-        many = _fill(last[0], known, last[2], last[3], max_rounds)
-        return Membrane(jnp.moveaxis(many.z, -1, 0), many.error, many.rounds), Membrane(True, True, False)
+        if not batched[1]:
+            known = jnp.broadcast_to(known[..., None], (*known.shape, grids))
+        filled = _fill(z, known, inside, tolerance, max_rounds)
+        return (jnp.moveaxis(filled.z, -1, 0), filled.error, filled.rounds), (True, True, False)
 
-    return fill(z, known, inside, jnp.asarray(tolerance, z.dtype))
+    return Membrane(*fill(z, known, inside, jnp.asarray(tolerance, z.dtype)))
 
 
 def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array, max_rounds: int) -> Membrane:

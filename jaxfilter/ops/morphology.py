@@ -207,6 +207,8 @@ def progressive_opening(
     Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
     """
 
+    z, radii = jnp.asarray(z), jnp.asarray(radii, jnp.int32)
+
     def open_once(k: jax.Array, state: tuple[jax.Array, T]) -> tuple[jax.Array, T]:
         before, found = state
         opened = _opened(before, radii[k], reach, element, valid)

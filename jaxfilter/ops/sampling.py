@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 Corners = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 def corners(
-    at: jax.Array, extent: jax.Array, columns: int
+    at: jax.Array, extent: jax.Array | np.ndarray, columns: int
 ) -> tuple[Callable[[jax.Array], Corners], jax.Array, jax.Array]:
     """The four nodes around places in a grid, found once for several grids.
 
@@ -38,7 +39,7 @@ def corners(
     return values, u, v
 
 
-def bilinear(at: jax.Array, extent: jax.Array, columns: int) -> Callable[[jax.Array], jax.Array]:
+def bilinear(at: jax.Array, extent: jax.Array | np.ndarray, columns: int) -> Callable[[jax.Array], jax.Array]:
     """Interpolation between the nodes of a grid; arguments as for :func:`corners`.
 
     Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.

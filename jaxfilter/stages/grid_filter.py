@@ -37,8 +37,8 @@ class Surface(NamedTuple):
 
     z: jax.Array
     slope: jax.Array
-    extent: jax.Array
-    frame: jax.Array
+    extent: jax.Array | np.ndarray
+    frame: jax.Array | np.ndarray
     limits: Any = None
     counts: dict[str, jax.Array] = {}  # noqa: RUF012, never changed
 
@@ -110,7 +110,7 @@ class GridFilter(Filter):
         """The rest of ``model``. Pure."""
         raise TypeError(f"{type(self).__name__} does not define surface()")
 
-    def test(self, surface: Surface, xyz: jax.Array) -> Heights:
+    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points f32[n, 3], local metres, held against a surface. Pure."""
         raise TypeError(f"{type(self).__name__} does not define test()")
 
@@ -127,9 +127,8 @@ class GridFilter(Filter):
         progress(0.4, "surface")
         surface = self.surface(prepared)
         progress(0.8, "classifying")
-        tested = Heights(*hold_against(points.xyz, lambda chunk: self.test(surface, chunk)))
+        labels = labels_of(*hold_against(points.xyz, lambda chunk: self.test(surface, chunk)))
         progress(1.0, "done")
-        labels = labels_of(tested)
         labels.barred, labels.info = barred, {name: int(n) for name, n in surface.counts.items()}
         return labels
 
@@ -207,14 +206,14 @@ def between(surface: Surface, xyz: jax.Array) -> Heights:
     return Heights(z - base, slope, z - ceiling, floor - z)
 
 
-def labels_of(tested: Heights) -> Labels:
-    """Labels of points, from NumPy arrays."""
-    margin = np.maximum(tested.above, tested.below)
-    decision = np.where(tested.above > 0, Decision.SURFACE, np.where(tested.below > 0, Decision.LOW, Decision.ACCEPTED))
+def labels_of(height: np.ndarray, slope: np.ndarray, above: np.ndarray, below: np.ndarray) -> Labels:
+    """Labels of points by what :class:`Heights` holds, f32[n] each."""
+    margin = np.maximum(above, below)
+    decision = np.where(above > 0, Decision.SURFACE, np.where(below > 0, Decision.LOW, Decision.ACCEPTED))
     return Labels(
         margin <= 0,
-        height=np.asarray(tested.height),
-        slope=np.degrees(np.arctan(tested.slope)),
+        height=height,
+        slope=np.degrees(np.arctan(slope)),
         margin=margin,
         decision=decision.astype(np.uint8),
     )
