@@ -364,8 +364,8 @@ def test_smrf_taken_apart_for_the_ablations_is_smrf(rng):
     xy = rng.uniform(0, (64, 60), (3000, 2))
     ridge = np.maximum(0, 6 - 0.3 * np.abs(xy[:, 0] - xy[:, 1]))  # squares cut more from it than disks
     cloud = jf.PointCloud.from_arrays(np.column_stack([xy, ridge + 4 * (rng.random(3000) < 0.2)]))
-    apart = ablations._modified("smrf", classify=ablations._smrf_steps("disk", ablations._membrane))("samp11")
-    squares = ablations._modified("smrf", classify=ablations._smrf_steps("square", ablations._membrane))("samp11")
+    apart = ablations._modified("smrf", **ablations._smrf_steps("disk", ablations._membrane))("samp11")
+    squares = ablations._modified("smrf", **ablations._smrf_steps("square", ablations._membrane))("samp11")
     ground = spaces.fixed("smrf", "samp11")(cloud).ground
     assert np.array_equal(apart(cloud).ground, ground)
     assert 0 < squares(cloud).ground.sum() < ground.sum()
