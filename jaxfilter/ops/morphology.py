@@ -208,6 +208,8 @@ def progressive_opening(
     """
 
     z, radii = jnp.asarray(z), jnp.asarray(radii, jnp.int32)
+    if len(radii) == 0:
+        return z, found
 
     def open_once(k: jax.Array, state: tuple[jax.Array, T]) -> tuple[jax.Array, T]:
         before, found = state
