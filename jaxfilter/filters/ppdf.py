@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import Filter, Labels
@@ -17,7 +15,7 @@ from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..ops.grid import inside, padded_shape
 from ..ops.inpaint import fill_membrane
-from ..ops.morphology import progressive_opening
+from ..ops.morphology import raised_cells
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references
@@ -271,24 +269,10 @@ def _raised(
     z[at[lowest]] = xyz[lowest, 2]
     padded = np.full(padded_shape(grid.shape), np.inf, np.float32)
     padded[: grid.ny, : grid.nx] = z.reshape(grid.shape)
-    rise = np.asarray([slope * grid.cell, max_step], np.float32)
-    raised = _raised_cells(padded, np.asarray(grid.shape, np.int32), rise, math.ceil(window / grid.cell - 1e-6))
+    known, valid = padded < np.inf, inside(padded_shape(grid.shape), np.asarray(grid.shape, np.int32))
+    surface = fill_membrane(np.where(known, padded, 0), known, valid).z
+    radii = np.arange(1, math.ceil(window / grid.cell - 1e-6) + 1)
+    rises = np.minimum(np.float32(slope * grid.cell) * radii.astype(np.float32), np.float32(max_step))
+    raised = raised_cells(surface, valid, radii, rises, reach=len(radii))
     objects = np.asarray(raised)[: grid.ny, : grid.nx].ravel()
     return objects[at] | (xyz[:, 2] - z[at] > max_step)
-
-
-@functools.partial(jax.jit, static_argnames="reach")
-def _raised_cells(z: jax.Array, extent: jax.Array, rise: jax.Array, reach: int) -> jax.Array:
-    """bool[rows, columns] of elevations f32[rows, columns], +inf where there are none.
-
-    ``rise``: f32[2], metres per cell of radius, and metres at most.
-    """
-    valid = inside((z.shape[0], z.shape[1]), extent)
-    known = z < jnp.inf
-
-    def look(k: jax.Array, before: jax.Array, opened: jax.Array, objects: jax.Array) -> jax.Array:
-        return objects | (valid & (before - opened > jnp.minimum(rise[0] * (k + 1), rise[1])))
-
-    surface = fill_membrane(jnp.where(known, z, 0), known, valid).z
-    radii = jnp.arange(1, reach + 1)
-    return progressive_opening(surface, valid, radii, look, jnp.zeros_like(valid), reach=reach)[1]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.morphology import progressive_opening
+from ..ops.morphology import raised_cells
 from ..ops.spread import fill_from_neighbours
 from ..stages.growth import Network
 from ..stages.outliers import isolated_low
@@ -157,7 +155,7 @@ class SPF(Mirroring):
         )
         radii = np.array([w // 2 for w in self.windows()], np.int32)
         heights = np.array(self.thresholds(), np.float32)
-        raised = _raised_cells(surface, cells.valid, radii, heights, int(radii[-1]))
+        raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
         return lowest_of_cells(points, cells, ~raised, barred)
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -191,17 +189,3 @@ class SPF(Mirroring):
             seeds = potential[keep]
         info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
         return self.network(points, seeds, self.border_spacing, barred, late, info=info)
-
-
-@functools.partial(jax.jit, static_argnames="reach")
-def _raised_cells(surface: jax.Array, valid: jax.Array, radii: jax.Array, heights: jax.Array, reach: int) -> jax.Array:
-    """bool[rows, columns]: cells that one of the openings lowers by more than its height threshold.
-
-    ``radii``: i32[k], cells, ascending, the last is ``reach``; ``heights``: f32[k], metres.
-    """
-
-    def look(k: jax.Array, before: jax.Array, opened: jax.Array, raised: jax.Array) -> jax.Array:
-        return raised | (valid & (before - opened > heights[k]))
-
-    none = jnp.zeros_like(valid)
-    return progressive_opening(surface, valid, radii, look, none, reach=reach, element="square")[1]

@@ -10,6 +10,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 def padded_length(n: int) -> int:
@@ -23,7 +24,7 @@ def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
     return padded_length(shape[0]), padded_length(shape[1])
 
 
-def inside(shape: tuple[int, int], extent: jax.Array) -> jax.Array:
+def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns)."""
     row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
     return (row < extent[0]) & (column < extent[1])

@@ -218,3 +218,20 @@ def progressive_opening(
 
     last, found = lax.fori_loop(0, len(radii), open_once, (_ordered(z), found))
     return _ordered(last, z.dtype), found
+
+
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
+def raised_cells(
+    z: jax.Array, valid: jax.Array, radii: jax.Array, heights: jax.Array, *, reach: int, element: str = "disk"
+) -> jax.Array:
+    """Cells that one of the progressive openings lowers by more than its height.
+
+    Args: as for :func:`progressive_opening`; ``heights``: f32[openings], in the unit of ``z``.
+    Returns: bool[rows, columns], False where not ``valid``.
+    """
+
+    def look(k: jax.Array, before: jax.Array, opened: jax.Array, raised: jax.Array) -> jax.Array:
+        return raised | (valid & (before - opened > heights[k]))
+
+    none = jnp.zeros_like(valid)
+    return progressive_opening(z, valid, radii, look, none, reach=reach, element=element)[1]

@@ -14,9 +14,8 @@ import numpy as np
 
 from ..core.compilation import bucket
 from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter, Labels
+from ..core.filter import Filter
 from ..core.grid import grid_over
-from ..core.result import Decision
 from ..ops.grid import cell_index, inside, padded_shape
 
 MAX_CELLS = 100_000_000  # about 10 GB
@@ -145,25 +144,6 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
 def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndarray]:
     """f32[n] each: the value of every surface, f32[rows, columns], in the cells of points f32[n, 3]."""
     return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
-
-
-def labels_between(
-    z: np.ndarray, surface: np.ndarray, slope: np.ndarray, ceiling: np.ndarray, floor: np.ndarray
-) -> Labels:
-    """Labels of points at ``z`` with ground from ``floor`` to ``ceiling``; all f32[n], metres, but ``slope``, rise over run.
-
-    ``height`` is counted from ``surface``; ``margin`` is how far the point lies outside the limits, negative inside.
-    """
-    above, below = z - ceiling, floor - z
-    margin = np.maximum(above, below)
-    decision = np.where(above > 0, Decision.SURFACE, np.where(below > 0, Decision.LOW, Decision.ACCEPTED))
-    return Labels(
-        margin <= 0,
-        height=z - surface,
-        slope=np.degrees(np.arctan(slope)),
-        margin=margin,
-        decision=decision.astype(np.uint8),
-    )
 
 
 @jax.jit
