@@ -89,12 +89,14 @@ def test_cells_whose_elevation_is_no_number_count_as_empty(small, filter_):
 
 
 @pytest.mark.parametrize("field", ["seen", "valid"])
-def test_a_mask_without_a_cell_gives_a_surface_at_zero(small, field):
-    cells = SMRF.cells(small[0])
-    surface = SMRF.model(dataclasses.replace(cells, **{field: jnp.zeros_like(cells.seen)}))
-    assert (np.asarray(surface.z) == 0).all() and (np.asarray(surface.slope) == 0).all()
-    tested = SMRF.test(surface, small[0].xyz)
-    np.testing.assert_array_equal(tested.height, small[0].xyz[:, 2])
+@pytest.mark.parametrize("filter_, level", [(SMRF, 0), (PMF, 0), (MSF, np.inf)], ids=["smrf", "pmf", "msf"])
+def test_a_mask_without_a_cell_gives_a_level_surface(small, filter_, level, field):
+    xyz, cells = small[0].xyz, filter_.cells(small[0])
+    surface = filter_.model(dataclasses.replace(cells, **{field: jnp.zeros_like(cells.seen)}))
+    assert (np.asarray(surface.z) == level).all() and (np.asarray(surface.slope) == 0).all()
+    tested = filter_.test(surface, xyz)
+    np.testing.assert_array_equal(tested.height, xyz[:, 2] - level)
+    assert not np.isnan(tested.margin).any() and (filter_ is not MSF or (np.asarray(tested.margin) > 0).all())
 
 
 @pytest.mark.parametrize(
