@@ -99,7 +99,8 @@ class GridFilter(Filter):
 
     def model(self, cells: Cells) -> Surface:
         """The surface that ground lies on. Cells with an elevation that is not finite count as empty; without any that
-        has points the surface lies at zero. Pure. Raises: InputError if the shapes of the arrays do not fit."""
+        has points the surface lies at zero, and that of MSF at infinity. Pure.
+        Raises: InputError if the shapes of the arrays do not fit."""
         return self.surface(self.prepare(cells.checked()))
 
     def prepare(self, cells: Cells) -> Any:

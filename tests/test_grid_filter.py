@@ -1,0 +1,172 @@
+"""Models of grid methods as pure functions: under jit and vmap, of bad cells, and by gradient."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxfilter as jf
+from jaxfilter import scenes
+from jaxfilter.core import compilation
+from jaxfilter.ops import sampling
+
+SMRF = jf.SMRF(window=8.0)
+PMF = jf.PMF(max_window=17.0)
+MSF = jf.MSF(window=6.0)
+
+
+@pytest.fixture(scope="module")
+def small():
+    """The points of a small scene, and what is ground."""
+    scene = scenes.make("town", size=(60, 50), density=1.0, seed=4)
+    points = SMRF.points_of(scene.cloud)
+    return points, scene.truth[points.index]
+
+
+def passed(filter_, cells, xyz):
+    """bool[n]: ground."""
+    return filter_.test(filter_.model(cells), xyz).margin <= 0
+
+
+def drawn(count, **ranges):
+    """Dicts of ``count`` random values f32 in each of the ranges."""
+    rng = np.random.default_rng(7)
+    return {name: rng.uniform(*ends, count).astype(np.float32) for name, ends in ranges.items()}
+
+
+@pytest.mark.parametrize(
+    "filter_, sets",
+    [
+        (SMRF, drawn(64, slope=(0.03, 0.5), threshold=(0.1, 1.0), scaling=(0.0, 2.5))),
+        (PMF, drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0))),
+        (MSF, drawn(6, slope=(0.1, 1.0), max_height=(1.0, 8.0), initial_distance=(0.0, 0.6))),
+    ],
+    ids=["smrf", "pmf", "msf"],
+)
+def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
+    points, _ = small
+    cells = filter_.cells(points, filter_.barred(points, None))
+    many = jax.vmap(lambda fields: passed(dataclasses.replace(filter_, **fields), cells, points.xyz))(sets)
+    each = [dict(zip(sets, values, strict=True)) for values in zip(*sets.values(), strict=True)]
+    single = [dataclasses.replace(filter_, **fields)(points.cloud).ground[points.index] for fields in each]
+    np.testing.assert_array_equal(many, single)
+    assert len({one.tobytes() for one in single}) > len(single) / 2  # the sets do differ
+
+
+@pytest.mark.parametrize("filter_", [SMRF, PMF, MSF], ids=["smrf", "pmf", "msf"])
+def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
+    points, _ = small
+    x, y, _ = points.xyz.T
+    clouds = [filter_.points_of(jf.PointCloud.from_arrays(points.xyz[part])) for part in (x < x.mean(), y < y.mean())]
+    cells = [filter_.cells(one) for one in clouds]
+    most = max(map(len, clouds))
+    xyz = np.stack([np.pad(one.xyz, ((0, most - len(one)), (0, 0)), mode="edge") for one in clouds])
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cells)
+    many = jax.jit(jax.vmap(passed, in_axes=(None, 0, 0)))(filter_, stacked, xyz)
+    for one, own, ground in zip(clouds, cells, many, strict=True):
+        np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
+
+
+@pytest.mark.parametrize("transform", [jax.jit, jax.grad, lambda f: lambda x: jax.vmap(f)(x[None])])
+def test_tracing_a_static_field_is_an_error_that_names_it(transform):
+    with pytest.raises(jf.ParameterError, match=r"SMRF\(window=.*cannot be traced"):
+        transform(lambda window: jf.SMRF(window=window).slope)(jnp.float32(9.0))
+
+
+@pytest.mark.parametrize("filter_", [SMRF, PMF, MSF], ids=["smrf", "pmf", "msf"])
+def test_cells_whose_elevation_is_no_number_count_as_empty(small, filter_):
+    cells = filter_.cells(small[0])
+    gone = np.asarray(cells.seen) & (np.random.default_rng(1).random(cells.seen.shape) < 0.1)
+    odd = np.where(np.arange(gone.shape[1]) % 2, np.nan, np.inf).astype(np.float32)
+    without = dataclasses.replace(cells, seen=cells.seen & ~gone, lowest=jnp.where(gone, 0, cells.lowest))
+    model = jax.jit(filter_.model)
+    found = model(dataclasses.replace(cells, lowest=jnp.where(gone, odd, cells.lowest)))
+    jax.tree.map(np.testing.assert_array_equal, found, model(without))
+    assert not np.array_equal(found.z, model(cells).z)
+
+
+@pytest.mark.parametrize("field", ["seen", "valid"])
+@pytest.mark.parametrize("filter_, level", [(SMRF, 0), (PMF, 0), (MSF, np.inf)], ids=["smrf", "pmf", "msf"])
+def test_a_mask_without_a_cell_gives_a_level_surface(small, filter_, level, field):
+    xyz, cells = small[0].xyz, filter_.cells(small[0])
+    surface = filter_.model(dataclasses.replace(cells, **{field: jnp.zeros_like(cells.seen)}))
+    assert (np.asarray(surface.z) == level).all() and (np.asarray(surface.slope) == 0).all()
+    tested = filter_.test(surface, xyz)
+    np.testing.assert_array_equal(tested.height, xyz[:, 2] - level)
+    assert not np.isnan(tested.margin).any() and (filter_ is not MSF or (np.asarray(tested.margin) > 0).all())
+
+
+@pytest.mark.parametrize(
+    "name, shape", [("seen", (128, 64)), ("valid", (128,)), ("lowest", (64, 128)), ("extent", (3,)), ("frame", (2,))]
+)
+def test_shapes_that_do_not_fit_are_an_error_that_names_them(small, name, shape):
+    cells = dataclasses.replace(SMRF.cells(small[0]), **{name: np.zeros(shape, np.float32)})
+    for call in (SMRF.model, jax.jit(SMRF.model), lambda cells: jf.soft_labels(SMRF, cells, small[0].xyz)):
+        with pytest.raises(jf.InputError, match=rf"{name}.*{shape[0]},"):
+            call(cells)
+
+
+@pytest.mark.parametrize(
+    "filter_, names",
+    [
+        (SMRF, ("threshold", "scaling")),
+        (dataclasses.replace(PMF, compare="points"), ("slope", "initial_distance", "max_distance")),
+        (PMF, ("slope", "initial_distance", "max_distance")),
+    ],
+    ids=["smrf", "pmf-points", "pmf"],
+)
+def test_gradients_of_soft_labels_are_those_of_finite_differences(small, filter_, names):
+    points, truth = small
+    cells = filter_.cells(points)
+
+    @jax.jit
+    def labels(fields):
+        one = dataclasses.replace(filter_, **dict(zip(names, fields, strict=True)))
+        return jf.soft_labels(one, cells, points.xyz, width=0.3)
+
+    fields = jnp.asarray([getattr(filter_, name) for name in names], jnp.float32)
+    exact = np.asarray(jax.jit(jax.grad(lambda f: (labels(f) * truth).mean()))(fields))
+    for k, step in enumerate(2e-3 * np.eye(len(names), dtype=np.float32)):
+        up, down = (np.asarray(labels(fields + sign * step), np.float64) for sign in (1, -1))
+        assert exact[k] == pytest.approx(((up - down) * truth).mean() / 4e-3, rel=0.02, abs=1e-4), names[k]
+    assert (np.abs(exact) > 1e-3).any()
+
+
+def test_the_gradient_in_the_slope_of_smrf_points_to_fewer_errors(small):
+    points, truth = small
+    start = dataclasses.replace(SMRF, slope=1.5)
+    prepared = start.prepare(start.cells(points).checked())
+
+    def soft_error(slope):
+        soft = dataclasses.replace(start, slope=slope).soft(prepared, points.xyz, 0.1)
+        return jnp.abs(soft - truth).mean()
+
+    error, gradient = jax.jit(jax.value_and_grad(soft_error))(jnp.float32(1.5))
+    assert gradient > 0 and soft_error(1.5 - 0.02 / gradient) < error
+
+
+def test_sweeps_of_two_and_three_sets_compile_nothing_on_another_cloud_of_the_bucket(small):
+    xyz = small[0].xyz.astype(float)
+    clouds = [jf.PointCloud.from_arrays(one) for one in (xyz, xyz[:2300] * [0.9, 0.95, 1.0])]
+    compilation.watch_compilations()
+    for slopes in ([0.1, 0.2], [0.1, 0.15, 0.2]):
+        jf.sweep(SMRF, clouds[0], {"slope": slopes}, votes=True)
+        before = compilation.compilations()[0]
+        jf.sweep(SMRF, clouds[1], {"slope": slopes}, votes=True)
+        assert compilation.compilations()[0] == before, slopes
+
+
+@pytest.mark.parametrize("extent", [(9, 13), (1, 13), (9, 1)])
+def test_bilinear_interpolation_is_that_of_scipy_and_the_border_holds_beyond_it(extent, rng):
+    grid = np.full((16, 16), np.nan, np.float32)
+    rows, columns = extent
+    grid[:rows, :columns] = rng.normal(size=extent)
+    at = rng.uniform(-2, 15, (500, 2)).astype(np.float32)
+    nodes = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.float32)
+    at = np.concatenate([at, nodes])
+    found = jax.jit(lambda at, grid: sampling.bilinear(at, jnp.asarray(extent), 16)(grid))(at, grid)
+    expected = ndimage.map_coordinates(grid[:rows, :columns].astype(float), at[:, ::-1].T, order=1, mode="nearest")
+    np.testing.assert_allclose(found, expected, atol=2e-6)
