@@ -13,6 +13,7 @@ import math
 import numbers
 import operator
 from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -78,29 +79,41 @@ class Preset(dict[str, Any]):
 
 
 class _Registry(Mapping[str, type[Any]]):
-    """Filter classes by name; look-ups ignore case, iteration gives the lower-case names."""
+    """Filter classes by name; look-ups ignore case, iteration gives the lower-case names.
+
+    A class that is only announced is imported when it is first looked up.
+    """
 
     def __init__(self) -> None:
+        self._homes: dict[str, str] = {}
         self._classes: dict[str, type[Any]] = {}
 
+    def announce(self, name: str, module: str) -> None:
+        """A class of this name is entered by the import of a module."""
+        self._homes[name.lower()] = module
+
     def add(self, cls: type) -> None:
-        self._classes[cls.__name__.lower()] = cls
+        """Enter a class under its own name."""
+        name = cls.__name__.lower()
+        self._homes.setdefault(name, cls.__module__)
+        self._classes[name] = cls
 
     def __getitem__(self, name: str) -> type[Any]:
-        try:
-            return self._classes[name.lower()]
-        except KeyError:
-            known = ", ".join(self._classes)
-            raise KeyError(f"no filter named {name!r}; known filters: {known}") from None
+        key = name.lower()
+        if key not in self._homes:
+            raise KeyError(f"no filter named {name!r}; known filters: {', '.join(self._homes)}")
+        if key not in self._classes:
+            import_module(self._homes[key])
+        return self._classes[key]
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name.lower() in self._classes
+        return isinstance(name, str) and name.lower() in self._homes
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._classes)
+        return iter(self._homes)
 
     def __len__(self) -> int:
-        return len(self._classes)
+        return len(self._homes)
 
 
 FILTERS = _Registry()

@@ -1,19 +1,24 @@
-"""The methods, one file each, and the papers that they cite. Importing this package enters them all in FILTERS."""
+"""The methods, one file each, and the papers that they cite. A file is imported when its method is first asked for."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from ..core.params import FILTERS
-from .agptd import AGPTD
-from .atin import ATIN
-from .csf import CSF
-from .fptd import FPTD
-from .iptd import IPTD
-from .msf import MSF
-from .pmf import PMF
-from .ppdf import PPDF
-from .ptd import PTD
-from .ptdf import PTDF
-from .smrf import SMRF
-from .spf import SPF
-from .stin import STIN
+
+if TYPE_CHECKING:
+    from .agptd import AGPTD
+    from .atin import ATIN
+    from .csf import CSF
+    from .fptd import FPTD
+    from .iptd import IPTD
+    from .msf import MSF
+    from .pmf import PMF
+    from .ppdf import PPDF
+    from .ptd import PTD
+    from .ptdf import PTDF
+    from .smrf import SMRF
+    from .spf import SPF
+    from .stin import STIN
 
 __all__ = [
     "AGPTD",
@@ -31,3 +36,13 @@ __all__ = [
     "SPF",
     "STIN",
 ]
+
+for _name in __all__:
+    if _name != "FILTERS":
+        FILTERS.announce(_name, f"{__name__}.{_name.lower()}")
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return getattr(import_module(f"{__name__}.{name.lower()}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,13 +1,15 @@
-"""Neighbour queries by KD-tree."""
+"""Neighbour queries by KD-tree. SciPy is imported when it is first needed: methods on grids mostly do without."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ..core.cloud import QUANTUM
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 _NEAR = 48
 _BATCH = 1 << 18
@@ -31,6 +33,8 @@ def perturbed(xy: np.ndarray) -> np.ndarray:
 
 def tree_of(xyz: np.ndarray) -> cKDTree:
     """KD-tree of f32[m, d], split at midpoints: quick to build, and no slower to ask for evenly spread points."""
+    from scipy.spatial import cKDTree
+
     return cKDTree(xyz, balanced_tree=False, compact_nodes=False)
 
 
@@ -82,5 +86,8 @@ def few_neighbours(
 
 def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
     """i32[n]: the connected component of each of ``n`` nodes, by links i64[l] - i64[l]."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(n, n))
     return connected_components(links, directed=False)[1]

@@ -15,7 +15,7 @@ from jax import lax
 
 from ..core.cloth import KEPT, SPRINGS, Cloth
 from ..core.errors import InputError
-from .inpaint import fill_nearest
+from .inpaint import fill_nearest, running
 
 _APART = 5  # nodes between particles that disturb none in common
 _State = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]  # height, before, spring, steps, longest way
@@ -160,9 +160,9 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
         size = z.shape[axis]
         place = lax.broadcasted_iota(jnp.int32, z.shape, axis)
         if reverse:
-            source = lax.cummin(jnp.where(known, place, size), axis=axis, reverse=True)
+            source = running(jnp.minimum, jnp.where(known, place, size), axis, reverse=True)
         else:
-            source = lax.cummax(jnp.where(known, place, -1), axis=axis)
+            source = running(jnp.maximum, jnp.where(known, place, -1), axis)
         found = (source >= 0) & (source < size)
         value = jnp.take_along_axis(z, jnp.clip(source, 0, size - 1), axis=axis)
         return jnp.where(~done & found, value, filled), done | found
