@@ -184,9 +184,7 @@ def _bench(folder: Path, link: str) -> list[str]:
         ("peak", "peak memory of the command, GB", ".2f"),
     ]
     path = f"{link}/bench/results/results.md"
-    text = (
-        f"The largest simulated scenes; all: [{path}]({path}); which rows are older: [README]({link}/bench/README.md)."
-    )
+    text = f"The largest simulated scenes; all: [{path}]({path})."
     return ["## Speed and memory", text, markdown(columns, lines)]
 
 
