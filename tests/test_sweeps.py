@@ -95,7 +95,7 @@ def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
         jf.SPF(window=30.0),
         jf.PTDF(seed_cell=30.0),
     ],
-    ids=lambda f: f"{type(f).__name__}-{hash(f) % 1000}",
+    ids=lambda f: type(f).__name__,
 )
 def test_methods_on_triangulations_equal_single_runs(filter_, hills):
     height = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
