@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .fptd import FPTD
     from .iptd import IPTD
     from .msf import MSF
+    from .ost import OST
     from .pmf import PMF
     from .ppdf import PPDF
     from .ptd import PTD
@@ -28,6 +29,7 @@ __all__ = [
     "FPTD",
     "IPTD",
     "MSF",
+    "OST",
     "PMF",
     "PPDF",
     "PTD",

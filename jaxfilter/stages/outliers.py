@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import ParameterError
@@ -13,6 +14,9 @@ from ..host.cells import Cells
 from ..host.depressions import depressions
 from ..host.neighbours import few_neighbours, groups, nearest, tree_of
 from ..host.trend import low_trend
+from ..ops.morphology import ring_minimum
+from .surfaces import Cells as GridCells
+from .surfaces import look_up
 
 
 def radius_outliers(
@@ -245,3 +249,14 @@ def bar_outliers(
     if barred.all():
         low, barred = np.zeros_like(low), np.zeros_like(low)
     return barred, low
+
+
+def ring_low(xyz: np.ndarray, cells: GridCells, depth: float, reach: int) -> np.ndarray:
+    """bool[n]: points f32[n, 3] more than ``depth`` metres below the lowest in a ring of cells around theirs.
+
+    The ring is a square one, more than ``reach`` and at most two further cells away: lone low points are found, and clusters
+    of them up to that size. ``cells``: the lowest elevations, of all points.
+    """
+    ring = ring_minimum(jnp.where(cells.seen, cells.lowest, jnp.inf), reach, reach + 2)
+    around = look_up(xyz, cells, ring)[0]
+    return np.isfinite(around) & (xyz[:, 2] < around - np.float32(depth))

@@ -1,0 +1,88 @@
+"""The constants of OST: their ranges, the sets that are tried, and what each set does on every cloud."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import qmc
+
+import jaxfilter as jf
+from experiments.defaults import clouds
+from experiments.isprs import samples
+
+RANGES: dict[str, tuple[float, float]] = {
+    "slope": (0.06, 0.11), "relief": (0.3, 0.6), "first_slope": (0.1, 0.2), "landscape": (20.0, 45.0),
+    "roof_step": (0.2, 0.45), "roof_share": (0.5, 0.75), "roof_drop": (1.5, 3.5), "roof_drop_share": (0.4, 0.65),
+    "tolerance": (0.06, 0.16), "tolerance_spacing": (0.1, 0.25), "scaling": (0.6, 1.2), "min_scaling": (0.1, 0.6),
+    "relief_scaling": (0.0, 1.0), "max_distance": (0.9, 1.6), "distance_relief": (0.5, 1.2), "max_angle": (5.0, 12.0),
+    "angle_relief": (35.0, 80.0), "scene_spread": (4.0, 9.0), "local_spread": (2.2, 3.6),
+}  # fmt: skip
+"""Constants that are searched, and between what. The first set is the one the method began with, by hand."""
+REASONED = {
+    "cell": "a metre, which furrows and vehicles do not fill; a quarter of the spacing where that is more",
+    "window": "buildings are up to 50 m wide", "low_depth": "more than noise and low walls", "roof_area": "a small house",
+    "low_points": "tried: 30, 60, 120 on the ISPRS samples", "max_tolerance": "as in the probe this began with",
+    "void": "eight cells", "rim": "tried: 2 to 15 m on the ISPRS samples", "rounds": "tried: 0 to 6 on the ISPRS samples",
+}  # fmt: skip
+"""Constants that are not searched, and why they are as they are."""
+SCENES = 1.0
+"""Density of the scenes that constants are chosen on, pulses per square metre."""
+
+
+def every_cloud(folder: Path) -> Iterator[clouds.Known]:
+    """The samples, all 18 labelled tiles, and the scenes that constants are chosen on."""
+    for number in samples.NUMBERS:
+        cloud, ground = samples.load(folder, number)
+        yield clouds.Known(f"samp{number}", f"site {number // 10}", cloud, ground, np.ones(len(cloud), bool))
+    for path in sorted((folder / "tiles").glob("*.la[sz]")):
+        known = clouds.load("tiles", path.stem, path.stem, folder)
+        assert known is not None
+        source = "ign" if path.stem.startswith("ign") else path.stem.split("_")[0]
+        yield clouds.Known(path.stem, f"source {source}", known.cloud, known.ground, known.scored)
+    for layout in jf.scenes.LAYOUTS:
+        known = clouds.load(f"{SCENES:g} per m2", layout, SCENES, folder)
+        assert known is not None
+        yield clouds.Known(f"scene {layout}", "scenes", known.cloud, known.ground, known.scored)
+
+
+def sets(count: int) -> list[dict[str, float]]:
+    """The defaults of the method, then sets that fill the ranges evenly (Sobol)."""
+    first = {name: float(getattr(jf.FILTERS["ost"](), name)) for name in RANGES}
+    low, high = np.array(list(RANGES.values())).T
+    unit = qmc.Sobol(len(RANGES), seed=7).random(count)
+    return [first, *(dict(zip(RANGES, map(float, low + (high - low) * row), strict=True)) for row in unit)]
+
+
+def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
+    """A row for every set and cloud, with errors of both kinds as counts; those that are in the file are not run again."""
+    path = out / "search.csv"
+    rows: list[dict[str, str]] = []
+    if path.exists():
+        with path.open() as file:
+            rows = list(csv.DictReader(file))
+    done = {(row["set"], row["cloud"]) for row in rows}
+    wanted = list(enumerate(sets(count)))
+    known = list(every_cloud(folder))
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, ["set", "cloud", "group", "points", "ground", "lost", "wrong"])
+        if not rows:
+            writer.writeheader()
+        for number, values in wanted:
+            for one in known:
+                if (str(number), one.name) in done:
+                    continue
+                found = jf.FILTERS["ost"].for_cloud(one.cloud, **values)(one.cloud).ground[one.scored]
+                truth = one.ground[one.scored]
+                row = {
+                    "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
+                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()),
+                }  # fmt: skip
+                writer.writerow(row)
+                rows.append({key: str(value) for key, value in row.items()})
+            file.flush()
+            print(f"set {number} of {count}", file=sys.stderr, flush=True)
+    return rows

@@ -1,0 +1,201 @@
+"""OST: openings that follow the landscape, whole segments, and a triangulation. The library's own method."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.filter import Filter, Labels
+from ..core.params import Preset, filter_params, param, static
+from ..core.points import Points
+from ..core.result import Decision, Progress
+from ..ops.morphology import progressive_opening
+from ..stages.ground_tin import GroundTin
+from ..stages.landscape import Landscape
+from ..stages.objects import Roofs, whole_segments
+from ..stages.outliers import low_clusters, ring_low
+from ..stages.surfaces import Cells, cell_for, check_width, look_up, lowest_cells
+from ..stages.voids import filled_by
+from . import papers
+
+PASSES = 2
+"""How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
+
+
+@filter_params
+class OST(Filter):
+    """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
+
+    1. Low points are barred: those more than ``low_depth`` below all cells of a ring around theirs, and clusters of at most
+       ``low_points`` (:func:`jaxfilter.stages.outliers.low_clusters`).
+    2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
+       edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
+       as water, stands out from it.
+    3. Progressive openings with disks of 1, 2, ... cells (after Zhang et al. 2003 and Pingel et al. 2013). Each cell
+       remembers its steepest drop S: metres that the k-th opening lowers it by, over k cells.
+    4. The slope of the landscape, G: that between means of blocks of cells that are no objects, averaged with a Gaussian of
+       ``landscape`` metres. Cells with S > ``slope`` + ``relief`` G are marked.
+    5. Segments of cells that differ by less than ``roof_step`` from one to the next are objects as a whole if ``roof_share``
+       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Steps 4
+       and 5 are repeated once, since G needs to know what is an object.
+    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. On their triangulation all
+       points within ``tolerance`` + ``scaling`` x slope + ``relief_scaling`` x G become ground, where the tolerance grows
+       with the point spacing.
+    7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
+       limits grow with G.
+    8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
+       neighbours, are dropped. Then one more round, and again.
+
+    The result's ``height`` and ``slope`` are metres and degrees over the facet of the last test, ``margin`` metres from its
+    limit. ``info`` counts ``seeds``, ``objects`` (cells) and ``pruned``. Lengths in metres, angles in degrees.
+
+    Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
+    """
+
+    cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")
+    window: float = static(
+        default=25.0, unit="m", gt=0, doc="radius of the largest disk: half the width of the largest building"
+    )
+    spacing: float | None = static(
+        default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
+    )
+    low_depth: float = param(default=1.0, unit="m", gt=0, doc="a point so far below the ring around it is low")
+    low_points: int = static(default=30, ge=0, doc="largest cluster of low points that is barred; 0 = none")
+    slope: float = param(default=0.08, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
+    relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
+    first_slope: float = param(
+        default=0.15, unit="rise/run", gt=0, doc="the same for the first estimate of the landscape"
+    )
+    landscape: float = param(
+        default=30.0, unit="m", gt=0, doc="how far around a place its landscape reaches: one sigma"
+    )
+    roof_step: float = param(
+        default=0.3, unit="m", gt=0, doc="steps between neighbouring cells of a segment are smaller"
+    )
+    roof_area: float = param(default=30.0, unit="m2", gt=0, doc="smallest segment that is judged as a whole")
+    roof_share: float = param(default=0.6, gt=0, le=1, doc="share of marked cells that makes a segment an object")
+    roof_drop: float = param(default=2.5, unit="m", gt=0, doc="fall of the surface at the border of an object")
+    roof_drop_share: float = param(default=0.5, gt=0, le=1, doc="share of such border that makes a segment an object")
+    void: float = param(default=8.0, unit="m", gt=0, doc="triangles with longer edges, and 4 spacings, span a void")
+    rim: float = static(
+        default=4.0, unit="m", gt=0, doc="around the corners of such a triangle the lowest point counts"
+    )
+    tolerance: float = param(default=0.1, unit="m", ge=0, doc="height of ground over the facets of the seeds")
+    tolerance_spacing: float = param(
+        default=0.2, unit="m/m", ge=0, doc="height that is added per metre of point spacing"
+    )
+    max_tolerance: float = param(default=0.3, unit="m", gt=0, doc="largest sum of both")
+    scaling: float = param(default=1.0, unit="m/m", ge=0, doc="height per slope of the facet, times the point spacing")
+    min_scaling: float = param(default=0.5, unit="m", ge=0, doc="least height per slope of the facet; the most is 1 m")
+    relief_scaling: float = param(default=0.0, unit="m", ge=0, doc="height per slope of the landscape")
+    max_distance: float = param(default=1.25, gt=0, doc="distance to the facet in densification, in tolerances")
+    distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
+    max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
+    angle_relief: float = param(default=60.0, unit="degrees", ge=0, doc="angle per slope of the landscape")
+    rounds: int = static(default=3, ge=0, doc="rounds of densification before points are dropped")
+    scene_spread: float = param(default=6.0, gt=0, doc="residuals of vertices that are dropped, in sigmas of the scene")
+    local_spread: float = param(default=3.0, gt=0, doc="and in those around, times the spacing up to one metre")
+
+    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013
+    PRESETS: ClassVar[dict[str, Preset]] = {
+        "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
+        "recommended": Preset("the default: the result of the search in experiments/default"),
+    }
+
+    def check(self) -> None:
+        super().check()
+        for name in ("window", "rim"):
+            check_width(self, name, 1000)
+
+    @classmethod
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """The spacing itself, to which tolerances are fitted, and a cell of a quarter of it, 1 m at least."""
+        own = {} if largest_building is None else {"window": largest_building / 2}
+        return own | {"spacing": spacing, "cell": cell_for(spacing, 1 / 4)}
+
+    def halo(self) -> float:
+        """The largest disk, there and back, or three sigmas of the landscape, whichever is more; and a facet over a roof."""
+        return max(2 * self.window, 3 * self.landscape) + 2 * self.window
+
+    def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
+        spacing = points.spacing() if self.spacing is None else self.spacing
+        progress(0.0, "outliers")
+        low = self.low(points)
+        progress(0.1, "lowest point per cell")
+        cells = self.cells(points, low)
+        lowest = np.flatnonzero((points.xyz[:, 2] == look_up(points.xyz, cells, cells.lowest)[0]) & ~low)
+        longest = max(float(self.void), 4 * spacing)
+        with GroundTin(points.xyz, lowest, workers) as all_lowest:
+            z = filled_by(all_lowest.tin, cells, math.ceil(self.rim / self.cell - 1e-6), longest)
+        progress(0.2, "openings")
+        objects, landscape = self.objects(z, cells)
+        is_object = look_up(points.xyz[lowest], cells, jnp.asarray(objects, jnp.float32))[0] > 0.5
+        around = landscape.at(points.xyz)
+        seeds = lowest[~is_object] if not is_object.all() else lowest
+        progress(0.4, "triangulation")
+        with GroundTin(points.xyz, seeds, workers) as ground:
+            height = min(self.tolerance + self.tolerance_spacing * spacing, self.max_tolerance)
+            tilt = min(max(self.scaling * spacing, self.min_scaling), 1.0)
+            ground.admit(np.float32(height) + np.float32(self.relief_scaling) * around, tilt, but=low)
+            distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
+            angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
+            pruned = 0
+            for share, rounds in ((0.5, self.rounds), (0.8, 1)):
+                progress(share, "densify")
+                ground.densify(distance, angle, rounds)
+                pruned += ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
+            progress(1.0, "done")
+            labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
+        labels.decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE).astype(np.uint8)
+        labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
+        labels.info = {"seeds": len(seeds), "objects": int(objects.sum()), "pruned": pruned}
+        return labels
+
+    def low(self, points: Points) -> np.ndarray:
+        """bool[m]: low outliers (step 1)."""
+        cells = self.cells(points, np.zeros(len(points), bool))
+        low = ring_low(points.xyz, cells, float(self.low_depth), max(1, round(3 / self.cell)))
+        if self.low_points:
+            low |= low_clusters(points, max_points=self.low_points).barred
+        return low
+
+    def cells(self, points: Points, low: np.ndarray) -> Cells:
+        """The lowest elevation per cell, without the points ``low``, bool[m]. Cells are centred on the lattice's nodes."""
+        x, y = points.offset(self.cell)
+        corner = x - self.cell / 2, y - self.cell / 2
+        return lowest_cells(points.xyz, self.cell, corner, name="OST(cell)", barred=low)
+
+    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, Landscape]:
+        """bool[rows, columns]: cells that are objects, and the slope of the landscape (steps 3 to 5).
+
+        ``z``: f32[rows, columns], elevations of the padded shape of ``cells``, none missing.
+        """
+        rows, columns = (int(n) for n in cells.extent)
+        inner = slice(0, rows), slice(0, columns)
+        steepest = _steepest(jnp.asarray(z), cells.valid, math.ceil(self.window / self.cell - 1e-6))
+        roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
+        surface = np.ascontiguousarray(z[inner])
+        objects = np.asarray(steepest > self.first_slope * self.cell)
+        for _ in range(PASSES):
+            landscape = Landscape.of(z, cells, objects, float(self.landscape))
+            around = landscape.in_cells()
+            marked = np.asarray(steepest > (self.slope + self.relief * around) * self.cell)
+            objects = np.zeros(z.shape, bool)
+            objects[inner] = marked[inner]
+            objects[inner] |= whole_segments(surface, marked[inner], np.asarray(around)[inner], self.cell, roofs)
+        return objects, landscape
+
+
+@functools.partial(jax.jit, static_argnames="reach")
+def _steepest(z: jax.Array, valid: jax.Array, reach: int) -> jax.Array:
+    """f32[rows, columns]: metres that the opening with the k-th disk lowers each cell by, over k, at most."""
+
+    def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
+        return jnp.maximum(steepest, (before - opened) / (k + 1))
+
+    return progressive_opening(z, valid, jnp.arange(1, reach + 1), steeper, jnp.zeros_like(z), reach=reach)[1]

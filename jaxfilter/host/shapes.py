@@ -1,0 +1,101 @@
+"""Compiled passes over gridded surfaces: values from a triangulation, segments of level cells, and what lies around them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compiled import compiled
+
+
+@compiled
+def draw(x, y, triangles, z, low, longest, out, known):
+    """Give the cells that are not ``known`` the elevations of a triangulation, linear within each triangle.
+
+    Args:
+        x, y: f64[k], positions of the nodes in cells; the centre of cell (row, column) is at (column, row).
+        triangles: i32[t, 3]; rows with a negative corner are left out.
+        z, low: f32[k], two elevations of each node, metres; triangles with an edge over ``longest`` cells have the second.
+        out: f32[rows, columns], written to; known: bool[rows, columns], set for the cells that have a value.
+    """
+    rows, columns = out.shape
+    limit = longest * longest
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if min(a, b, c) < 0:
+            continue
+        ax, ay = x[a], y[a]
+        ux, uy, vx, vy = x[b] - ax, y[b] - ay, x[c] - ax, y[c] - ay
+        area = ux * vy - vx * uy
+        if area <= 0:
+            continue
+        south, north = ay + min(0.0, uy, vy), ay + max(0.0, uy, vy)
+        west, east = ax + min(0.0, ux, vx), ax + max(0.0, ux, vx)
+        wx, wy = vx - ux, vy - uy
+        wide = max(ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy) > limit
+        za, zb, zc = (low[a], low[b], low[c]) if wide else (z[a], z[b], z[c])
+        for row in range(max(0, int(np.ceil(south))), min(rows - 1, int(np.floor(north))) + 1):
+            for column in range(max(0, int(np.ceil(west))), min(columns - 1, int(np.floor(east))) + 1):
+                if known[row, column]:
+                    continue
+                px, py = column - ax, row - ay
+                s, r = (px * vy - vx * py) / area, (ux * py - px * uy) / area
+                if s >= 0 and r >= 0 and s + r <= 1:
+                    out[row, column] = za + s * (zb - za) + r * (zc - za)
+                    known[row, column] = True
+
+
+@compiled
+def _root(parent, cell):
+    while parent[cell] != cell:
+        parent[cell] = parent[parent[cell]]
+        cell = parent[cell]
+    return cell
+
+
+@compiled
+def segments(z, step):
+    """i32[rows, columns]: the 4-connected segments of cells whose elevations differ by less than ``step`` from one to the
+    next, each named by its first cell, row by row. ``z``: f32[rows, columns]."""
+    rows, columns = z.shape
+    parent = np.arange(rows * columns, dtype=np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            cell = row * columns + column
+            for beside in range(2):
+                if beside == 0 and column > 0:
+                    other, level = cell - 1, z[row, column - 1]
+                elif beside == 1 and row > 0:
+                    other, level = cell - columns, z[row - 1, column]
+                else:
+                    continue
+                if abs(z[row, column] - level) < step:
+                    a, b = _root(parent, cell), _root(parent, other)
+                    parent[max(a, b)] = min(a, b)
+    for cell in range(rows * columns):
+        parent[cell] = parent[parent[cell]]
+    return parent.reshape(rows, columns)
+
+
+@compiled
+def census(segment, marked, falls):
+    """i32[3, cells]: for each segment, at the place of its first cell, the numbers of its cells, of those that are
+    ``marked``, and of the cells on its border with others; i32[cells]: of the latter, those where the surface ``falls``.
+
+    Args: segment: i32[rows, columns] from :func:`segments`; marked, falls: bool[rows, columns].
+    """
+    rows, columns = segment.shape
+    count = np.zeros((4, rows * columns), np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            name = segment[row, column]
+            count[0, name] += 1
+            count[1, name] += marked[row, column]
+            if (
+                (column > 0 and segment[row, column - 1] != name)
+                or (column + 1 < columns and segment[row, column + 1] != name)
+                or (row > 0 and segment[row - 1, column] != name)
+                or (row + 1 < rows and segment[row + 1, column] != name)
+            ):
+                count[2, name] += 1
+                count[3, name] += falls[row, column]
+    return count

@@ -1,0 +1,131 @@
+"""A triangulation of ground points that takes in points close to it, and drops those that stick out of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..core.compilation import bucket, on_same_device
+from ..host.tin import Tin
+from ..ops.facets import facet_score
+
+Tested = tuple[jax.Array, jax.Array, jax.Array]
+_AT_ONCE = 2**17
+"""Points that are tested by one call."""
+
+
+@jax.jit
+def _close(xyz: jax.Array, corners: jax.Array, tolerance: jax.Array, scaling: jax.Array) -> Tested:
+    """Points f32[n, 3] over facets f32[n, 3, 3]: margin and height in metres, slope in degrees."""
+    s = jax.vmap(facet_score)(xyz, corners)
+    limit = tolerance + scaling * jnp.minimum(jnp.tan(jnp.radians(s.slope)), 1.0)
+    return jnp.where(s.planar, jnp.abs(s.height) - limit, jnp.inf), s.height, s.slope
+
+
+@jax.jit
+def _joins(xyz: jax.Array, corners: jax.Array, distance: jax.Array, angle: jax.Array) -> Tested:
+    """As :func:`_close`, by distance from the plane in metres and angle in degrees."""
+    s = jax.vmap(facet_score)(xyz, corners)
+    margin = jnp.where(jnp.abs(s.angle) < angle, jnp.abs(s.distance) - distance, jnp.inf)
+    return jnp.where(s.planar, margin, jnp.inf), s.height, s.slope
+
+
+class GroundTin:
+    """Ground points of a cloud, and the triangulation of their lowest per position.
+
+    Attributes:
+        xyz: f32[m, 3], all points in canonical order. ground: bool[m]. tin: the network.
+        margin, height, slope: f32[m], of the last test of each point: metres, metres and degrees.
+    """
+
+    def __init__(self, xyz: np.ndarray, seeds: np.ndarray, workers: int | None) -> None:
+        """``seeds``: i64[s], ascending."""
+        self.workers = workers or os.cpu_count() or 1
+        self.pool = ThreadPoolExecutor(self.workers)
+        self.xyz, self.ground = xyz, np.zeros(len(xyz), bool)
+        self.ground[seeds] = True
+        self.margin, self.height, self.slope = (np.zeros(len(xyz), np.float32) for _ in range(3))
+        self.tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), self._lowest(seeds), self.pool, self.workers)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.pool.shutdown()
+
+    def _lowest(self, rows: np.ndarray) -> np.ndarray:
+        """Of rows, ascending, the first at each position, which is the lowest."""
+        x, y = self.xyz[rows, 0], self.xyz[rows, 1]
+        first = np.ones(len(rows), bool)
+        first[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
+        return rows[first]
+
+    def _tested(self, test: Callable[..., Tested], rows: np.ndarray, *limits: np.ndarray) -> np.ndarray:
+        """Margins of points over their facets, by limits f32[m]; what is found is kept."""
+        self.tin.locate(rows)
+        corner = self.tin.corners(self.tin.where[rows])
+
+        def one(start: int) -> None:
+            part = slice(start, start + _AT_ONCE)
+            own = rows[part]
+            given = self.xyz[own], self.tin.xyz[corner[part]], *(limit[own] for limit in limits)
+            missing = bucket(len(own)) - len(own)
+            padded = (np.concatenate([v, np.zeros((missing, *v.shape[1:]), v.dtype)]) for v in given)
+            for out, values in zip((self.margin, self.height, self.slope), test(*padded), strict=True):
+                out[own] = np.asarray(values)[: len(own)]
+
+        list(self.pool.map(on_same_device(one), range(0, len(rows), _AT_ONCE)))
+        return self.margin[rows]
+
+    def _take(self, rows: np.ndarray) -> None:
+        """Make located points ground, and vertices of those at positions without any."""
+        self.ground[rows] = True
+        self.tin.insert(self._lowest(rows[self.tin.twins(rows) < 0]))
+
+    def admit(self, tolerance: np.ndarray, scaling: float, but: np.ndarray) -> None:
+        """Take in the points whose height over their facet is at most f32[m] metres and ``scaling`` times its slope, up to 1.
+
+        ``but``: bool[m], points that are not tested.
+        """
+        rows = np.flatnonzero(~self.ground & ~but)
+        if len(rows):
+            self._take(rows[self._tested(_close, rows, tolerance, np.full_like(tolerance, scaling)) <= 0])
+
+    def densify(self, distance: np.ndarray, angle: np.ndarray, rounds: int) -> None:
+        """Take in points at most ``distance`` metres from the plane of their facet, and below ``angle`` degrees, f32[m]."""
+        for _ in range(rounds):
+            rows = np.flatnonzero(~self.ground)
+            accepted = rows[self._tested(_joins, rows, distance, angle) <= 0] if len(rows) else rows
+            if len(accepted) == 0:
+                return
+            self._take(accepted)
+
+    def prune(self, scene: float, local: float) -> int:
+        """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
+
+        Metres above it are too many if they exceed ``scene`` times the standard deviation of the scene (1.4826 times the
+        median absolute value), and ``local`` times the root mean square among the neighbours.
+        """
+        from ..host.rings import residuals, roughness  # imports Numba
+
+        tin, count = self.tin, len(self.xyz)
+        nodes = np.flatnonzero(tin.vertex)
+        e, around = np.zeros(count, np.float32), np.zeros(count, np.float32)
+        tables = tin.triangles, tin.neighbours, tin.where
+        parts = np.array_split(nodes, len(nodes) // _AT_ONCE + self.workers)
+        list(self.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, e), parts))
+        list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, e, around), parts))
+        spread = 1.4826 * float(np.median(np.abs(e[nodes])))
+        inner = np.ones(count, bool)
+        ghosts = tin.triangles[(tin.triangles == -1).any(axis=1)]
+        inner[ghosts[ghosts >= 0]] = False
+        drop = nodes[inner[nodes] & (e[nodes] > np.maximum(scene * spread, local * around[nodes]))]
+        self.ground[drop] = False
+        tin.remove(drop)
+        return len(drop)

@@ -1,0 +1,99 @@
+"""How steep the landscape is around a place: the slope between means of blocks, averaged with Gaussian weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..ops.inpaint import fill_membrane
+from ..ops.sampling import bilinear
+from .surfaces import Cells, hold_against, steepness
+
+_BLOCK = 5.0
+"""Metres: wide enough to level furrows and vehicles, a sixth of what it is averaged over by default."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Landscape:
+    """Slopes around places on a grid of blocks.
+
+    Attributes:
+        slope: f32[blocks, blocks], rise over run, padded.
+        cells: the cells that blocks are made of; block: so many rows, and columns, each.
+    """
+
+    slope: jax.Array
+    cells: Cells
+    block: int
+
+    @classmethod
+    def of(cls, z: np.ndarray, cells: Cells, objects: np.ndarray, sigma: float) -> Landscape:
+        """From elevations f32[rows, columns] without the cells that are ``objects``, bool[rows, columns], or have no points.
+
+        ``sigma``: standard deviation of the weights, metres.
+        """
+        cell = float(cells.frame[2])
+        block = max(1, round(_BLOCK / cell))
+        reach = math.ceil(3 * sigma / (block * cell))
+        known = cells.seen & cells.valid & ~jnp.asarray(objects)
+        slope = _slope(jnp.asarray(z), known, cells.extent, np.float32(cell), np.float32(sigma), block, reach)
+        return cls(slope, cells, block)
+
+    def in_cells(self) -> jax.Array:
+        """f32[rows, columns]: in each cell, padded cells included."""
+        return _in_cells(self.slope, self.cells.extent, self.cells.lowest.shape, self.block)
+
+    def at(self, xyz: np.ndarray) -> np.ndarray:
+        """f32[n]: at points f32[n, >=2], local metres."""
+        frame, extent = self.cells.frame, self.cells.extent
+
+        def sampled(chunk: np.ndarray) -> tuple[jax.Array]:
+            return (_at_points(self.slope, chunk, extent, frame, np.int32(self.block)),)
+
+        return hold_against(xyz, sampled)[0]
+
+
+@functools.partial(jax.jit, static_argnames=("block", "reach"))
+def _slope(
+    z: jax.Array, known: jax.Array, extent: jax.Array, cell: jax.Array, sigma: jax.Array, block: int, reach: int
+) -> jax.Array:
+    """Slopes of the means of the ``known`` cells of blocks, averaged over up to ``reach`` blocks."""
+    shape = tuple(-(-n // block) for n in z.shape)
+
+    def sums(a: jax.Array) -> jax.Array:
+        wide = jnp.pad(a, [(0, -n % block) for n in z.shape])
+        return wide.reshape(shape[0], block, shape[1], block).sum(axis=(1, 3))
+
+    count = sums(known.astype(jnp.float32))
+    blocks = -(-jnp.asarray(extent) // block)
+    row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
+    valid = (row < blocks[0]) & (column < blocks[1])
+    level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
+    weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1) * cell * block / sigma) ** 2)
+
+    def averaged(a: jax.Array) -> jax.Array:
+        a = jnp.where(valid, a, 0)
+        for _ in range(2):
+            a = jax.vmap(lambda line: jnp.convolve(line, weight, mode="full")[reach : reach + line.size])(a).T
+        return a
+
+    slope = steepness(level, blocks, cell * block)
+    return averaged(slope) / jnp.maximum(averaged(jnp.ones(shape, jnp.float32)), 1e-6)
+
+
+@functools.partial(jax.jit, static_argnames=("shape", "block"))
+def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block: int) -> jax.Array:
+    row, column = (jax.lax.broadcasted_iota(jnp.float32, shape, axis).reshape(-1) for axis in range(2))
+    at = (jnp.stack([column, row], axis=1) + 0.5) / block - 0.5
+    return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope).reshape(shape)
+
+
+@jax.jit
+def _at_points(slope: jax.Array, xyz: jax.Array, extent: jax.Array, frame: jax.Array, block: jax.Array) -> jax.Array:
+    at = (xyz[:, :2] - frame[:2]) / (frame[2] * block) - 0.5
+    return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope)

@@ -1,0 +1,44 @@
+"""Segments of a gridded surface that are objects as a whole: roofs, bridges, vehicles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..ops.morphology import erosion
+
+
+class Roofs(NamedTuple):
+    """When a segment is an object as a whole.
+
+    Attributes:
+        step: metres; neighbouring cells that differ by less belong to one segment.
+        area: square metres that a segment has at least.
+        share: of its cells that are marked.
+        drop: metres that the surface falls by, within two cells of its border.
+        drop_share: of the cells on its border where it falls so.
+    """
+
+    step: float
+    area: float
+    share: float
+    drop: float
+    drop_share: float
+
+
+def whole_segments(z: np.ndarray, marked: np.ndarray, slope: np.ndarray, cell: float, roofs: Roofs) -> np.ndarray:
+    """bool[rows, columns]: cells of segments that are objects as a whole.
+
+    Args:
+        z: f32[rows, columns], metres, none missing. marked: bool[rows, columns], cells that openings take for objects.
+        slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
+        cell: metres.
+    """
+    from ..host.shapes import census, segments  # imports Numba
+
+    falls = z - np.asarray(erosion(z, 2, 2, "square")) > np.float32(roofs.drop) + 2 * np.float32(cell) * slope
+    segment = segments(z, np.float32(roofs.step))
+    cells, inside, border, falling = census(segment, marked, falls)
+    whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
+    return (whole & (cells * cell**2 >= roofs.area))[segment]

@@ -1,0 +1,30 @@
+"""A grid of lowest elevations without empty cells: from the triangulation of the lowest points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..host.tin import Tin
+from ..ops.inpaint import fill_nearest
+from ..ops.morphology import erosion
+from .surfaces import Cells
+
+
+def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> np.ndarray:
+    """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points.
+
+    Across voids, in triangles with an edge over ``longest`` metres, the corners have the lowest elevation within ``reach``
+    cells: so a roof at the edge of a void has an edge there. Outside the hull the nearest cell decides.
+    """
+    from ..host.shapes import draw
+
+    z, seen = np.array(cells.lowest), np.array(cells.seen)
+    rows, columns = (int(n) for n in cells.extent)
+    x0, y0, cell = (float(v) for v in cells.frame)
+    low = np.asarray(erosion(np.where(seen, z, np.float32(np.inf)), reach, reach, "square"))
+    x, y = ((tin.xyz[:, axis].astype(np.float64) - corner) / cell - 0.5 for axis, corner in enumerate((x0, y0)))
+    column = np.clip(np.rint(x).astype(np.int64), 0, columns - 1)
+    row = np.clip(np.rint(y).astype(np.int64), 0, rows - 1)
+    beneath = np.minimum(low[row, column], tin.xyz[:, 2])
+    draw(x, y, tin.triangles, tin.xyz[:, 2], beneath, longest / cell, z[:rows, :columns], seen[:rows, :columns])
+    return np.asarray(fill_nearest(z, seen, cells.valid))
