@@ -35,9 +35,10 @@ SCENES = 1.0
 
 def every_cloud(folder: Path) -> Iterator[clouds.Known]:
     """The samples, all 18 labelled tiles, and the scenes that constants are chosen on."""
-    for number in samples.NUMBERS:
-        cloud, ground = samples.load(folder, number)
-        yield clouds.Known(f"samp{number}", f"site {number // 10}", cloud, ground, np.ones(len(cloud), bool))
+    for number in samples.SAMPLES:
+        cloud = jf.read(samples.sample_path(folder, number))
+        assert cloud.reference is not None
+        yield clouds.Known(f"samp{number}", f"site {number[0]}", cloud, cloud.reference, np.ones(len(cloud), bool))
     for path in sorted((folder / "tiles").glob("*.la[sz]")):
         known = clouds.load("tiles", path.stem, path.stem, folder)
         assert known is not None
