@@ -176,7 +176,7 @@ def _ground(
     }
     with Session(quiet=quiet, debug=debug) as session:
         filter_ = method.preset(preset, **changes) if preset else method(**changes)
-        target = _checked_target(source, target, options["overwrite"], options["in_place"])
+        target = checked_target(source, target, options["overwrite"], options["in_place"])
         check_reading(reading["units"], reading["returns"])
         with session.step("read"):
             cloud = read(source, **reading)
@@ -203,9 +203,10 @@ def _ground(
         _print_report(report)
 
 
-def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool) -> Path:
-    """Where to write, or BadUsage if that would destroy something or cannot work."""
-    from ..host import text, writing
+def checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool, text: bool = True) -> Path:
+    """Where to write, or BadUsage if that would destroy something or cannot work. ``text`` may be written."""
+    from ..host import writing
+    from ..host.text import SUFFIXES
 
     if target is None:
         if not in_place:
@@ -213,7 +214,7 @@ def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place
         return source
     if check_target(target, overwrite, source) and not in_place:
         raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
-    suffixes = writing.LAS_SUFFIXES + text.SUFFIXES
+    suffixes = writing.LAS_SUFFIXES + (SUFFIXES if text else ())
     if target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     return target
