@@ -1,6 +1,6 @@
-"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info.
+"""The ``jaxfilter`` command: ground, evaluate, demo, methods.
 
-Terrain models are in ``terrain.py``, sweeps in ``sweeps.py``.
+Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -524,27 +524,6 @@ def methods(as_json: bool) -> None:
 def _summary(method: type[Filter]) -> str:
     """First paragraph of the docstring, on one line."""
     return " ".join((method.__doc__ or "").strip().split("\n\n")[0].split())
-
-
-@main.command()
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
-def info(file: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
-    """What a file says of itself: points, extent, CRS, units, classes and echoes."""
-    from ..host import las
-
-    with Session(quiet=quiet, debug=debug):
-        check_reading(units, "last,only")
-        facts = las.info(file, units=units)
-    if as_json:
-        print_json(facts)
-        return
-    width = max(len(k) for k in facts)
-    for key, value in facts.items():
-        click.echo(f"{key.replace('_', ' '):{width}}  {value}")
-
-
-info.params += session_options()
 
 
 def print_json(value: Any) -> None:
