@@ -205,6 +205,7 @@ def bytes_read(monkeypatch, call):
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     """Scan lines of 200,000 points: a hundredth of the area at the end of the file is a few runs of them."""
+    monkeypatch.setattr(blocks, "RUN", 1024)
     path, n = tmp_path / f"in{suffix}", 200_000
     row, column = np.divmod(np.arange(n), 400)
     header = laspy.LasHeader(version="1.4", point_format=6)

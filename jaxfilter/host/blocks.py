@@ -21,7 +21,7 @@ from .files import Bounds, new_file
 from .header import Header
 from .storage import read_ranges
 
-RUN = 4096
+RUN = 16384
 """Records of LAS in a run."""
 
 _MOST = 1_000_000  # points that are read at a time
@@ -74,7 +74,7 @@ class Blocks:
         """Keep them for the file that has this fingerprint. Raises OutputError."""
         columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         with new_file(path, overwrite=True) as part, open(part, "wb") as file:
-            np.savez(file, fingerprint=np.array(fingerprint), **columns)
+            np.savez_compressed(file, fingerprint=np.array(fingerprint), **columns)
 
     @classmethod
     def load(cls, path: Path, fingerprint: str) -> Blocks | None:
