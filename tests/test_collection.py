@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 import pytest
 from click.testing import CliRunner
-from las_files import OFFSETS, make_copc, make_las
+from las_files import OFFSETS, make_copc, make_las, patch
 
 import jaxfilter as jf
 from jaxfilter.cli import main
@@ -165,6 +165,14 @@ def test_a_compound_crs_goes_with_its_horizontal_one():
     wkts = [compound.to_wkt(), compound.sub_crs_list[0].to_wkt(), pyproj.CRS.from_epsg(28992).to_wkt("WKT1_GDAL")]
     survey = Collection(tile(f"{k}.laz", wkt=wkt) for k, wkt in enumerate(wkts))
     assert survey.crs == compound and survey.check().mixed is None
+
+
+def test_a_damaged_extent_is_no_member(tmp_path):
+    make_las(tmp_path / "a.laz", 6, n=30)
+    make_las(tmp_path / "b.laz", 6, n=30)
+    patch(tmp_path / "a.laz", "2d", 179, OFFSETS[0], OFFSETS[0] + 50)  # largest x below the smallest
+    survey = jf.open(tmp_path)
+    assert names(survey) == ["b.laz"] and "extent in its header is damaged" in survey.unreadable[0][1]
 
 
 def test_degrees_are_no_member(tmp_path):
@@ -331,6 +339,9 @@ def test_other_writers(tmp_path):
         ('{"features": [{"assets"', "damaged within its items"),
         ('{"features": [{"type": "Feature"}]}', "item 1 is not as it should be"),
         ('{"features": [{"assets": {}, "properties": {}}]}', "item 1 is not as it should be"),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": -1})) + "]}", "item 1 is not as it should be.*-1 points"),
+        ('{"features": [' + json.dumps(an_item(**{"proj:bbox": [4, 0, 1, 1]})) + "]}", "item 1 is not as it should be"),
+        ('{"features": [' + json.dumps(an_item(**{"proj:wkt2": "EPSG:0"})) + "]}", "item 1 is not as it should be"),
         ('{"features": []}', "names no files"),
         ("\xff\xfe", "cannot be decoded"),
     ],

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 import pyproj
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT))
-sys.path.insert(0, str(ROOT / "tests"))  # which hold the maker of COPC files and the web server
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # with a maker of COPC files and a web server
 
 import jaxfilter as jf
 from jaxfilter.host import blocks
