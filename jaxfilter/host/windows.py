@@ -96,11 +96,12 @@ def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
             return copc.nodes(header, file)
     if index is None:
         return measured(open_las(place)[0])
-    index.mkdir(parents=True, exist_ok=True)
-    path = index / f"{hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]}.npz"
+    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
+    path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
     kept = Blocks.load(path, header.fingerprint)
     if kept is None:
         kept = measured(open_las(place)[0])
+        path.parent.mkdir(parents=True, exist_ok=True)
         kept.save(path, header.fingerprint)
     return kept
 
