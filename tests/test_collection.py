@@ -72,7 +72,7 @@ def test_a_name_with_the_letters_of_a_pattern(tmp_path):
     "name, words",
     [
         ("absent.laz", "no such file"),
-        ("absent*.laz", "holds no .las or .laz file"),
+        ("absent*.laz", "matches no .las or .laz file"),
         ("below/none", "no such file"),
         ("notes.txt", "text cannot be a member"),
         ("nothing", r"name .*nothing/\*\*/\*.laz"),
@@ -222,7 +222,7 @@ def test_gaps_overlaps_and_doubles():
     assert set(shares) == {(f"{i}{j}.laz", "large.laz") for i in (3, 4) for j in (3, 4)}
     assert shares["33.laz", "large.laz"] == 1.0 and shares["44.laz", "large.laz"] == pytest.approx(0.09)
     text = "\n".join(found.lines())
-    assert "1 pairs have the same" in text and "4 pairs overlap" in text and "1 gaps" in text
+    assert "same bounds: 1 (" in text and "overlapping pairs: 4 (" in text and "gaps enclosed by files: 1 (" in text
     assert not Collection(tiles[:9]).check().overlaps  # tiles that touch do not overlap
 
 
@@ -254,7 +254,8 @@ def test_items_are_those_of_stac(folder, monkeypatch):
     """The fields that PDAL wrench and QGIS read: type, stac_version, first asset, geometry and bbox in degrees, and
     pc:count, proj:wkt2, proj:bbox, proj:geometry, pc:schemas."""
     monkeypatch.chdir(folder)
-    survey = jf.open(["b.laz", "below/d.laz"])
+    survey = jf.open(["b.laz", "below/../below/d.laz"])
+    assert list(survey.uris) == [str(folder / "b.laz"), str(folder / "below" / "d.laz")]
     survey.to_vpc("all.vpc")
     content = json.loads((folder / "all.vpc").read_text())
     assert content["type"] == "FeatureCollection" and len(content["features"]) == 2
@@ -360,12 +361,16 @@ def test_the_map_of_a_survey():
     drawn = ax.collections[0]
     assert len(drawn.get_paths()) == 4 and len(ax.patches) == 2  # overlaps: a with d, b with c
     np.testing.assert_allclose(drawn.get_array()[:2], [0.001, 0.004])
+    ax.figure.canvas.draw()
+    np.testing.assert_allclose(drawn.get_facecolor()[1], drawn.cmap(1.0))
 
 
 def test_the_command(folder):
     result = run("info", folder)
     assert (
-        result.exit_code == 0 and "4 files, 620 points" in result.stdout and "1 files hold no points" in result.stdout
+        result.exit_code == 0
+        and "4 files, 620 points" in result.stdout
+        and "files without points: 1 (" in result.stdout
     )
     facts = json.loads(run("info", folder / "*.laz", "--json").stdout)
     assert facts["files"] == 3 and facts["points"] == 520 and [m["points"] for m in facts["members"]] == [120, 400, 0]
@@ -378,7 +383,7 @@ def test_the_command(folder):
     assert facts["files"] == 2 and facts["crs"] == "WGS 84 / UTM zone 32N" and facts["units"] == "metre"
     for arguments, code, words in (
         ([folder / "absent"], 2, "no such file or folder"),
-        ([folder / "none*"], 1, "holds no .las or .laz file"),
+        ([folder / "none*"], 1, "matches no .las or .laz file"),
         ([folder, "--vpc", folder / "all.vpc"], 2, "exists"),
         ([folder, "--vpc", folder / "all.json"], 2, "suffix"),
     ):

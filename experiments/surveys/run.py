@@ -64,7 +64,10 @@ def corner(path: Path, index: Path) -> dict[str, Any]:
     blocks.read_ranges = lambda *a: read.append(sum(a[3])) or ranges(*a)  # type: ignore[func-returns-value]
     source, start = jf.open(path, units="m")[0], time.process_time()
     blocks_of(source, index)
-    found: dict[str, Any] = {"pass_s": time.process_time() - start, "index_bytes": next(index.rglob("*.npz")).stat().st_size}
+    found: dict[str, Any] = {
+        "pass_s": time.process_time() - start,
+        "index_bytes": next(index.rglob("*.npz")).stat().st_size,
+    }
     read.clear()
     x0, y0, x1, y1 = source.bounds
     start = time.process_time()
