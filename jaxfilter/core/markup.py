@@ -12,23 +12,15 @@ def sheet(title: str, rows: Iterable[tuple[str, Any]]) -> str:
     return f"<strong>{escape(title)}</strong>" + table((), rows)
 
 
-def table(heading: Sequence[str], rows: Iterable[Sequence[Any]], numeric: Sequence[int] = ()) -> str:
-    """An HTML table; the first cell of a row is its heading, integers get thousands separators, everything is escaped.
-
-    ``numeric``: columns that are set to the right.
-    """
-    head = "".join(f'<th scope="col"{_side(i in numeric)}>{escape(text)}</th>' for i, text in enumerate(heading))
+def table(heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """An HTML table; the first cell of a row is its heading, integers get thousands separators, everything is escaped."""
+    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in heading)
     lines = []
     for row in rows:
-        cells = [_text(value) for value in row]
-        tail = "".join(f"<td{_side(i in numeric)}>{cell}</td>" for i, cell in enumerate(cells[1:], 1))
-        lines.append(f'<tr><th scope="row"{_side(0 in numeric)}>{cells[0]}</th>{tail}</tr>')
+        first, *others = map(_text, row)
+        lines.append(f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in others)}</tr>')
     top = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f"<table>{top}<tbody>{''.join(lines)}</tbody></table>"
-
-
-def _side(right: bool) -> str:
-    return ' style="text-align:right"' if right else ""
 
 
 def _text(value: Any) -> str:
