@@ -56,6 +56,7 @@ def _linear(xyz: np.ndarray, workers: int | None) -> Heights:
     code = morton(xyz)
     with ThreadPoolExecutor(threads) as pool:
         tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, threads)
+    tin.workers = 1  # its pool is gone, and heights are asked for in threads of their own
     inside, xy, z = inside_hull(xyz), xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 
     def locate(at: np.ndarray) -> np.ndarray:
