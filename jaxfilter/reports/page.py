@@ -29,6 +29,7 @@ from .packing import pack, script_json
 from .steps import Steps, steps_of
 
 SUFFIXES = (".html", ".htm")
+SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
 MAX_POINTS = 1_500_000
 SCORES = ("type1", "type2", "total", "kappa")
 _JUDGED, _TRUE, _COUNTED, _GROUND = 1, 2, 4, 8
@@ -212,7 +213,7 @@ def _page(
     values = {
         "title": escape(title),
         "style": folder.joinpath("page.css").read_text(encoding="utf-8"),
-        "code": "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in ("data.js", "page.js")),
+        "code": "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS),
         "facts": script_json(facts),
         "data": data,
         "method": escape(type(run.filter).__name__ if run else "labels as given"),
