@@ -84,7 +84,7 @@ def colours(page, canvas):
 def test_the_slider_shows_the_counts_that_the_library_gives_for_the_value(opened, cloud):
     values = opened.evaluate("report.facts.values")
     assert colours(opened, "base") > 20 and colours(opened, "over") >= 3
-    for k in (5, 40):
+    for k in (5, 28):
         before = opened.evaluate("document.getElementById('over').toDataURL()")
         slide(opened, k)
         result = jf.CSF(threshold=values[k])(cloud)

@@ -18,7 +18,7 @@ set_option = click.option(
     "fixed",
     metavar="FIELD=VALUE",
     multiple=True,
-    help="A field that has the same value in all sets; may be repeated.",
+    help="The value of a field, the same in all sets; may be repeated.",
 )
 preset_option = click.option("--preset", metavar="NAME", help="A named set of parameters to start from.")
 largest_option = click.option(

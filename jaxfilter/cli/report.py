@@ -103,8 +103,10 @@ def report(
             ground = result.ground
         elif cloud.classification is not None:
             result = ground = cloud.classification == ground_class
-        elif cloud.reference is not None or not len(cloud):
-            result = ground = cloud.candidate & False if cloud.reference is None else cloud.reference
+        elif cloud.reference is not None:
+            result = ground = cloud.reference
+        elif not len(cloud):
+            result = ground = cloud.candidate
         else:
             raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
         with session.step("report"):

@@ -140,8 +140,11 @@ class FilterResult:
         """
         import xarray
 
+        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         variables: dict[str, Any] = {
-            name: ("point", getattr(self, name), {"units": unit} if unit else {}) for name, unit in _UNITS.items()
+            name: ("point", values, {"units": _UNITS[name]} if name in _UNITS else {})
+            for name, values in arrays.items()
+            if isinstance(values, np.ndarray)
         }
         decisions = {"flag_values": [int(one) for one in Decision], "flag_meanings": " ".join(d.name for d in Decision)}
         variables["decision"] = ("point", self.decision, decisions)
@@ -184,15 +187,7 @@ class FilterResult:
         return public.report(self.run.cloud, self, path, **options)
 
 
-_UNITS = {
-    "ground": "",
-    "height": "m",
-    "slope": "degrees",
-    "angle": "degrees",
-    "elevation": "m",
-    "margin": "",
-    "barred": "",
-}
+_UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}
 
 
 @runtime_checkable

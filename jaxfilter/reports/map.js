@@ -58,25 +58,36 @@ function drawBase() {
   ctx.drawImage(state.picture, px, py, nx * side * state.view.scale, ny * side * state.view.scale);
 }
 
-function drawPoints() {
-  const canvas = el("over"), ctx = fit(canvas), w = canvas.width, h = canvas.height, points = state.sample;
-  if (!state.kinds || !w || !h) { ctx.clearRect(0, 0, w, h); return; }
-  const ratio = w / canvas.clientWidth, scale = state.view.scale * ratio, image = ctx.createImageData(w, h);
-  const out = new Uint32Array(image.data.buffer);
-  const colours = COLOURS.map(c => 0xff000000 | parseInt(c.slice(5, 7), 16) << 16 | parseInt(c.slice(3, 5), 16) << 8 | parseInt(c.slice(1, 3), 16));
-  const {x, y, low, step} = points, which = state.kinds, n = x.length;
-  const ax = w / 2 + (low[0] - state.view.x) * scale, bx = step[0] * scale, ay = h / 2 - (low[1] - state.view.y) * scale, by = -step[1] * scale;
-  const spacing = Math.sqrt(facts.grid.nx * facts.grid.ny / n) * facts.grid.cell * scale;
-  const dot = Math.max(state.points === "labels" ? 1 : 2, Math.min(6, Math.round(spacing * (state.points === "labels" ? .8 : .5)))), back = dot >> 1;
+/** Where on a canvas each point's dot begins, as an index of its pixels; -1 outside. Kept until the view changes. */
+function pixelsOfPoints(w, h, ratio, dot) {
+  const {view, sample: {x, y, low, step}} = state, key = [w, h, dot, view.x, view.y, view.scale].join();
+  if (state.places && state.places.key === key) return state.places.at;
+  const n = x.length, at = state.places ? state.places.at : new Int32Array(n), scale = view.scale * ratio, back = dot >> 1;
+  const ax = w / 2 + (low[0] - view.x) * scale - back, bx = step[0] * scale;
+  const ay = h / 2 - (low[1] - view.y) * scale - back, by = -step[1] * scale;
   for (let i = 0; i < n; i++) {
-    if (which[i] === 255) continue;
-    const px = (ax + bx * x[i] | 0) - back, py = (ay + by * y[i] | 0) - back;
-    if (px < 0 || py < 0 || px + dot > w || py + dot > h) continue;
+    const px = Math.floor(ax + bx * x[i]), py = Math.floor(ay + by * y[i]);
+    at[i] = px < 0 || py < 0 || px + dot > w || py + dot > h ? -1 : py * w + px;
+  }
+  state.places = {key, at};
+  return at;
+}
+
+function drawPoints() {
+  const canvas = el("over"), ctx = fit(canvas), w = canvas.width, h = canvas.height, which = state.kinds;
+  if (!which || !w || !h) { ctx.clearRect(0, 0, w, h); return; }
+  const ratio = w / canvas.clientWidth, labels = state.points === "labels", n = which.length;
+  const spacing = Math.sqrt(facts.grid.nx * facts.grid.ny / n) * facts.grid.cell * state.view.scale * ratio;
+  const dot = Math.max(labels ? 1 : 2, Math.min(6, Math.round(spacing * (labels ? .8 : .5)))), places = pixelsOfPoints(w, h, ratio, dot);
+  const image = ctx.createImageData(w, h), out = new Uint32Array(image.data.buffer), colours = new Uint32Array(256);
+  COLOURS.forEach((c, i) => { colours[i] = 0xff000000 | parseInt(c.slice(5, 7), 16) << 16 | parseInt(c.slice(3, 5), 16) << 8 | parseInt(c.slice(1, 3), 16); });
+  for (let i = 0; i < n; i++) {
     const colour = colours[which[i]];
-    for (let r = 0, at = py * w + px; r < dot; r++, at += w) for (let c = 0; c < dot; c++) out[at + c] = colour;
+    if (!colour || places[i] < 0) continue;
+    for (let r = 0, at = places[i]; r < dot; r++, at += w) for (let c = 0; c < dot; c++) out[at + c] = colour;
   }
   ctx.putImageData(image, 0, 0);
-  canvas.style.opacity = state.points === "labels" && state.layer !== "shade" ? .45 : .8;
+  canvas.style.opacity = labels && state.layer !== "shade" ? .45 : .8;
 }
 
 function drawMarks() {

@@ -179,12 +179,13 @@ class GridFilter(Filter):
         near = np.float32(_ROUNDING * (1.0 + float(np.abs(points.xyz[:, 2]).max())))
         counted, doubtful = hold_against(points.xyz, lambda chunk: _votes(stacked, surface, chunk, near))
         votes, again = counted.astype(np.int32), np.flatnonzero(doubtful)
-        if len(again):
-            xyz = points.xyz[again]
-            votes[again] = sum(
-                labels_of(*hold_against(xyz, lambda chunk, one=one: one.test(surface, chunk))).ground  # type: ignore[misc]
-                for one in sets
-            )
+        xyz = points.xyz[again]
+        margins = np.asarray(hold_against(xyz, lambda chunk: tuple(_margins(stacked, surface, chunk))), np.float32)
+        for one, margin in zip(sets, margins, strict=False):
+            rows = np.flatnonzero(np.abs(margin) <= near)
+            held = hold_against(xyz[rows], lambda chunk, one=one: one.test(surface, chunk))  # type: ignore[misc]
+            if held:
+                votes[again[rows]] += labels_of(*held).ground.astype(np.int32) - (margin[rows] <= 0)
         return votes
 
 
@@ -221,9 +222,24 @@ def _passed(filters: GridFilter, surfaces: Surface, xyz: jax.Array) -> jax.Array
 
 @jax.jit
 def _votes(filters: GridFilter, surface: Surface, xyz: jax.Array, near: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """How many filters of a stack call each point ground, i32[n], and points that lie within ``near`` metres of a limit."""
-    margin = jax.vmap(lambda one: one.test(surface, xyz).margin)(filters)
-    return (margin <= 0).sum(axis=0, dtype=jnp.int32), (jnp.abs(margin) <= near).any(axis=0)
+    """How many filters of a stack call each point ground, i32[n], and points that lie within ``near`` metres of a limit.
+
+    One filter after the other: what they share is computed once, and not once for each as under ``vmap``.
+    """
+
+    def add(counted: tuple[jax.Array, jax.Array], one: GridFilter) -> tuple[tuple[jax.Array, jax.Array], None]:
+        votes, doubtful = counted
+        margin = one.test(surface, xyz).margin
+        return (votes + (margin <= 0), doubtful | (jnp.abs(margin) <= near)), None
+
+    start = jnp.zeros(len(xyz), jnp.int32), jnp.zeros(len(xyz), bool)
+    return jax.lax.scan(add, start, filters)[0]
+
+
+@jax.jit
+def _margins(filters: GridFilter, surface: Surface, xyz: jax.Array) -> jax.Array:
+    """f32[sets, n]: the margins of points for every filter of a stack."""
+    return jax.lax.map(lambda one: one.test(surface, xyz).margin, filters)
 
 
 @jax.jit
