@@ -32,8 +32,8 @@ SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
 MAX_POINTS = 1_500_000
 SCORES = ("type1", "type2", "total", "kappa")
-_JUDGED, _TRUE, _COUNTED, _GROUND = 1, 2, 4, 8
-"""Bits of a point's flags."""
+_JUDGED, _TRUE, _COUNTED = 1, 2, 4
+"""Bits of a point's flags, as in data.js."""
 
 
 def report(
@@ -97,39 +97,51 @@ def report(
             progress=lambda done, step: notify(0.5 * done, step),
         )  # fmt: skip
         notify(0.5, "maps")
-        real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
-        layers = layers_of(cloud, result, truth, counted) if real.any() else None
+        real = len(cloud) if cloud.valid is None else cloud.valid.sum()
+        layers = layers_of(cloud, result, truth, counted) if real else None
         notify(0.7, "points")
-        flags = cloud.candidate * np.uint8(_JUDGED) + ground * np.uint8(_GROUND)
-        if truth is not None and counted is not None:
-            flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
-        counts = _counts(cloud, slider, truth, counted)
-        name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
-        facts: dict[str, Any] = {
-            "step": slider.now,
-            "values": slider.values,
-            "nested": slider.nested,
-            "threshold": _threshold(result, slider.field),
-            "points": len(cloud),
-            "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
-            **counts,
-        }
-        arrays: dict[str, np.ndarray] = {}
-        if layers is not None:
-            facts["grid"] = dataclasses.asdict(layers.grid)
-            facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
-            facts["places"] = places(layers)
-            arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
-            if layers.doubt_of:
-                arrays["doubt"] = layers.doubt
-            if layers.errors is not None:
-                arrays["errors"] = layers.errors
-            facts["sample"], sampled = _sample(cloud, layers, real, slider.code, flags, max_points)
-            arrays |= sampled
+        facts, arrays = _contents(cloud, result, truth, counted, slider, layers, max_points)
         notify(0.9, "page")
+        name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
         temporary.write_text(_page(cloud, result, title or name, slider, layers, facts, arrays), encoding="utf-8")
     notify(1.0, "done")
     return path
+
+
+def _contents(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    truth: np.ndarray | None,
+    counted: np.ndarray | None,
+    slider: Steps,
+    layers: Layers | None,
+    max_points: int,
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the scripts of the page work on: plain facts, and arrays u8 and u16 by name."""
+    facts: dict[str, Any] = {
+        "step": slider.now,
+        "values": slider.values,
+        "nested": slider.nested,
+        "threshold": _threshold(result, slider.field),
+        "points": len(cloud),
+        "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
+        **_counts(cloud, slider, truth, counted),
+    }
+    if layers is None:
+        return facts, {}
+    facts["grid"] = dataclasses.asdict(layers.grid)
+    facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
+    facts["places"] = places(layers)
+    arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
+    if layers.doubt_of:
+        arrays["doubt"] = layers.doubt
+    if layers.errors is not None:
+        arrays["errors"] = layers.errors
+    flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
+    if truth is not None and counted is not None:
+        flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
+    facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
+    return facts, arrays | sampled
 
 
 def _counts(cloud: PointCloud, steps: Steps, truth: np.ndarray | None, counted: np.ndarray | None) -> dict[str, Any]:
@@ -174,10 +186,10 @@ def _threshold(result: FilterResult | np.ndarray, field: str | None) -> dict[str
 
 
 def _sample(
-    cloud: PointCloud, layers: Layers, real: np.ndarray, code: np.ndarray, flags: np.ndarray, limit: int
+    cloud: PointCloud, code: np.ndarray, flags: np.ndarray, limit: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Points to draw, neighbours beside each other, quantised over their extent."""
-    rows = np.flatnonzero(real)
+    rows = np.arange(len(cloud)) if cloud.valid is None else np.flatnonzero(cloud.valid)
     total = len(rows)
     if total > limit:
         rows = np.sort(np.random.default_rng(0).choice(rows, limit, replace=False, shuffle=False))
@@ -190,8 +202,6 @@ def _sample(
     arrays = dict(zip(("x", "y", "z"), ticks.T, strict=True))
     arrays["flags"] = flags[rows].astype(np.uint8)
     arrays["code"] = code[rows]
-    if cloud.classification is not None:
-        arrays["class"] = cloud.classification[rows]
     return {"number": len(rows), "of": total, "low": low, "step": step}, arrays
 
 
