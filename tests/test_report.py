@@ -79,10 +79,31 @@ def test_labels_of_a_step_are_those_of_the_filter_at_that_value(cloud, filter_, 
 def test_without_a_slider_the_labels_are_the_result(cloud, result):
     by_hand = dataclasses.replace(result, run=None)
     changed = dataclasses.replace(result, ground=~result.ground)
-    for one, count in ((result, 0), (by_hand, None), (changed, None), (result.ground, None)):
+    free = dataclasses.replace(result, run=dataclasses.replace(result.run, filter=jf.SMRF(threshold=np.inf)))
+    for one, count, reason in (
+        (result, 0, "fewer than three steps were asked for"),
+        (result, 2, "fewer than three steps were asked for"),
+        (by_hand, None, "the filter is not known"),
+        (changed, None, "the filter by itself gives other labels"),
+        (free, None, "no threshold has a range"),
+        (result.ground, None, "the filter is not known"),
+    ):
         steps = steps_of(one, count, workers=None, progress=silent)
+        assert reason in steps.reason
         ground = one if isinstance(one, np.ndarray) else one.ground
         assert steps.field is None and np.array_equal(steps.ground(0), ground)
+
+
+def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, monkeypatch):
+    from jaxfilter.reports import steps
+
+    monkeypatch.setattr(steps, "_WORK", 2 * len(cloud))
+    found = steps_of(jf.MSF()(cloud), None, workers=None, progress=silent)
+    assert found.field is None and "each step would be a classification" in found.reason
+    result = jf.CSF()(cloud)
+    monkeypatch.setattr(jf.CSF, "passed", lambda self, labels: np.abs(labels.height) > self.threshold)
+    found = steps_of(result, None, workers=None, progress=silent)
+    assert found.field is None and "not so at all larger ones" in found.reason
 
 
 @pytest.mark.parametrize("name", list(jf.FILTERS))

@@ -247,9 +247,7 @@ def _notes(cloud: PointCloud, result: FilterResult | np.ndarray, steps: Steps, l
     if isinstance(result, FilterResult) and result.status.value > 0 and len(cloud):
         notes.append(f"How the run ended: {result.status.message}.")
     if steps.field is None and len(cloud):
-        known = isinstance(result, FilterResult) and result.run is not None
-        why = "each step would be a classification of its own" if known else "the filter is not known"
-        notes.append(f"There is no slider: {why}.")
+        notes.append(f"There is no slider: {steps.reason}.")
     return notes
 
 

@@ -36,6 +36,7 @@ class Steps:
         code: u8[n] or u16[n]. Nested: the first step at which a point is ground, or their number; else bit k is the label at
             step k.
         nested: what is ground at one step is so at all later ones.
+        reason: why there is no slider, in words.
     """
 
     field: str | None
@@ -43,6 +44,7 @@ class Steps:
     now: int
     code: np.ndarray
     nested: bool
+    reason: str = ""
 
     @property
     def table(self) -> np.ndarray:
@@ -57,9 +59,9 @@ class Steps:
         return self.code <= step if self.nested else (self.code >> step & 1).astype(bool)
 
 
-def fixed(ground: np.ndarray) -> Steps:
+def fixed(ground: np.ndarray, reason: str) -> Steps:
     """No slider: the labels bool[n] as they are."""
-    return Steps(None, [math.nan], 0, (~ground).astype(np.uint8), True)
+    return Steps(None, [math.nan], 0, (~ground).astype(np.uint8), True, reason)
 
 
 def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: int | None, progress: Progress) -> Steps:
@@ -70,14 +72,15 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
     """
     ground = result.ground if isinstance(result, FilterResult) else result
     run = result.run if isinstance(result, FilterResult) else None
-    if run is None or not isinstance(run.filter, Filter) or count == 0:
-        return fixed(ground)
+    if run is None or not isinstance(run.filter, Filter):
+        return fixed(ground, "the filter is not known")
     assert isinstance(result, FilterResult)
     if result.status not in (Status.CONVERGED, Status.ROUND_LIMIT):
-        return fixed(ground)
+        return fixed(ground, "no threshold had a part in the labels")
     filter_, field = run.filter, swept_field(run.filter)
-    if field is None:
-        return fixed(ground)
+    if field is None or not math.isfinite(getattr(filter_, field)):
+        return fixed(ground, "no threshold has a range to move in")
+    quick = count is None
     last, tested = field in filter_.LAST, isinstance(filter_, GridFilter) and field in filter_.TESTED
     if not last and not tested:
         if count is None:
@@ -85,17 +88,29 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
         count = min(count, MOST_SETS)
     count = EXACT_STEPS if count is None else min(count, 250)
     if count < _FEWEST:
-        return fixed(ground)
+        return fixed(
+            ground,
+            "each step would be a classification of its own" if quick else "fewer than three steps were asked for",
+        )
     values = step_values(filter_, field, count)
     sets = [filter_.replace(**{field: value}) for value in values]
     now = values.index(float(getattr(filter_, field)))
     if last:
-        votes = sum(one.passed(result).astype(np.uint8) for one in sets)
-        code, nested = (len(sets) - np.asarray(votes)).astype(np.uint8), True
+        code = np.full(len(ground), len(sets), np.uint8)
+        number = []
+        for one in sets:
+            passed = one.passed(result)
+            code -= passed
+            number.append(int(passed.sum()))
+        if not np.array_equal(np.cumsum(np.bincount(code, minlength=len(sets)))[: len(sets)], number):
+            return fixed(ground, "what is ground at one value is not so at all larger ones")
+        nested = True
     else:
         code, nested = _swept(run.cloud, filter_, sets, tested, workers, progress)
     steps = Steps(field, values, now, code, nested)
-    return steps if np.array_equal(steps.ground(now), ground) else fixed(ground)
+    if not np.array_equal(steps.ground(now), ground):
+        return fixed(ground, "the filter by itself gives other labels")
+    return steps
 
 
 def swept_field(filter_: Filter) -> str | None:
