@@ -87,7 +87,7 @@ function drawPoints() {
     for (let r = 0, at = places[i]; r < dot; r++, at += w) for (let c = 0; c < dot; c++) out[at + c] = colour;
   }
   ctx.putImageData(image, 0, 0);
-  canvas.style.opacity = labels && state.layer !== "shade" ? .45 : .8;
+  canvas.style.opacity = !labels ? .9 : state.layer === "shade" ? .65 : .45;
 }
 
 function drawMarks() {
