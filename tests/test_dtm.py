@@ -196,6 +196,12 @@ def test_order_shift_and_threads_change_nothing(rng, method):
     assert anchored.bounds == expected.bounds
 
 
+def test_rasters_of_many_cells_are_the_same_in_any_number_of_threads(rng):
+    cloud = jf.PointCloud.from_arrays(rng.random((2000, 3)) * (520, 520, 9))
+    one, several = (jf.dtm(cloud, np.ones(2000, bool), workers=workers).values for workers in (1, 3))
+    assert one.size > 250_000 and np.array_equal(one, several, equal_nan=True)
+
+
 def test_the_lowest_of_points_in_one_place_counts(rng):
     cloud = scattered(rng, plane, n=300)
     xyz = cloud.coordinates()

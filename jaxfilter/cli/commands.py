@@ -1,6 +1,6 @@
 """The ``jaxfilter`` command: ground, evaluate, demo, methods.
 
-Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``.
+Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``, pages in ``report.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
