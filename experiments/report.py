@@ -8,14 +8,16 @@ import math
 import os
 import platform
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from jaxfilter.tables import Column, markdown
+
+__all__ = ["Column", "Row", "cores", "machine", "markdown", "read_csv", "save_png", "with_averages", "write_csv"]
+
 Row = dict[str, Any]
-Column = tuple[str, str, str]
-"""Key in the row, heading, and format of the values (as in ``format(value, spec)``)."""
 
 
 def read_csv(path: Path) -> list[Row]:
@@ -40,20 +42,6 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-
-
-def markdown(columns: Sequence[Column], rows: Iterable[Row]) -> str:
-    """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right."""
-    heading = "| " + " | ".join(title for _, title, _ in columns) + " |"
-    rule = "|" + "|".join("---:" if spec else "---" for _, _, spec in columns) + "|"
-    lines = ["| " + " | ".join(_cell(row.get(key), spec) for key, _, spec in columns) + " |" for row in rows]
-    return "\n".join([heading, rule, *lines])
-
-
-def _cell(value: Any, spec: str) -> str:
-    if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    return str(value) if isinstance(value, str) else format(value, spec)
 
 
 def with_averages(rows: Sequence[Row], label: str) -> list[Row]:

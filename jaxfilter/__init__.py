@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
+    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
+    from .reports import report
     from .scoring import Scores, evaluate
     from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
+    from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import sweep
-    from .terrain import dtm, dtm_rmse
+    from .terrain import dtm, dtm_rmse, height_above_ground
+    from .tiles.collection import Collection, open
 
 _HOMES = {
     "citing": ("citation",),
@@ -31,37 +34,27 @@ _HOMES = {
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
     "filters": (
-        "AGPTD",
-        "ATIN",
-        "CSF",
-        "FILTERS",
-        "FPTD",
-        "IPTD",
-        "MSF",
-        "PMF",
-        "PPDF",
-        "PTD",
-        "PTDF",
-        "SMRF",
-        "SPF",
-        "STIN",
+        "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
     "stages.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
+    "sweeps.comparison": ("Comparison", "compare"),
     "sweeps.sweep": ("sweep",),
-    "terrain": ("dtm", "dtm_rmse"),
-}
+    "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
+    "tiles.collection": ("Collection", "open"),
+    "reports": ("report",),
+}  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError", "JaxfilterError",
-    "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes",
-    "soft_labels", "sweep", "write",
+    "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
+    "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
+    "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
+    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "dtm", "dtm_rmse", "evaluate",
+    "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep", "write",
 ]  # fmt: skip
 
 

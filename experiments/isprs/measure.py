@@ -2,29 +2,12 @@
 
 from __future__ import annotations
 
-import statistics
-import time
-
 import numpy as np
 
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search
 from experiments.report import Row
-
-
-def timed(
-    filter_: jf.Filter, cloud: jf.PointCloud, repeats: int, workers: int | None = None
-) -> tuple[jf.FilterResult, float, float]:
-    """The result, the seconds of a first call, and the median seconds of ``repeats`` calls after it."""
-    start = time.perf_counter()
-    result = filter_(cloud, workers=workers)
-    first = time.perf_counter() - start
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = filter_(cloud, workers=workers)
-        seconds.append(time.perf_counter() - start)
-    return result, first, statistics.median(seconds) if seconds else first
+from jaxfilter.sweeps.comparison import timed
 
 
 def sample_row(

@@ -15,11 +15,11 @@ import statistics
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import wilcoxon
 
 import jaxfilter as jf
 from experiments.isprs import search, spaces
 from experiments.report import Row
+from jaxfilter.sweeps.comparison import paired
 from jaxfilter.sweeps.ranges import search_ranges
 
 PROTOCOLS = ("fixed", "class", "oracle")
@@ -169,21 +169,19 @@ def claims(tables: Mapping[str, Sequence[Row]]) -> list[Row]:
 
 def compare(pairs: Sequence[tuple[float, float]], *, larger_is_better: bool) -> Row:
     """A method (second of each pair) against another (first) over samples; see :func:`claims`."""
-    first, second = (np.array(column) for column in zip(*pairs, strict=True))
-    gain = second - first if larger_is_better else first - second
-    better, worse = int((gain > 0).sum()), int((gain < 0).sum())
-    signs = int(gain.mean() > 0) + int(better > len(pairs) / 2)
-    p = float(wilcoxon(gain).pvalue) if better + worse > 0 else 1.0
+    found = paired(pairs, larger_is_better=larger_is_better)
+    gain = found["difference"] if larger_is_better else -found["difference"]
+    signs = int(gain > 0) + int(found["better"] > len(pairs) / 2)
     return {
-        "ptd": float(first.mean()),
-        "measured": float(second.mean()),
-        "difference": float((second - first).mean()),
-        "median_difference": float(np.median(second - first)),
-        "better": better,
-        "worse": worse,
+        "ptd": found["mean_other"],
+        "measured": found["mean"],
+        "difference": found["difference"],
+        "median_difference": found["median_difference"],
+        "better": found["better"],
+        "worse": found["worse"],
         "samples": len(pairs),
-        "p": p,
-        "verdict": ("refuted", "mixed", "tendency" if p >= 0.05 else "confirmed")[signs],
+        "p": found["p"],
+        "verdict": ("refuted", "mixed", "tendency" if found["p"] >= 0.05 else "confirmed")[signs],
     }
 
 

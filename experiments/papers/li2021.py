@@ -15,12 +15,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.isprs.measure import timed
 from experiments.papers import li2021_figures as figures
 from experiments.papers import paper
 from experiments.report import Column, Row, cores, write_csv
 from jaxfilter.core.points import canonical_points
 from jaxfilter.stages.outliers import radius_outliers
+from jaxfilter.sweeps.comparison import timed
 
 if TYPE_CHECKING:
     import xarray

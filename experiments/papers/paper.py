@@ -65,7 +65,7 @@ def score_row(
     sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud, repeats: int = 1
 ) -> tuple[Row, jf.FilterResult]:
     """Errors in percent over all points, seconds of a warm call, and the counts of the run (``seeds``, ``rounds``, ...)."""
-    from experiments.isprs.measure import timed
+    from jaxfilter.sweeps.comparison import timed
 
     result, first, seconds = timed(filter_, cloud, repeats)
     scores = jf.evaluate(result, cloud.reference)

@@ -17,7 +17,6 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.isprs.measure import timed
 from experiments.papers import paper
 from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
@@ -25,6 +24,7 @@ from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.stages.planes import ScaledPlanes, progressive_planes
 from jaxfilter.stages.seeds import lowest_on_grid, under_canopy
+from jaxfilter.sweeps.comparison import timed
 
 TILES = {"lff_2_42": 50.0, "zf_veluwezoom_ahn3": 80.0}
 """Files in data/tiles, and the side of the square in their middle that the slow studies run on, metres."""

@@ -20,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import figures, samples
-from experiments.isprs.measure import timed
 from experiments.papers import paper
 from experiments.report import Row, write_csv
 from jaxfilter import plots
 from jaxfilter.core.grid import Grid
+from jaxfilter.sweeps.comparison import timed
 
 SOURCE = (
     "F. Uray, A. Varlik (2024): Filtering airborne LIDAR data using simple triangulation irregular network. Necmettin Erbakan "

@@ -1,5 +1,7 @@
 """The ``jaxfilter`` command."""
 
+from . import report as report
+from . import surveys as surveys
 from . import sweeps as sweeps
 from . import terrain as terrain
 from .commands import main as main

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from . import building
 from .commands import check_reading, check_target, json_text, main, print_json
 from .session import BadUsage, Session, session_options
 
@@ -28,24 +29,6 @@ DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 CURVES, MAPS, VOTES = "curves.png", "maps.png", "votes{}.png"
 
 _method = click.argument("method", metavar="METHOD")
-_set = click.option(
-    "--set",
-    "fixed",
-    metavar="FIELD=VALUE",
-    multiple=True,
-    help="A field that has the same value in all sets; may be repeated.",
-)
-_preset = click.option("--preset", metavar="NAME", help="A named set of parameters to start from.")
-_largest = click.option(
-    "--largest-building",
-    type=click.FloatRange(0, min_open=True),
-    metavar="METRES",
-    help="Set what depends on point spacing and on this width from the (first) cloud.",
-)
-_units = click.option(
-    "--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]"
-)
-_workers = click.option("--workers", type=click.IntRange(1), help="Threads for triangulation.  [default: one per core]")
 _memory = click.option(
     "--memory",
     type=click.FloatRange(0, min_open=True),
@@ -83,9 +66,9 @@ _memory = click.option(
 )
 @click.option("--size", type=int, help="Number of sets of a random or sobol design.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of a random or sobol design.")
-@_set
-@_preset
-@_largest
+@building.set_option
+@building.preset_option
+@building.largest_option
 @click.option("--votes", is_flag=True, help="Count for every point the sets that call it ground.")
 @click.option(
     "--score",
@@ -94,9 +77,9 @@ _memory = click.option(
     show_default=True,
     help="What makes a set good.",
 )
-@_units
+@building.units_option
 @_memory
-@_workers
+@building.workers_option
 @click.option(
     "--resume/--fresh", default=True, show_default=True, help="Go on with the sweep in OUT_DIR, or replace it."
 )
@@ -133,8 +116,8 @@ def sweep(
     from ..sweeps.design import make_design
 
     with Session(quiet=quiet, debug=debug, remaining=True) as session:
-        build = _builder(method, fixed, preset, largest_building)
-        ranges = {name: _axis(build.method, name, text, design) for name, text in _pairs("--axis", axes)}
+        build = building.builder(method, fixed, preset, largest_building)
+        ranges = {name: _axis(build.method, name, text, design) for name, text in building.pairs("--axis", axes)}
         make_design(build.alone(), ranges, design, size, seed)
         check_reading(units, "last,only")
         _check_directory(directory, resume)
@@ -245,12 +228,12 @@ sweep.params += session_options()
     help="Side of the blocks that folds are made of.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@_set
-@_preset
-@_largest
-@_units
+@building.set_option
+@building.preset_option
+@building.largest_option
+@building.units_option
 @_memory
-@_workers
+@building.workers_option
 @click.option(
     "--out", metavar="FILE.json", type=click.Path(dir_okay=False, path_type=Path), help="Write what was found."
 )
@@ -288,8 +271,8 @@ def calibrate(
     from ..sweeps.design import make_design
 
     with Session(quiet=quiet, debug=debug, remaining=True) as session:
-        build = _builder(method, fixed, preset, largest_building)
-        ranges = {name: _range(build.method, name, text) for name, text in _pairs("--axis", axes)} or None
+        build = building.builder(method, fixed, preset, largest_building)
+        ranges = {name: _range(build.method, name, text) for name, text in building.pairs("--axis", axes)} or None
         if ranges is not None:
             make_design(build.alone(), ranges, "random", 1)  # checks fields and limits
         check_reading(units, "last,only")
@@ -326,53 +309,6 @@ def calibrate(
 
 
 calibrate.params += session_options()
-
-
-@dataclasses.dataclass(frozen=True)
-class _Builder:
-    """A filter as the command line describes it; part of it may depend on the cloud."""
-
-    method: type[Filter]
-    preset: str | None
-    fixed: dict[str, Any]
-    largest_building: float | None
-
-    def alone(self) -> Filter:
-        """Before any cloud is read, to find wrong values early."""
-        return self.method.preset(self.preset, **self.fixed) if self.preset else self.method(**self.fixed)
-
-    def on(self, cloud: PointCloud) -> Filter:
-        """For this cloud."""
-        if self.largest_building is None:
-            return self.alone()
-        return self.method.for_cloud(cloud, self.largest_building, preset=self.preset, **self.fixed)
-
-
-def _builder(method: str, fixed: tuple[str, ...], preset: str | None, largest_building: float | None) -> _Builder:
-    from ..filters import FILTERS
-    from . import flags
-
-    if method not in FILTERS:
-        raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
-    cls = FILTERS[method]
-    if preset is not None and preset not in cls.PRESETS:
-        raise BadUsage(f"--preset {preset!r}: {cls.__name__} has {', '.join(cls.PRESETS)}")
-    values = {name: flags.value_of(cls, name, text, "--set") for name, text in _pairs("--set", fixed)}
-    return _Builder(cls, preset, values, largest_building)
-
-
-def _pairs(option: str, texts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Field and value of FIELD=VALUE; a field with dashes is the one with underscores."""
-    pairs: dict[str, str] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name:
-            raise BadUsage(f"{option} {text!r}: write it as FIELD=...")
-        if name in pairs:
-            raise BadUsage(f"{option} {name}: given twice")
-        pairs[name] = value.strip()
-    return list(pairs.items())
 
 
 def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:

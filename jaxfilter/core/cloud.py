@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError, warn
+from .markup import sheet
 from .units import (
     GEOKEYS,
     PROJECTION,
@@ -87,6 +88,20 @@ class PointCloud:
 
     def __repr__(self) -> str:
         return f"PointCloud({len(self)} points, {int(self.candidate.sum())} candidates, origin {self.origin.tolist()})"
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, Any]] = [("points", len(self)), ("candidates", int(self.candidate.sum()))]
+        if len(self):
+            ends = np.stack([self.xyz.min(axis=0), self.xyz.max(axis=0)])
+            low, high = dataclasses.replace(self, xyz=ends).coordinates()
+            rows += [(axis, f"{a:.2f} to {b:.2f}") for axis, a, b in zip("xyz", low, high, strict=True)]
+        rows += [("units", str(self.units)), ("CRS", "unknown" if self.crs is None else self.crs.name)]
+        if self.classification is not None:
+            counts = np.bincount(self.classification)
+            rows += [("classes", ", ".join(f"{c}: {int(counts[c]):,}" for c in np.flatnonzero(counts)))]
+        if self.reference is not None:
+            rows += [("reference ground", int(self.reference.sum()))]
+        return sheet("PointCloud", rows)
 
     @classmethod
     def from_arrays(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, Self
 
@@ -14,9 +15,10 @@ from .cloud import PointCloud, as_cloud
 from .compilation import in_turn
 from .errors import ParameterError, warn
 from .forks import need_threads
+from .markup import table
 from .params import Preset, check_fields, declared, plain_fields
 from .points import Points, canonical_points, check_extent, plain_points
-from .result import Decision, FilterResult, Progress, Status, silent
+from .result import Decision, FilterResult, Progress, Run, Status, silent
 
 _BYTES = 1000
 """About so many of memory per point of a classification."""
@@ -117,8 +119,11 @@ class Filter:
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
-    def passed(self, labels: Labels) -> np.ndarray:
-        """bool[m], ground by the thresholds in ``LAST``; ``labels`` are those of a set that may differ in these."""
+    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
+        """bool[m], ground by the thresholds in ``LAST``; ``labels`` are those of a set that may differ in these.
+
+        Of a FilterResult: bool[n].
+        """
         raise TypeError(f"{type(self).__name__} does not define passed()")
 
     def ground_each(
@@ -171,14 +176,26 @@ class Filter:
         """
         self.check()
         check_resources(workers)
-        cloud = as_cloud(cloud)
+        cloud, start = as_cloud(cloud), time.perf_counter()
         points = self.points_of(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
             labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
         else:
             warn(f"{type(self).__name__}: {labels.status.message}")
-        return expand(cloud, points, labels)
+        result = expand(cloud, points, labels)
+        return dataclasses.replace(result, run=Run(self, cloud, time.perf_counter() - start))
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for field in declared(self):
+            value, meta = getattr(self, field.name), field.metadata
+            default = "" if value == field.default else f" (default {field.default})"
+            rows.append(
+                (field.name, f"{value}{default}", meta.get("symbol") or "", meta.get("unit") or "", meta["doc"])
+            )
+        heading = ("parameter", "value", "symbol", "unit", "meaning")
+        return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
 
 
 def check_resources(workers: int | None, memory: float = 1.0) -> None:
@@ -238,6 +255,7 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         margin=spread(labels.margin, nan, np.float32),
         decision=spread(decision, Decision.SET_ASIDE, np.uint8),
         barred=spread(labels.barred, False, bool),
+        settled=None if labels.settled is None else spread(labels.settled, False, bool),
         status=labels.status,
         info={"points": len(cloud), "candidates": len(points.index), **labels.info},
         trace=trace,

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import os
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
+
+from .errors import InputError
+from .markup import sheet
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 Progress = Callable[[float, str], None]
 """Called with the fraction done (0..1) and the name of the step."""
@@ -57,6 +66,21 @@ class Decision(enum.IntEnum):
     SURFACE = 7  # failed the test against a gridded surface
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """What a result is the result of.
+
+    Attributes:
+        filter: the filter that was called.
+        cloud: the PointCloud that it was called with.
+        seconds: wall time of the call.
+    """
+
+    filter: Any
+    cloud: Any
+    seconds: float
+
+
 @dataclasses.dataclass(frozen=True)
 class FilterResult:
     """Labels and the quantities behind them; all arrays have the length and the order of the cloud.
@@ -73,6 +97,8 @@ class FilterResult:
         status: how the run ended; ``status.message`` in words.
         info: counts of the run (seeds, rounds, facets, ...).
         trace: a dict of counts per round, in order; with ``trace=True`` also ``"ground"``: bool[n] after that round.
+        settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
+        run: the filter and the cloud; None for a result that was put together by hand.
     """
 
     ground: np.ndarray
@@ -86,6 +112,8 @@ class FilterResult:
     status: Status
     info: dict[str, Any]
     trace: list[dict[str, Any]]
+    settled: np.ndarray | None = None
+    run: Run | None = dataclasses.field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.ground)
@@ -93,6 +121,73 @@ class FilterResult:
     def __repr__(self) -> str:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
         return f"FilterResult({int(self.ground.sum())} of {len(self)} ground, {share:.1f} %; {self.status.message})"
+
+    def _repr_html_(self) -> str:
+        counts = np.bincount(self.decision, minlength=len(Decision))
+        rows: list[tuple[str, Any]] = [("ground", int(self.ground.sum())), ("points", len(self))]
+        rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
+        rows += [("ended", self.status.message)]
+        if self.run is not None:
+            rows += [("filter", repr(self.run.filter)), ("seconds", f"{self.run.seconds:.2f}")]
+        return sheet("FilterResult", rows)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """All quantities over the dimension ``point``, with their units, and what the cloud says of the points.
+
+        Coordinates ``x``, ``y`` and ``z`` are in file units, f64; ``classification`` and ``reference`` are there if the cloud
+        has them. ``decision`` holds numbers; its attributes name them. Attributes of the whole: method, parameters, status.
+        A result that was put together by hand has neither coordinates nor parameters.
+        """
+        import xarray
+
+        arrays = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        variables: dict[str, Any] = {
+            name: ("point", values, {"units": _UNITS[name]} if name in _UNITS else {})
+            for name, values in arrays.items()
+            if isinstance(values, np.ndarray)
+        }
+        decisions = {"flag_values": [int(one) for one in Decision], "flag_meanings": " ".join(d.name for d in Decision)}
+        variables["decision"] = ("point", self.decision, decisions)
+        out = xarray.Dataset(variables, attrs={"status": self.status.name})
+        if self.run is None:
+            return out
+        cloud, filter_ = self.run.cloud, self.run.filter
+        out = out.assign_coords({axis: ("point", v) for axis, v in zip("xyz", cloud.coordinates().T, strict=True)})
+        for name in ("classification", "reference"):
+            if getattr(cloud, name) is not None:
+                out[name] = ("point", getattr(cloud, name))
+        crs = {} if cloud.crs is None else {"crs": cloud.crs.to_string()}
+        return out.assign_attrs(method=type(filter_).__name__, parameters=repr(filter_), **crs)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row per point: what :meth:`to_xarray` holds, coordinates first, ``decision`` in words."""
+        import pandas
+
+        data = self.to_xarray()
+        table = pandas.DataFrame({str(name): data[name].to_numpy() for name in [*data.coords, *data.data_vars]})
+        names = [one.name.lower() for one in Decision]
+        table["decision"] = pandas.Categorical.from_codes(self.decision.astype(int), names)
+        table.attrs = dict(data.attrs)
+        return table
+
+    def report(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """:func:`jaxfilter.report` of this result: one HTML file with maps, profiles and a slider for the threshold.
+
+        Args:
+            path: the file to write.
+            options: those of :func:`jaxfilter.report`.
+
+        Returns: the path.
+        Raises: InputError if the result does not know its cloud; OutputError as :func:`jaxfilter.report`.
+        """
+        import jaxfilter as public
+
+        if self.run is None:
+            raise InputError("this result does not know its cloud: call jaxfilter.report(cloud, result, path)")
+        return public.report(self.run.cloud, self, path, **options)
+
+
+_UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}
 
 
 @runtime_checkable

@@ -14,7 +14,7 @@ from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Decision, Progress
+from ..core.result import Decision, FilterResult, Progress
 from ..host.cloth import drape, join_slopes
 from ..ops.cloth import fill_along_lines, lowest_below, settle
 from ..ops.grid import inside, padded_shape
@@ -130,7 +130,7 @@ class CSF(Filter):
         """
         return self.resolution * (_HOLE + MARGIN)
 
-    def passed(self, labels: Labels) -> np.ndarray:
+    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the threshold share the cloth."""
         assert labels.height is not None
         return self._margin(labels.height) < 0

@@ -12,7 +12,7 @@ from ..core.filter import Filter, Labels
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Decision, Progress
+from ..core.result import Decision, FilterResult, Progress
 from ..ops.grid import inside, padded_shape
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import raised_cells
@@ -149,7 +149,7 @@ class PPDF(Filter):
         disks = math.ceil(self.window / self.canopy_cell - 1e-6)
         return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
 
-    def passed(self, labels: Labels) -> np.ndarray:
+    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the distance to the local plane share the references."""
         assert labels.settled is not None and labels.elevation is not None
         return self._near(labels.settled, labels.elevation)

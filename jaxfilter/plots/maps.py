@@ -86,9 +86,9 @@ def map_size(grid: Grid, legend: float = 0.0) -> tuple[float, float]:
     return 5.0, float(np.clip(4.3 * grid.ny / grid.nx, 1.5, 9.0)) + 0.8 + legend
 
 
-def _shade(z: np.ndarray, cell: float) -> np.ndarray:
+def shade(z: np.ndarray, cell: float) -> np.ndarray:
     """f32[ny, nx], 0 (dark) to 1: light from the north-west at 45 degrees; NaN where the surface is."""
-    dy, dx = np.gradient(z, cell)
+    dy, dx = (np.gradient(z, cell, axis=axis) if z.shape[axis] > 1 else np.zeros_like(z) for axis in range(2))
     light = np.array([-0.5, 0.5, math.sqrt(0.5)])
     return np.clip((light[2] - light[0] * dx - light[1] * dy) / np.sqrt(1.0 + dx**2 + dy**2), 0.0, 1.0)
 
@@ -154,7 +154,7 @@ def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, 
     z, grid = surface if isinstance(surface, tuple) else rasterise(surface)
     ax = axes_or_new(ax, map_size(grid))
     ax.imshow(
-        _shade(z, grid.cell), cmap="gray", vmin=0, vmax=1, extent=_extent(grid), origin="lower", interpolation="nearest"
+        shade(z, grid.cell), cmap="gray", vmin=0, vmax=1, extent=_extent(grid), origin="lower", interpolation="nearest"
     )
     _frame(ax, title)
     return ax
@@ -188,7 +188,7 @@ def error_map(
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
-    picture = np.repeat(np.nan_to_num(_shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
+    picture = np.repeat(np.nan_to_num(shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     objects = np.unique(grid.flat(cloud.xyz[~ground & ~reference & real]))
     pixels = picture.reshape(-1, 3)

@@ -22,6 +22,8 @@ _SURFACES, _SETS = (4, 16), 32
 """In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
 _CELL_BYTES, _POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each surface of a sweep."""
+_ROUNDING = 4e-7
+"""Share of the elevations: programs that were compiled for one set and for several round differently by less."""
 
 
 class Surface(NamedTuple):
@@ -166,6 +168,26 @@ class GridFilter(Filter):
         for some, ground in in_turn(passed, batches, threads):
             yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
 
+    def votes(self, points: Points, sets: Sequence[Self], *, workers: int | None = None) -> np.ndarray:
+        """i32[m]: how many sets call each point ground. They differ in the fields in ``TESTED`` only and share the surface.
+
+        The labels are those of ``classify``: points so near to a threshold that rounding may decide are held against the
+        surface once more, in the way it does.
+        """
+        surface = self.model(self.cells(points, self.barred(points, workers)))
+        stacked = jax.tree.map(lambda *leaves: np.asarray(leaves, np.float32), *sets)
+        near = np.float32(_ROUNDING * (1.0 + float(np.abs(points.xyz[:, 2]).max())))
+        counted, doubtful = hold_against(points.xyz, lambda chunk: _votes(stacked, surface, chunk, near))
+        votes, again = counted.astype(np.int32), np.flatnonzero(doubtful)
+        xyz = points.xyz[again]
+        margins = np.asarray(hold_against(xyz, lambda chunk: tuple(_margins(stacked, surface, chunk))), np.float32)
+        for one, margin in zip(sets, margins, strict=False):
+            rows = np.flatnonzero(np.abs(margin) <= near)
+            held = hold_against(xyz[rows], lambda chunk, one=one: one.test(surface, chunk))  # type: ignore[misc]
+            if held:
+                votes[again[rows]] += labels_of(*held).ground.astype(np.int32) - (margin[rows] <= 0)
+        return votes
+
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:
     """How much each point is ground, by smooth functions in place of thresholds: for fits by gradient.
@@ -196,6 +218,28 @@ def _passed(filters: GridFilter, surfaces: Surface, xyz: jax.Array) -> jax.Array
         return jax.vmap(lambda one: one.test(surface, xyz).margin <= 0)(row)
 
     return jax.vmap(one_surface)(filters, surfaces)
+
+
+@jax.jit
+def _votes(filters: GridFilter, surface: Surface, xyz: jax.Array, near: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """How many filters of a stack call each point ground, i32[n], and points that lie within ``near`` metres of a limit.
+
+    One filter after the other: what they share is computed once, and not once for each as under ``vmap``.
+    """
+
+    def add(counted: tuple[jax.Array, jax.Array], one: GridFilter) -> tuple[tuple[jax.Array, jax.Array], None]:
+        votes, doubtful = counted
+        margin = one.test(surface, xyz).margin
+        return (votes + (margin <= 0), doubtful | (jnp.abs(margin) <= near)), None
+
+    start = jnp.zeros(len(xyz), jnp.int32), jnp.zeros(len(xyz), bool)
+    return jax.lax.scan(add, start, filters)[0]
+
+
+@jax.jit
+def _margins(filters: GridFilter, surface: Surface, xyz: jax.Array) -> jax.Array:
+    """f32[sets, n]: the margins of points for every filter of a stack."""
+    return jax.lax.map(lambda one: one.test(surface, xyz).margin, filters)
 
 
 @jax.jit

@@ -8,6 +8,7 @@ import math
 import numbers
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,6 +58,9 @@ class Calibration:
     before: float
     trials: xarray.Dataset
     searched: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(str(self))}</p>" + self.filter._repr_html_()
 
     def __str__(self) -> str:
         name = "total error" if self.trials.attrs["score"] == "total" else "kappa"

@@ -81,9 +81,9 @@ def sweep(
 
     plan = make_design(filter_, axes, design, size, seed)
     check_resources(workers, memory)
-    several, named = _named(clouds)
+    several, named = named_clouds(clouds)
     for name, cloud in named.items():
-        _check_reference(name, cloud)
+        check_reference(name, cloud)
     report = progress or silent
     state = _State(filter_, plan, named, votes, key, None if checkpoint is None else Path(checkpoint))
     jobs = len(named) * len(plan.sets)
@@ -108,8 +108,8 @@ def sweep(
     return _dataset(xr, filter_, plan, several, named, state)
 
 
-def _named(clouds: Any) -> tuple[bool, dict[str, PointCloud]]:
-    """Whether there are several clouds, and the clouds by name."""
+def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, PointCloud]]:
+    """Whether there are several clouds, and the clouds by name. Raises InputError if there is none."""
     if isinstance(clouds, Mapping):
         several, pairs = True, [(str(name), cloud) for name, cloud in clouds.items()]
     elif isinstance(clouds, PointCloud) or hasattr(clouds, "shape") or not isinstance(clouds, Iterable):
@@ -117,11 +117,11 @@ def _named(clouds: Any) -> tuple[bool, dict[str, PointCloud]]:
     else:
         several, pairs = True, [(str(i), cloud) for i, cloud in enumerate(clouds)]
     if not pairs:
-        raise InputError("sweep: there is no cloud")
+        raise InputError(f"{caller}: there is no cloud")
     return several, {name: as_cloud(cloud) for name, cloud in pairs}
 
 
-def _check_reference(name: str, cloud: PointCloud) -> None:
+def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None:
     """Raises: InputError if the reference labels of a cloud are all of one class."""
     if cloud.reference is None:
         return
@@ -129,7 +129,7 @@ def _check_reference(name: str, cloud: PointCloud) -> None:
     for kind, other in ((truth, "ground"), (~truth, "object")):
         if not (counted & kind).any():
             raise InputError(
-                f"sweep: no point of {name} has the reference label {other}: scores need both classes. Without scores, "
+                f"{caller}: no point of {name} has the reference label {other}: scores need both classes. Without scores, "
                 "pass the cloud with reference=None"
             )
 

@@ -17,6 +17,13 @@ def classify(source: Path, target: Path) -> jf.Scores:
     return jf.evaluate(result, cloud.reference, candidates_only=True)
 
 
+def checked(cloud: jf.PointCloud, result: jf.FilterResult) -> Path:
+    table: jf.Comparison = jf.compare(["smrf", jf.CSF(), jf.PMF], {"site": cloud}, repeats=0)
+    print(table.markdown(), table.significance("kappa", against="CSF"), result.to_xarray().sizes)
+    jf.report(cloud, result.ground, "delivered.html", reference=cloud, steps=0)
+    return result.report("site.html", overwrite=True)
+
+
 def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:
     filters: list[jf.Filter] = [
         jf.AGPTD(relative_slope=0.1),

@@ -1,0 +1,148 @@
+"""The ``info`` command: what a file says of itself, or a survey of many."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+
+from .commands import check_reading, check_target, main, print_json
+from .session import BadUsage, Session, session_options
+
+if TYPE_CHECKING:
+    from ..tiles.collection import Collection
+
+_ROWS = 40  # of a table on the screen
+
+
+@main.command()
+@click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
+@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
+@click.option(
+    "--vpc", type=click.Path(dir_okay=False, path_type=Path), help="Write the survey as a virtual point cloud."
+)
+@click.option(
+    "--map", "picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw its files as PNG, PDF or SVG."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+def info(
+    names: tuple[str, ...],
+    units: str | None,
+    vpc: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """What a file says of itself: points, extent, CRS, units, classes and echoes.
+
+    Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
+    what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
+    """
+    from ..host import las
+
+    with Session(quiet=quiet, debug=debug) as session:
+        check_reading(units, "last,only")
+        _check_names(names)
+        for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
+            if target is not None:
+                if target.suffix.lower() not in suffixes:
+                    raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
+                check_target(target, overwrite)
+        one = None if vpc is not None or picture is not None else _one_file(names)
+        if one is not None:
+            facts = las.info(one, units=units)
+        else:
+            facts = _survey(session, names, units, vpc, picture, overwrite, table=not (quiet or as_json))
+    if as_json:
+        print_json(facts)
+    elif one is not None:
+        width = max(len(k) for k in facts)
+        for key, value in facts.items():
+            click.echo(f"{key.replace('_', ' '):{width}}  {value}")
+
+
+info.params += session_options()
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    """Raises BadUsage for local names of nothing."""
+    from ..host.storage import place_of
+
+    for name in names:
+        place = place_of(name)
+        if isinstance(place, Path) and not place.exists() and not any(c in name for c in "*?["):
+            raise BadUsage(f"{name}: no such file or folder")
+
+
+def _one_file(names: tuple[str, ...]) -> Path | None:
+    """The one local file of points that is named, to be read as a whole; None for a survey."""
+    from ..host.storage import place_of
+
+    place = place_of(names[0])
+    if len(names) > 1 or not isinstance(place, Path) or not place.is_file() or place.suffix.lower() == ".vpc":
+        return None
+    return place
+
+
+def _survey(
+    session: Session,
+    names: tuple[str, ...],
+    units: str | None,
+    vpc: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    table: bool,
+) -> dict[str, Any]:
+    from ..host.files import new_file
+    from ..tiles.collection import open as open_survey
+
+    with session.step("headers"):
+        survey = open_survey(names, units=units)
+    with session.step("check"):
+        findings = survey.check()
+    if vpc is not None:
+        survey.to_vpc(vpc, overwrite=overwrite)
+    if picture is not None:
+        figure = survey.plot().figure
+        with new_file(picture, overwrite=overwrite) as part:
+            figure.savefig(part, format=picture.suffix[1:].lower())
+    if table:
+        _print_survey(survey)
+        for line in findings.lines():
+            click.echo(line)
+    mixed = findings.mixed is not None
+    return {
+        "files": len(survey),
+        "points": survey.count,
+        "bounds": None if mixed else survey.bounds,
+        "area": survey.area,
+        "density": survey.density,
+        "crs": None if mixed or survey.crs is None else survey.crs.name,
+        "units": None if mixed else str(survey.units),
+        "findings": findings.as_dict(),
+        "members": survey.table().to_dict(orient="records"),
+        **session.as_dict(),
+    }
+
+
+def _print_survey(survey: Collection) -> None:
+    from rich.table import Table
+
+    frame = survey.table()
+    shown = Table("file", "format", "points", "x", "y", "z", "per m2", "CRS")
+    for column in shown.columns[2:7]:
+        column.justify = "right"
+    for row in frame.head(_ROWS).itertuples():
+        spans = [f"{low:.10g} to {high:.10g}" for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
+        crs = row.crs if isinstance(row.crs, str) else ""
+        heights, density = f"{row.zmin:.6g} to {row.zmax:.6g}", f"{row.density:.3g}"
+        shown.add_row(Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs)
+    Console(soft_wrap=True).print(shown)
+    more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
+    click.echo(
+        f"{more}{len(frame):,} files, {survey.count:,} points on {survey.area / 1e6:,.4g} km2, {survey.density:.3g} per m2"
+    )

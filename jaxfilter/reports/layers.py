@@ -1,0 +1,154 @@
+"""The maps of a report: rasters of the ground, of heights above it, of doubt and of errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from scipy import ndimage
+
+from ..core.cloud import QUANTUM, PointCloud
+from ..core.grid import Grid, grid_over
+from ..core.result import Decision, FilterResult
+from ..plots.maps import rasterise, shade
+
+MAX_PIXELS = 2_000_000
+_DOUBTFUL = 0.2
+"""Share of the points of a decision, those nearest to their threshold, that count as doubtful."""
+_PLACES, _PLACE, _SIDE = 12, 20, 20.0
+"""Places to look at; the side of one in cells and in metres, at least."""
+NO_ELEVATION, NO_HEIGHT, NO_DOUBT = 65535, 65535, 255
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Layers:
+    """Rasters of one grid [ny, nx], row 0 being the northern edge.
+
+    Attributes:
+        grid: local metres; its own row 0 is the southern edge.
+        shade: u8, relief; 0 where there is no surface.
+        elevation: u16; local metres = ``z_low`` + value * ``z_step``; 65535 = none.
+        height: u16, centimetres of the highest point above the ground; 65535 = no point.
+        doubt: u8, per cent of the most doubtful point; 255 = no point was judged.
+        errors: u8 or None; bit 0: ground lost, bit 1: objects accepted.
+        of_ground: the surface goes through ground points; False if there are none, and it goes through all.
+        doubt_of: what doubt is made of: "probability", "margin" or "".
+    """
+
+    grid: Grid
+    shade: np.ndarray
+    elevation: np.ndarray
+    z_low: float
+    z_step: float
+    height: np.ndarray
+    doubt: np.ndarray
+    errors: np.ndarray | None
+    of_ground: bool
+    doubt_of: str
+
+
+def layers_of(
+    cloud: PointCloud, result: FilterResult | np.ndarray, truth: np.ndarray | None, counted: np.ndarray | None
+) -> Layers:
+    """The maps of a cloud with at least one valid point. ``truth``, ``counted``: bool[n], the reference and where it counts."""
+    real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    ground = (result.ground if isinstance(result, FilterResult) else result) & real
+    xyz = cloud.xyz[real] if not real.all() else cloud.xyz
+    grid = grid_over(xyz, _cell(xyz))
+    z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, grid.cell, over=xyz)
+    light = shade(z, grid.cell)
+    known = np.isfinite(z)
+    low = float(z[known].min())
+    step = max(float(np.ptp(z[known])) / (NO_ELEVATION - 1), QUANTUM)
+    flat = grid.flat(cloud.xyz)
+    above = _highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
+    doubt, doubt_of = doubt_per_point(result, len(cloud))
+    near = _highest(doubt, flat, grid, real)
+    errors = None
+    if truth is not None and counted is not None:
+        cells = np.zeros(grid.ny * grid.nx, np.uint8)
+        for bit, wrong in ((1, truth & ~ground), (2, ground & ~truth)):
+            cells[flat[wrong & counted & real]] |= np.uint8(bit)
+        errors = cells.reshape(grid.shape)[::-1]
+    return Layers(
+        grid=grid,
+        shade=_quantised(light, 1 / 254, 1, 0, np.uint8)[::-1],
+        elevation=_quantised(z - low, step, 0, NO_ELEVATION, np.uint16)[::-1],
+        z_low=low,
+        z_step=step,
+        height=_quantised(above, 0.01, 0, NO_HEIGHT, np.uint16)[::-1],
+        doubt=_quantised(near, 0.01, 0, NO_DOUBT, np.uint8)[::-1],
+        errors=errors,
+        of_ground=bool(ground.any()),
+        doubt_of=doubt_of,
+    )
+
+
+def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarray, str]:
+    """f32[n], 0 (sure) to 1; NaN where nothing is known; and where it comes from.
+
+    A result's own ``doubt``, a probability, counts as it is. Otherwise the margin decides: of the points of each decision
+    the fifth that is nearest to its threshold is doubtful, 1 on the threshold. Margins of different decisions have
+    different units.
+    """
+    own = getattr(result, "doubt", None)
+    if own is not None:
+        return np.asarray(own, np.float32), "probability"
+    out = np.full(n, np.nan, np.float32)
+    if not isinstance(result, FilterResult) or not np.isfinite(result.margin).any():
+        return out, ""
+    for decision in Decision:
+        rows = np.flatnonzero((result.decision == decision) & np.isfinite(result.margin))
+        if decision is Decision.SET_ASIDE or not len(rows):
+            continue
+        distance = np.abs(result.margin[rows])
+        limit = float(np.quantile(distance[:: max(1, len(distance) // 100_000)], _DOUBTFUL))
+        out[rows] = np.maximum(0.0, 1.0 - distance / max(limit, 1e-9))
+    return out, "margin"
+
+
+def places(layers: Layers) -> list[dict[str, float | str]]:
+    """Where to look first: squares with most errors, or without a reference with most doubt; local metres of their centres."""
+    grid, wrong = layers.grid, layers.errors
+    if wrong is not None and wrong.any():
+        what, weight = "errors", (wrong > 0).astype(np.float32)
+    else:
+        what, weight = "doubt", np.where(layers.doubt == NO_DOUBT, 0, layers.doubt).astype(np.float32)
+    side = max(_PLACE, math.ceil(_SIDE / grid.cell))
+    rows, columns = (-(-n // side) for n in weight.shape)
+    padded = np.pad(weight, ((0, rows * side - weight.shape[0]), (0, columns * side - weight.shape[1])))
+    sums = padded.reshape(rows, side, columns, side).sum(axis=(1, 3))
+    found = []
+    for at in np.argsort(-sums, axis=None, kind="stable")[:_PLACES]:
+        row, column = divmod(int(at), columns)
+        if sums[row, column] <= 0:
+            break
+        x = grid.x0 + min((column + 0.5) * side, grid.nx) * grid.cell
+        y = grid.y0 + max(grid.ny - (row + 0.5) * side, 0) * grid.cell
+        found.append({"x": x, "y": y, "side": side * grid.cell, "what": what})
+    return found
+
+
+def _cell(xyz: np.ndarray) -> float:
+    """Metres: about one point per cell, and at most :data:`MAX_PIXELS` cells."""
+    width, height = (max(float(v), 1.0) for v in np.ptp(xyz[:, :2], axis=0))
+    side = math.sqrt(width * height / min(len(xyz), MAX_PIXELS))
+    return max(side, max(width, height) / 8000, 0.05)
+
+
+def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray) -> np.ndarray:
+    """f32[ny, nx]: the largest value of each cell; empty cells take that of their neighbours. NaN counts as no value."""
+    known = real & np.isfinite(values)
+    out = np.full(grid.ny * grid.nx, -np.inf, np.float32)
+    np.maximum.at(out, flat[known], values[known])
+    cells = out.reshape(grid.shape)
+    filled = np.where(np.isinf(cells), ndimage.maximum_filter(cells, 3, mode="nearest"), cells)
+    return np.where(np.isinf(filled), np.float32(np.nan), filled)
+
+
+def _quantised(values: np.ndarray, step: float, low: int, none: int, kind: type) -> np.ndarray:
+    """Values in steps from ``low`` on; ``none`` stands for NaN, and for no value."""
+    top = np.iinfo(kind).max - (none > 0)
+    whole = np.clip(np.rint(np.nan_to_num(values) / step) + low, low, top)
+    return np.where(np.isnan(values), none, whole).astype(kind)

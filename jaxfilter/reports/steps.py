@@ -1,0 +1,156 @@
+"""The slider of a report: which points are ground at which value of a threshold."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..core.filter import Filter
+from ..core.params import declared
+from ..core.result import FilterResult, Progress, Status
+from ..stages.grid_filter import GridFilter
+from ..sweeps.ranges import RANGES, Range, around, search_ranges
+
+EXACT_STEPS = 49
+"""Of a threshold that is applied last of all: a step costs next to nothing."""
+MOST_SETS = 15
+"""Of other thresholds; one bit per set."""
+_WORK = 4_000_000
+"""Points times sets that a slider may cost by default, where each set is a classification of its own."""
+_FEWEST = 3
+_MEMORY = 2e9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Steps:
+    """Labels at every position of a slider.
+
+    Attributes:
+        field: the threshold, a field of the filter; None without a slider, when there is one step.
+        values: of the field, ascending.
+        now: the number of the step that is the result as it stands.
+        code: u8[n] or u16[n]. Nested: the first step at which a point is ground, or their number; else bit k is the label at
+            step k.
+        nested: what is ground at one step is so at all later ones.
+        reason: why there is no slider, in words.
+    """
+
+    field: str | None
+    values: list[float]
+    now: int
+    code: np.ndarray
+    nested: bool
+    reason: str = ""
+
+    @property
+    def table(self) -> np.ndarray:
+        """bool[codes, steps]: the label of every code at every step."""
+        steps = np.arange(len(self.values))
+        if self.nested:
+            return np.arange(len(steps) + 1)[:, None] <= steps
+        return (np.arange(1 << len(steps))[:, None] >> steps & 1).astype(bool)
+
+    def ground(self, step: int) -> np.ndarray:
+        """bool[n], the labels at a step."""
+        return self.code <= step if self.nested else (self.code >> step & 1).astype(bool)
+
+
+def fixed(ground: np.ndarray, reason: str) -> Steps:
+    """No slider: the labels bool[n] as they are."""
+    return Steps(None, [math.nan], 0, (~ground).astype(np.uint8), True, reason)
+
+
+def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: int | None, progress: Progress) -> Steps:
+    """The labels of a result at ``count`` values of its threshold, or at as many as are quick; see :func:`fixed`.
+
+    Without a slider are: labels that no filter of ours made, degenerate clouds, filters whose thresholds have no range, and
+    what a random key or the like made in another way than the filter does by itself.
+    """
+    ground = result.ground if isinstance(result, FilterResult) else result
+    run = result.run if isinstance(result, FilterResult) else None
+    if run is None or not isinstance(run.filter, Filter):
+        return fixed(ground, "the filter is not known")
+    assert isinstance(result, FilterResult)
+    if result.status not in (Status.CONVERGED, Status.ROUND_LIMIT):
+        return fixed(ground, "no threshold had a part in the labels")
+    filter_, field = run.filter, swept_field(run.filter)
+    if field is None or not math.isfinite(getattr(filter_, field)):
+        return fixed(ground, "no threshold has a range to move in")
+    quick = count is None
+    last, tested = field in filter_.LAST, isinstance(filter_, GridFilter) and field in filter_.TESTED
+    if not last and not tested:
+        if count is None:
+            count = _WORK // max(int(result.info.get("candidates", len(ground))), 1)
+        count = min(count, MOST_SETS)
+    count = EXACT_STEPS if count is None else min(count, 250)
+    if count < _FEWEST:
+        return fixed(
+            ground,
+            "each step would be a classification of its own" if quick else "fewer than three steps were asked for",
+        )
+    values = step_values(filter_, field, count)
+    sets = [filter_.replace(**{field: value}) for value in values]
+    now = values.index(float(getattr(filter_, field)))
+    if last:
+        code = np.full(len(ground), len(sets), np.uint8)
+        number = []
+        for one in sets:
+            passed = one.passed(result)
+            code -= passed
+            number.append(int(passed.sum()))
+        if not np.array_equal(np.cumsum(np.bincount(code, minlength=len(sets)))[: len(sets)], number):
+            return fixed(ground, "what is ground at one value is not so at all larger ones")
+        nested = True
+    else:
+        code, nested = _swept(run.cloud, filter_, sets, tested, workers, progress)
+    steps = Steps(field, values, now, code, nested)
+    if not np.array_equal(steps.ground(now), ground):
+        return fixed(ground, "the filter by itself gives other labels")
+    return steps
+
+
+def swept_field(filter_: Filter) -> str | None:
+    """The threshold that a slider moves: what is applied last if there is such, else the one that matters most."""
+    last = filter_.LAST or getattr(filter_, "TESTED", ())
+    return next(iter(last or search_ranges(filter_)), None)
+
+
+def step_values(filter_: Filter, field: str, count: int) -> list[float]:
+    """About ``count`` values of a field, ascending, the present one among them."""
+    value = float(getattr(filter_, field))
+    declaration = next(one for one in declared(filter_) if one.name == field)
+    known = RANGES.get(field) or around(declaration) or Range(0.0, 1.0)
+    low, high = min(known.low, value), max(known.high, value)
+    if count <= MOST_SETS:  # few: near the present one
+        low, high = max(low, value / 2) if value > 0 else low, min(high, 2 * value) if value > 0 else high
+    scale = known.scale if known.scale != "log" or low > 0 else "linear"
+    wanted = Range(low, high, scale)
+    drawn = {float(f"{wanted.at(u):.3g}") for u in np.linspace(0, 1, count)}
+    nearest = min(drawn, key=lambda one: abs(one - value))
+    return sorted(drawn - {nearest} | {value})
+
+
+def _swept(
+    cloud: Any, filter_: Filter, sets: Sequence[Filter], tested: bool, workers: int | None, progress: Progress
+) -> tuple[np.ndarray, bool]:
+    """Codes u8[n] or u16[n] of sets that are classified anew, and whether they are nested."""
+    points = filter_.points_of(cloud)
+    if tested:
+        assert isinstance(filter_, GridFilter)
+        votes = filter_.votes(points, sets, workers=workers)  # type: ignore[arg-type]
+        code = np.full(len(cloud), len(sets), np.uint8)
+        code[points.index] = (len(sets) - votes)[points.member]
+        return code, True
+    bits = np.zeros(len(points), np.uint16)
+    for done, (number, ground) in enumerate(
+        filter_.ground_each(points, sets, key=None, workers=workers, memory=_MEMORY), 1
+    ):
+        bits |= ground.astype(np.uint16) << np.uint16(number)
+        progress(done / len(sets), "slider")
+    out = np.zeros(len(cloud), np.uint16)
+    out[points.index] = bits[points.member]
+    return out, False

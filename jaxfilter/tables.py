@@ -1,0 +1,46 @@
+"""Tables of figures as Markdown and LaTeX."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+Row = Mapping[str, Any]
+Column = tuple[str, str, str]
+"""Key in the row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
+
+
+def markdown(columns: Sequence[Column], rows: Iterable[Row]) -> str:
+    """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right."""
+    heading = "| " + " | ".join(title for _, title, _ in columns) + " |"
+    rule = "|" + "|".join("---:" if spec else "---" for _, _, spec in columns) + "|"
+    lines = ["| " + " | ".join(_cell(row.get(key), spec) for key, _, spec in columns) + " |" for row in rows]
+    return "\n".join([heading, rule, *lines])
+
+
+def latex(columns: Sequence[Column], rows: Iterable[Row]) -> str:
+    """The same as a LaTeX ``tabular`` with the rules of booktabs; what LaTeX takes for a command is escaped."""
+    sides = "".join("r" if spec else "l" for _, _, spec in columns)
+    heading = " & ".join(_escaped(title) for _, title, _ in columns)
+    lines = [" & ".join(_escaped(_cell(row.get(key), spec, "--")) for key, _, spec in columns) for row in rows]
+    body = "".join(f"{line} \\\\\n" for line in lines)
+    return (
+        f"\\begin{{tabular}}{{{sides}}}\n\\toprule\n{heading} \\\\\n\\midrule\n{body}\\bottomrule\n\\end{{tabular}}\n"
+    )
+
+
+def _cell(value: Any, spec: str, absent: str = "–") -> str:
+    if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
+        return absent
+    return str(value) if isinstance(value, str) else format(value, spec)
+
+
+_LATEX = str.maketrans(
+    {c: f"\\{c}" for c in "&%$#_{}"}
+    | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}"}
+)
+
+
+def _escaped(text: str) -> str:
+    return text.translate(_LATEX)

@@ -1,0 +1,279 @@
+"""Many files as one survey: named in any way, read by their headers only, and held against each other."""
+
+from __future__ import annotations
+
+import array
+import dataclasses
+import functools
+import itertools
+import math
+import operator
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import pyproj
+
+from ..core.errors import InputError
+from ..core.units import Reference, Units, not_metric, parse_units
+from ..host.files import Bounds
+from ..host.footprints import Footprints
+from ..host.header import Header
+from ..host.las import open_las
+from ..host.sources import Source, described
+from ..host.storage import place_of
+from . import names
+from .findings import OVERLAP, Findings, find, refuse_mixture
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Collection", "Source", "open"]
+
+_THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
+_ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
+_ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
+
+
+class Collection:
+    """n files in the order in which they were named; see :func:`open`. It has a length, and gives a :class:`Source` by its
+    number; what is planned with is there as arrays as well.
+
+    Attributes:
+        unreadable: (name, reason) of files that were named and cannot be read.
+        repeated: names that were given more than once; they count once.
+    """
+
+    def __init__(
+        self,
+        sources: Iterable[Source],
+        unreadable: Iterable[tuple[str, str]] = (),
+        repeated: Iterable[str] = (),
+    ) -> None:
+        columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
+        columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
+        add = [column.extend if name in _ROWS else column.append for name, column in columns.items()]
+        values = operator.attrgetter(*columns)
+        for source in sources:
+            for put, value in zip(add, values(source), strict=True):
+                put(value)
+        for name in _ARRAYS:
+            columns[name] = np.array(columns[name])
+        for name, width in _ROWS.items():
+            columns[name] = columns[name].reshape(-1, width)
+        self._columns = columns
+        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)  # complete when all sources have been made
+
+    def __len__(self) -> int:
+        return len(self._columns["uri"])
+
+    @overload
+    def __getitem__(self, row: int) -> Source: ...
+    @overload
+    def __getitem__(self, row: slice) -> tuple[Source, ...]: ...
+    def __getitem__(self, row: int | slice) -> Source | tuple[Source, ...]:
+        if isinstance(row, slice):
+            return tuple(self[i] for i in range(*row.indices(len(self))))
+        values = {name: column[row] for name, column in self._columns.items()}
+        plain = {name: values[name].tolist() for name in _ARRAYS}
+        return Source(**values | plain | {name: tuple(plain[name]) for name in _ROWS})
+
+    def __iter__(self) -> Iterator[Source]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"Collection({len(self)} files, {self.count} points)"
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All files."""
+        return self[:]
+
+    @property
+    def uris(self) -> Sequence[str]:
+        """Their names."""
+        return self._columns["uri"]
+
+    @property
+    def footprints(self) -> np.ndarray:
+        """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points."""
+        return self._columns["bounds"]
+
+    @property
+    def counts(self) -> np.ndarray:
+        """i64[n]: points of each file."""
+        return self._columns["count"]
+
+    @property
+    def bounds(self) -> Bounds:
+        """(xmin, ymin, xmax, ymax) around all points, closed, file coordinates; NaN where there are none."""
+        known = self.footprints[self.counts > 0]
+        if not len(known):
+            return (math.nan,) * 4  # type: ignore[return-value]
+        return (*known[:, :2].min(axis=0).tolist(), *known[:, 2:].max(axis=0).tolist())
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return int(self.counts.sum())
+
+    @property
+    def areas(self) -> np.ndarray:
+        """f64[n], square metres, of the bounds of each file; 0 for files without points."""
+        sides = self.footprints[:, 2:] - self.footprints[:, :2]
+        metre = np.array([units.xy for units in self._columns["units"]], np.float64)
+        return np.nan_to_num(sides.prod(axis=1) * metre**2)
+
+    @property
+    def area(self) -> float:
+        """Sum of ``areas``; what two files cover counts twice."""
+        return float(self.areas.sum())
+
+    @property
+    def densities(self) -> np.ndarray:
+        """f64[n], points per square metre of each file's bounds; NaN without area."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.areas > 0, self.counts / self.areas, np.nan)
+
+    @property
+    def density(self) -> float:
+        """Points per square metre of ``area``; NaN without area."""
+        return self.count / self.area if self.area > 0 else math.nan
+
+    @functools.cached_property
+    def crs(self) -> pyproj.CRS | None:
+        """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`."""
+        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        stated = next((w for w in self._columns["wkt"] if w is not None), None)
+        return None if stated is None else pyproj.CRS.from_wkt(stated)
+
+    @functools.cached_property
+    def units(self) -> Units:
+        """Metres per unit of all files. Raises InputError if files differ in CRS or units, naming two of them."""
+        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        return self._columns["units"][0]
+
+    @property
+    def metre(self) -> float:
+        """Metres per unit of X and Y. Raises InputError as :attr:`units`."""
+        return self.units.xy
+
+    @functools.cached_property
+    def _index(self) -> Footprints:
+        return Footprints(self.footprints)
+
+    def within(self, box: Bounds) -> np.ndarray:
+        """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers."""
+        return self._index.meeting(box)
+
+    def check(self) -> Findings:
+        """What does not fit together: overlaps, gaps, doubles, mixed CRS or units, files without points or CRS."""
+        return find(self, self._index)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each file: uri, format, points, xmin, ymin, xmax, ymax, zmin, zmax (file units), area (m2), density
+        (points per m2), crs (its name), metre, point_format, date."""
+        import pandas as pd
+
+        c = self._columns
+        crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
+        edges = np.column_stack([c["bounds"], c["z"]])
+        return pd.DataFrame(
+            {"uri": c["uri"], "format": c["format"], "points": self.counts}
+            | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
+            | {"area": self.areas, "density": self.densities, "crs": [crs[w] for w in c["wkt"]]}
+            | {"metre": [units.xy for units in c["units"]], "point_format": pd.array(c["point_format"], "Int64")}
+            | {"date": c["date"]}
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the bounds of the files, coloured by density, with overlaps and gaps; see ``plots.footprints``."""
+        from ..plots import footprints
+
+        pairs, _ = self._index.overlaps(OVERLAP)
+        gaps, label = self._index.holes(), "points per m2"
+        return footprints(self.footprints, self.densities, label=label, overlaps=pairs, gaps=gaps, ax=ax)
+
+    def to_vpc(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a virtual point cloud, see ``vpc.py``; files without points are left out.
+
+        Returns: the path. Raises: OutputError.
+        """
+        from .vpc import write_vpc
+
+        return write_vpc(self, Path(path), overwrite)
+
+
+def open(
+    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, units: str | Units | None = None
+) -> Collection:
+    """Open a survey: read the headers of its files, and nothing of their points.
+
+    Args:
+        what: a LAS, LAZ or COPC file; a folder, which stands for all such files directly in it; a pattern (``"*"``, ``"?"``,
+            ``"[...]"``, ``"**"`` for any depth); a virtual point cloud (``.vpc``), whose entries are believed and whose
+            files are not touched; or a list of these. Any of them may be a URL that fsspec knows (``s3://``, ``https://``,
+            ``file://``).
+        units: of the coordinates, as in :func:`jaxfilter.read`; by default what each CRS says, and metres where there is
+            none.
+
+    Returns: Collection. Files that cannot be read are in its ``unreadable``, those without points are members.
+    Raises: InputError if nothing is named, a name stands for nothing, or no file can be read; for a text file.
+    """
+    asked = None if units is None else parse_units(units)
+    unreadable: list[tuple[str, str]] = []
+    repeated: dict[str, None] = {}
+    collection = Collection(_read(names.expand(what, asked), asked, unreadable, repeated), unreadable, repeated)
+    if not len(collection):
+        raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
+    return collection
+
+
+def _read(
+    entries: Iterator[names.Entry], asked: Units | None, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+) -> Iterator[Source]:
+    """The sources of entries in their order; the headers of some are read at the same time."""
+    seen: set[str] = set()
+    with ThreadPoolExecutor(_THREADS) as pool:
+        while batch := list(itertools.islice(entries, 64 * _THREADS)):
+            new: list[names.Entry] = []
+            for entry in batch:
+                uri = entry.uri if isinstance(entry, Source) else entry
+                if uri in seen:
+                    repeated[uri] = None
+                else:
+                    seen.add(uri)
+                    new.append(entry)
+            read = pool.map(lambda uri: _described(uri, asked), [entry for entry in new if isinstance(entry, str)])
+            for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
+                if isinstance(found, Source):
+                    yield found
+                else:
+                    unreadable.append(found)
+
+
+def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
+    """The source, or the name and why there is none."""
+    try:
+        header, reference = open_las(place_of(uri), tables=False)
+        reason = _odd(header, None if asked is not None else reference)
+        if reason is not None:
+            raise InputError(f"{uri}: {reason}")
+        return described(uri, header, reference, asked or reference.units or Units())
+    except InputError as error:
+        return uri, str(error)
+
+
+def _odd(header: Header, reference: Reference | None) -> str | None:
+    """Why a file cannot be a member, by its header and, unless units are asked for, its CRS; or None."""
+    low, high = header.extent
+    if header.count and not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
+        return (
+            f"the extent in its header is damaged: {low.tolist()} to {high.tolist()}; write the file anew to correct it"
+        )
+    if reference is None or reference.problem is not None or not header.count:
+        return None if reference is None else reference.problem
+    return not_metric(np.stack(header.extent), header.count, reference.units is not None)

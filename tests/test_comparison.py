@@ -1,0 +1,163 @@
+"""Filters compared on the same clouds, and what results, clouds and filters show of themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pandas
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.core.markup import sheet
+from jaxfilter.sweeps.comparison import Comparison, holm, paired
+from jaxfilter.tables import latex, markdown
+
+
+@pytest.fixture(scope="module")
+def clouds(town):
+    """Two halves of a town; the second without a reference."""
+    west = town.xyz[:, 0] < np.median(town.xyz[:, 0])
+    truth = town.truth
+    return {
+        "west": jf.PointCloud.from_arrays(town.xyz[west], reference=truth[west]),
+        "east": jf.PointCloud.from_arrays(town.xyz[~west]),
+    }
+
+
+@pytest.fixture(scope="module")
+def compared(clouds):
+    return jf.compare(["smrf", jf.SMRF(slope=0.3), jf.SMRF(window=0.1, cell=1000.0)], clouds, repeats=2)
+
+
+def test_a_comparison_has_the_scores_of_every_filter_on_every_cloud(clouds, compared):
+    table = compared.table.set_index(["method", "cloud"])
+    assert list(dict.fromkeys(compared.table["method"])) == ["SMRF", "SMRF(slope=0.3)", "SMRF(cell=1000.0, window=0.1)"]
+    for name, filter_ in (("SMRF", jf.SMRF.for_cloud(clouds["west"])), ("SMRF(slope=0.3)", jf.SMRF(slope=0.3))):
+        row, result = table.loc[name, "west"], filter_(clouds["west"])
+        scores = jf.evaluate(result, clouds["west"])
+        assert [row[key] for key in ("type1", "type2", "total", "kappa")] == [
+            scores.type1, scores.type2, scores.total, scores.kappa,
+        ]  # fmt: skip
+        assert row["ground"] == result.ground.sum() and row["status"] == "CONVERGED"
+        assert row["parameters"] == repr(filter_) and 0 < row["seconds"] < row["first_seconds"] + 60
+        assert math.isnan(table.loc[name, "east"]["total"]) and table.loc[name, "east"]["seconds"] > 0
+
+
+def test_a_filter_that_fails_is_a_row_without_figures(clouds):
+    far = np.vstack([clouds["west"].coordinates(), [[3e5, 0, 0]]])
+    table = jf.compare([jf.SMRF()], {"far": jf.PointCloud.from_arrays(far)}, repeats=0).table
+    assert table["status"][0].startswith("InputError") and np.isnan(table["seconds"][0])
+
+
+def test_tables_are_written_as_markdown_and_latex(compared):
+    lines = compared.markdown().splitlines()
+    assert len(lines) == 2 + len(compared.table) and lines[0].startswith("| method | cloud | points | T.I |")
+    assert "–" in next(line for line in lines if "east" in line)
+    text = compared.latex()
+    assert text.count(r"\\") == 1 + len(compared.table) and r"SMRF(slope=0.3) & west &" in text
+    assert latex([("a", "100 %", ""), ("b", "b", ".1f")], [{"a": r"x_1 & \y", "b": 2.0}, {"a": "z"}]) == (
+        "\\begin{tabular}{lr}\n\\toprule\n100 \\% & b \\\\\n\\midrule\n"
+        "x\\_1 \\& \\textbackslash{}y & 2.0 \\\\\nz & -- \\\\\n\\bottomrule\n\\end{tabular}\n"
+    )
+    assert markdown([("a", "A", ""), ("b", "B", "d")], [{"a": "x"}]) == "| A | B |\n|---|---:|\n| x | – |"
+    assert "<table" in compared._repr_html_()
+
+
+@pytest.mark.parametrize(
+    "filters, options, words",
+    [
+        ([], {}, "there is none"),
+        (["no"], {}, "'no' is no filter"),
+        ([jf.SMRF(), jf.SMRF()], {}, "two of the name SMRF"),
+        ([jf.SMRF()], {"repeats": -1}, "repeats=-1"),
+        ([jf.SMRF()], {"workers": 0}, "workers=0"),
+    ],
+)
+def test_wrong_arguments_are_found_before_anything_runs(clouds, filters, options, words):
+    with pytest.raises(jf.ParameterError, match=words):
+        jf.compare(filters, clouds, **options)
+    with pytest.raises(jf.InputError, match="compare: there is no cloud"):
+        jf.compare([jf.SMRF()], {})
+
+
+def signed_rank_p(differences):
+    """Wilcoxon's two-sided p, by all assignments of signs; no ties, no zeros."""
+    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
+    observed = ranks[np.asarray(differences) > 0].sum()
+    sums = np.array([np.dot(ranks, signs) for signs in itertools.product((0, 1), repeat=len(ranks))])
+    return min(1.0, 2 * min((sums >= observed).mean(), (sums <= observed).mean()))
+
+
+def test_significance_is_that_of_the_signed_ranks(rng):
+    other = rng.normal(10, 1, 9)
+    own = other - rng.normal(0.5, 0.6, 9)
+    found = paired(np.column_stack([other, own]))
+    assert found["p"] == pytest.approx(signed_rank_p(other - own))
+    assert found["better"] == (own < other).sum() and found["worse"] == (own > other).sum()
+    assert found["difference"] == pytest.approx((own - other).mean())
+    assert paired(np.column_stack([other, own]), larger_is_better=True)["better"] == found["worse"]
+    assert paired([(1.0, 1.0), (2.0, 2.0)])["p"] == 1.0
+    assert paired([])["clouds"] == 0 and math.isnan(paired([])["p"])
+    rows = [
+        {"method": m, "cloud": str(i), "total": values[i]}
+        for m, values in (("A", other), ("B", own))
+        for i in range(9)
+    ]  # fmt: skip
+    pair = Comparison(pandas.DataFrame(rows)).significance()
+    assert (pair["method"][0], pair["other"][0]) == ("A", "B") and pair["p"][0] == pytest.approx(found["p"])
+    assert pair["difference"][0] == pytest.approx(-found["difference"])
+    against = Comparison(pandas.DataFrame(rows)).significance(against="A")
+    assert against["method"].tolist() == ["B"] and against["clouds"][0] == 9
+
+
+def test_holm_corrects_step_by_step():
+    assert holm([0.01, 0.04, 0.03, math.nan]) == pytest.approx([0.03, 0.06, 0.06, math.nan], nan_ok=True)
+    assert holm([0.5, 0.6]) == [1.0, 1.0]
+
+
+def test_unknown_scores_and_methods_are_named(compared):
+    with pytest.raises(jf.ParameterError, match="score='f1'"):
+        compared.by_method("f1")
+    with pytest.raises(jf.ParameterError, match="against='CSF'"):
+        compared.significance(against="CSF")
+
+
+# ---- results, clouds and filters ----
+
+
+def test_results_become_tables_with_coordinates_and_units(town):
+    cloud = dataclasses.replace(town.cloud, classification=town.classes)
+    result = jf.SMRF()(cloud)
+    data, table = result.to_xarray(), result.to_pandas()
+    assert data.sizes == {"point": len(cloud)} and data["height"].units == "m" and data["slope"].units == "degrees"
+    assert np.array_equal(np.column_stack([data.x, data.y, data.z]), cloud.coordinates())
+    for name in ("ground", "height", "margin", "barred"):
+        assert np.array_equal(data[name], getattr(result, name), equal_nan=name != "ground" and name != "barred")
+        assert np.array_equal(table[name], data[name], equal_nan=name != "ground" and name != "barred")
+    assert np.array_equal(table["classification"], town.classes) and list(table)[:3] == ["x", "y", "z"]
+    assert (table["decision"] == "accepted").sum() == (result.decision == jf.Decision.ACCEPTED).sum()
+    assert data.attrs["method"] == "SMRF" and data.attrs["status"] == "CONVERGED"
+    alone = dataclasses.replace(result, run=None)
+    assert "x" not in alone.to_xarray().coords and len(alone.to_pandas()) == len(cloud)
+
+
+def test_results_know_their_filter_cloud_and_seconds(town):
+    filter_ = jf.SMRF(threshold=0.4)
+    result = filter_(town.cloud)
+    assert result.run.filter is filter_ and result.run.cloud is town.cloud and result.run.seconds > 0
+    assert "run" not in repr(result)
+
+
+def test_what_notebooks_show_is_escaped_and_complete(town):
+    assert "&lt;b&gt;" in sheet("<t>", [("a", "<b>")]) and "&lt;t&gt;" in sheet("<t>", [])
+    cloud = dataclasses.replace(town.cloud, classification=town.classes, reference=town.truth)
+    shown = cloud._repr_html_()
+    assert f"{len(cloud):,}" in shown and f"2: {int((town.classes == 2).sum()):,}" in shown
+    result = jf.SMRF(threshold=0.4)(cloud)
+    assert f"{int(result.ground.sum()):,}" in result._repr_html_() and "threshold=0.4" in result._repr_html_()
+    assert "0.4 (default 0.5)" in result.run.filter._repr_html_()
+    assert "tolerance on level terrain" in jf.SMRF()._repr_html_()
+    assert "<table" in jf.PointCloud.from_arrays(np.zeros((0, 3)))._repr_html_()

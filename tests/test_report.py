@@ -1,0 +1,372 @@
+"""The report: labels at every step, counts, maps and the file. What a browser makes of it: test_report_browser.py."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import re
+import zlib
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.reports.layers import doubt_per_point, layers_of, places
+from jaxfilter.reports.packing import pack, script_json
+from jaxfilter.reports.steps import step_values, steps_of, swept_field
+
+pytestmark = pytest.mark.usefixtures("compilation_cache")
+
+
+@pytest.fixture(scope="module")
+def cloud(town):
+    """With classes as delivered (6 = building) and the truth as the reference."""
+    return dataclasses.replace(town.cloud, classification=town.classes, reference=town.truth)
+
+
+@pytest.fixture(scope="module")
+def result(cloud):
+    return jf.SMRF()(cloud)
+
+
+def silent(fraction, step):
+    pass
+
+
+def facts_of(path):
+    return json.loads(re.search(r'id="facts">(.*?)</script>', path.read_text(), re.DOTALL)[1])
+
+
+def array_of(path, name):
+    """An array of the page, unpacked without the page's own code."""
+    found = re.search(rf'id="data-{name}" data-bytes="(\d)">([^<]*)<', path.read_text())
+    width = int(found[1])
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(found[2])), np.uint8).reshape(width, -1)
+    joined = sum(plane.astype(np.int64) << 8 * i for i, plane in enumerate(planes))
+    return np.cumsum(joined) % 256**width
+
+
+# ---- labels at every step ----
+
+
+@pytest.mark.parametrize(
+    "filter_, count, tested",
+    [
+        (jf.SMRF(), None, (0, 11, 29)),
+        (jf.SMRF(threshold=0.0, scaling=0.7), None, (0, 20)),
+        (jf.CSF(), None, (0, 12, 30)),
+        (jf.PPDF(), None, (0, 30)),
+        (jf.FPTD(), 3, (0, 2)),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, jf.Filter) else None,
+)
+def test_labels_of_a_step_are_those_of_the_filter_at_that_value(cloud, filter_, count, tested):
+    result = filter_(cloud)
+    steps = steps_of(result, count, workers=None, progress=silent)
+    assert steps.field == swept_field(filter_) and len(steps.values) >= (count or 25)
+    assert steps.values == sorted(set(steps.values)) and steps.values[steps.now] == getattr(filter_, steps.field)
+    assert np.array_equal(steps.ground(steps.now), result.ground)
+    for k in tested:
+        alone = filter_.replace(**{steps.field: steps.values[k]})(cloud)
+        assert np.array_equal(steps.ground(k), alone.ground)
+        assert np.array_equal(steps.table[steps.code, k], alone.ground)
+
+
+def test_without_a_slider_the_labels_are_the_result(cloud, result):
+    by_hand = dataclasses.replace(result, run=None)
+    changed = dataclasses.replace(result, ground=~result.ground)
+    free = dataclasses.replace(result, run=dataclasses.replace(result.run, filter=jf.SMRF(threshold=np.inf)))
+    for one, count, reason in (
+        (result, 0, "fewer than three steps were asked for"),
+        (result, 2, "fewer than three steps were asked for"),
+        (by_hand, None, "the filter is not known"),
+        (changed, None, "the filter by itself gives other labels"),
+        (free, None, "no threshold has a range"),
+        (result.ground, None, "the filter is not known"),
+    ):
+        steps = steps_of(one, count, workers=None, progress=silent)
+        assert reason in steps.reason
+        ground = one if isinstance(one, np.ndarray) else one.ground
+        assert steps.field is None and np.array_equal(steps.ground(0), ground)
+
+
+def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, monkeypatch):
+    from jaxfilter.reports import steps
+
+    monkeypatch.setattr(steps, "_WORK", 2 * len(cloud))
+    found = steps_of(jf.MSF()(cloud), None, workers=None, progress=silent)
+    assert found.field is None and "each step would be a classification" in found.reason
+    result = jf.CSF()(cloud)
+    monkeypatch.setattr(jf.CSF, "passed", lambda self, labels: np.abs(labels.height) > self.threshold)
+    found = steps_of(result, None, workers=None, progress=silent)
+    assert found.field is None and "not so at all larger ones" in found.reason
+
+
+@pytest.mark.parametrize("name", list(jf.FILTERS))
+def test_every_method_has_values_to_slide_over_that_it_takes(name):
+    filter_ = jf.FILTERS[name]()
+    field = swept_field(filter_)
+    for count in (3, 9, 49):
+        values = step_values(filter_, field, count)
+        assert count - 2 <= len(values) <= count and getattr(filter_, field) in values
+        assert all(filter_.replace(**{field: value}) for value in values)
+
+
+# ---- counts ----
+
+
+def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud, result, tmp_path):
+    reference = np.where(np.arange(len(cloud)) % 7 == 0, -1, cloud.reference).astype(np.int8)
+    facts = facts_of(result.report(tmp_path / "page.html", reference=reference))
+    for k in (0, facts["step"], len(facts["values"]) - 1):
+        ground = jf.SMRF(threshold=facts["values"][k])(cloud).ground
+        assert facts["ground"][k] == ground.sum()
+        moved = {(old, new): points[k] for old, new, points in facts["classes"] if points[k]}
+        assert moved == jf.class_changes(cloud, ground)
+        scores = jf.evaluate(ground, reference)
+        assert facts["confusion"][k] == scores.confusion.tolist()
+        for name in ("type1", "type2", "total", "kappa"):
+            assert facts["scores"][name][k] == pytest.approx(getattr(scores, name), nan_ok=True)
+
+
+def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_path):
+    path = result.report(tmp_path / "page.html", max_points=2000)
+    sample, step = facts_of(path)["sample"], np.array(facts_of(path)["sample"]["step"])
+    assert (sample["number"], sample["of"]) == (2000, len(cloud))
+    xyz = np.column_stack([array_of(path, axis) for axis in "xyz"]) * step + sample["low"]
+    from scipy.spatial import cKDTree
+
+    distance, row = cKDTree(cloud.xyz).query(xyz)
+    assert distance.max() <= np.linalg.norm(step) / 2 + 1e-3 and step.max() < 0.005
+    assert len(np.unique(row)) > 1900  # some stand on others
+    flags = array_of(path, "flags")
+    alike = (array_of(path, "code") <= facts_of(path)["step"]) == result.ground[row]
+    assert alike.mean() > 0.99 and ((flags & 1 > 0) == cloud.candidate[row]).mean() > 0.99
+
+
+# ---- maps ----
+
+
+def test_maps_hold_heights_errors_and_doubt_of_their_cells(cloud, result):
+    truth, every = cloud.reference, np.ones(len(cloud), bool)
+    layers = layers_of(cloud, result, truth, every)
+    grid = layers.grid
+    assert 0.5 * len(cloud) < grid.nx * grid.ny < 2 * len(cloud)
+    row, column = grid.places(cloud.xyz)
+    row = grid.ny - 1 - row
+    elevation = layers.z_low + layers.elevation[row, column] * layers.z_step
+    above = cloud.xyz[:, 2] - elevation
+    highest: dict[tuple[int, int], float] = {}
+    for r, c, value in zip(row.tolist(), column.tolist(), above.tolist(), strict=True):
+        highest[r, c] = max(highest.get((r, c), -np.inf), value)
+    for (r, c), value in highest.items():
+        assert layers.height[r, c] / 100 == pytest.approx(max(value, 0), abs=0.006 + layers.z_step)
+    for bit, wrong in ((1, truth & ~result.ground), (2, result.ground & ~truth)):
+        cells = np.zeros(grid.shape, bool)
+        cells[row[wrong], column[wrong]] = True
+        assert np.array_equal((layers.errors & bit) > 0, cells)
+    doubt = doubt_per_point(result, len(cloud))[0]
+    k = int(np.nanargmax(doubt))
+    assert layers.doubt[row[k], column[k]] == round(100 * float(doubt[k]))
+
+
+def test_doubt_is_largest_at_the_threshold_and_a_probability_counts_as_it_is(cloud, result):
+    doubt, source = doubt_per_point(result, len(cloud))
+    assert source == "margin" and np.nanmax(doubt) <= 1 and np.nanmin(doubt) == 0
+    passed = np.flatnonzero(result.decision == jf.Decision.ACCEPTED)
+    order = passed[np.argsort(np.abs(result.margin[passed]))]
+    assert (np.diff(doubt[order]) <= 0).all() and 0.15 < (doubt[passed] > 0).mean() < 0.25
+    assert np.isnan(doubt[np.isnan(result.margin)]).all()
+
+    class WithDoubt(jf.FilterResult):
+        doubt = np.linspace(0, 0.5, len(cloud))
+
+    own = WithDoubt(**{f.name: getattr(result, f.name) for f in dataclasses.fields(result)})
+    assert doubt_per_point(own, len(cloud))[1] == "probability"
+    assert np.allclose(doubt_per_point(own, len(cloud))[0], WithDoubt.doubt)
+
+
+def test_places_to_look_at_are_where_errors_are(cloud, result):
+    wrong = result.ground.copy()
+    corner = (cloud.xyz[:, 0] > 65) & (cloud.xyz[:, 1] > 55)
+    wrong[corner] = ~cloud.reference[corner]
+    found = places(layers_of(cloud, wrong, cloud.reference, np.ones(len(cloud), bool)))
+    assert found[0]["what"] == "errors" and found[0]["x"] > 60 and found[0]["y"] > 50
+    assert places(layers_of(cloud, result, None, None))[0]["what"] == "doubt"
+
+
+# ---- the file ----
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_packed_arrays_come_back(rng, dtype):
+    for shape in ((0,), (1,), (513,), (7, 9)):
+        values = rng.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+        planes = np.frombuffer(zlib.decompress(base64.b64decode(pack(values))), np.uint8)
+        joined = planes.reshape(values.itemsize, -1)
+        sums = np.cumsum(sum(plane.astype(np.int64) << 8 * i for i, plane in enumerate(joined)))
+        assert np.array_equal(sums % (np.iinfo(dtype).max + 1), values.ravel())
+    with pytest.raises(TypeError, match="float64"):
+        pack(np.zeros(3))
+
+
+def test_values_cannot_end_the_script_they_stand_in():
+    text = script_json({"a": "</script><b>", "b": [np.nan, np.float32(1.5)], "c": np.arange(2)})
+    assert "<" not in text
+    assert json.loads(text) == {"a": "</script><b>", "b": [None, 1.5], "c": [0, 1]}
+
+
+class Page(HTMLParser):
+    """What stands open at the end, what is loaded from elsewhere, and ids."""
+
+    VOID = ("meta", "link", "input", "br")
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.links, self.ids, self.text = [], [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.links += [given[key] for key in ("src", "href") if key in given]
+        self.ids += [given["id"]] if "id" in given else []
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("script", "style"):
+            self.text += data
+
+
+def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
+    title = 'Tile <7> & "west"'
+    path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, title=title)
+    page = Page(path.read_text())
+    assert page.open == [] and page.links == ["data:,"] and len(page.ids) == len(set(page.ids))
+    for words in (title, "pingel2013improved", "tolerance on level terrain", f"{len(cloud):,}", jf.__version__):
+        assert words in page.text
+    assert not re.search(r"https?://|@import|url\(", re.sub(r"<pre>.*?</pre>", "", path.read_text(), flags=re.DOTALL))
+
+
+def test_the_same_result_gives_the_same_bytes(cloud, result, tmp_path):
+    pages = [result.report(tmp_path / f"{i}.html").read_bytes() for i in range(2)]
+    assert pages[0] == pages[1]
+
+
+NOTHING = np.zeros((0, 3))
+STRIP = np.column_stack([np.arange(40) * 0.5, np.zeros(40), np.sin(np.arange(40))])
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+@pytest.mark.parametrize(
+    "xyz, ground, words",
+    [
+        (NOTHING, None, "The cloud has no points"),
+        (STRIP[:1], None, "fewer than four distinct positions"),
+        (STRIP, None, "fewer than four distinct positions"),
+        (np.repeat(STRIP, 3, axis=0) + np.tile(np.arange(3)[:, None], (40, 3)), "none", "No point is ground"),
+        (np.full((5, 3), np.nan), None, "No point has valid coordinates"),
+        (np.vstack([np.random.default_rng(1).random((300, 3)) * 20, [[np.nan] * 3]]), None, "There is no slider"),
+    ],
+    ids=["no points", "one point", "a line", "no ground", "nothing valid", "one invalid"],
+)
+def test_what_there_is_of_odd_clouds_is_shown(tmp_path, xyz, ground, words):
+    cloud = jf.PointCloud.from_arrays(xyz, drop_invalid=True)
+    result = jf.FPTD()(cloud)
+    if ground == "none":
+        result = dataclasses.replace(result, ground=np.zeros(len(cloud), bool))
+    if words == "There is no slider":
+        result = result.ground
+    path = jf.report(cloud, result, tmp_path / "page.html")
+    page = Page(path.read_text())
+    assert words in page.text and page.open == []
+    facts = facts_of(path)
+    assert facts["points"] == len(xyz) and ("grid" in facts) == (np.isfinite(xyz).any() and len(xyz) > 0)
+
+
+def test_heights_that_are_not_known_are_left_out(cloud, result, tmp_path):
+    unknown = np.full(len(cloud), np.nan, np.float32)
+    blind = dataclasses.replace(result, height=unknown, margin=unknown)
+    path = blind.report(tmp_path / "page.html")
+    assert 'id="data-doubt"' not in path.read_text() and 'id="data-height"' in path.read_text()
+
+
+def test_what_cannot_be_written_is_said_and_leaves_nothing(cloud, result, tmp_path):
+    with pytest.raises(jf.OutputError, match=r"page\.pdf: the suffix must be one of \.html, \.htm"):
+        result.report(tmp_path / "page.pdf")
+    with pytest.raises(jf.OutputError, match="cannot be written"):
+        result.report(tmp_path / "no" / "page.html")
+    (tmp_path / "page.html").write_text("mine")
+    with pytest.raises(jf.OutputError, match="exists"):
+        result.report(tmp_path / "page.html")
+    with pytest.raises(jf.InputError, match=r"reference has 3 labels"):
+        result.report(tmp_path / "other.html", reference=np.ones(3, bool))
+    with pytest.raises(jf.InputError, match=r"result: bool\[\d+\]"):
+        jf.report(cloud, np.ones(3, bool), tmp_path / "other.html")
+    with pytest.raises(jf.ParameterError, match=r"steps=-1"):
+        result.report(tmp_path / "other.html", steps=-1)
+    with pytest.raises(jf.InputError, match=r"jaxfilter\.report\(cloud, result, path\)"):
+        dataclasses.replace(result, run=None).report(tmp_path / "other.html")
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"page.html": "mine"}
+
+
+def test_progress_goes_from_none_to_all(result, tmp_path):
+    seen = []
+    result.report(tmp_path / "page.html", progress=lambda done, step: seen.append((done, step)))
+    shares = [done for done, _ in seen]
+    assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
+    assert {"slider", "maps", "points", "page"} <= {step for _, step in seen}
+
+
+# ---- the command ----
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["report", *map(str, arguments)])
+
+
+@pytest.fixture
+def file(cloud, tmp_path):
+    return jf.write(tmp_path / "town.laz", cloud, np.zeros(len(cloud), bool), reset="none")
+
+
+def test_the_command_filters_or_takes_the_classes(file, tmp_path):
+    done = run(file, tmp_path / "a.html", "--filter", "smrf", "--set", "threshold=0.4", "--reference", "own", "--json")
+    assert done.exit_code == 0, done.output
+    cloud = jf.read(file, units="m")
+    expected = jf.SMRF(threshold=0.4)(cloud)
+    assert json.loads(done.stdout)["ground"] == expected.ground.sum()
+    facts = facts_of(tmp_path / "a.html")
+    assert facts["ground"][facts["step"]] == expected.ground.sum()
+    scores = jf.evaluate(expected, cloud)
+    assert facts["confusion"][facts["step"]] == scores.confusion.tolist()
+    done = run(file, tmp_path / "b.html", "--reference", file, "--title", "As delivered")
+    assert done.exit_code == 0 and "points are ground" in done.stdout, done.output
+    delivered = facts_of(tmp_path / "b.html")
+    assert delivered["ground"] == [int((cloud.classification == 2).sum())]
+    assert delivered["scores"]["total"] == [0.0]
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("page.pdf",), "suffix"),
+        (("page.html", "--filter", "no"), "no method 'no'"),
+        (("page.html", "--filter", "smrf", "--set", "slope=-1"), "slope"),
+        (("page.html", "--set", "slope=1"), "--filter"),
+        (("page.html", "--reference", "own"), "--filter"),
+        (("page.html", "--reference", "nowhere.laz"), "no such file"),
+        (("no/page.html",), "not a folder"),
+    ],
+)
+def test_wrong_usage_is_found_before_reading(tmp_path, arguments, words):
+    (tmp_path / "broken.laz").write_bytes(b"")
+    done = run(tmp_path / "broken.laz", tmp_path / arguments[0], *arguments[1:])
+    assert done.exit_code == 2 and words in done.stderr, done.output
