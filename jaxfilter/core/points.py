@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 
 from .cloud import QUANTUM, PointCloud
 from .errors import InputError
+from .grid import lattice_over
 
 EXTENT = 2.0**17
 """Metres in x and y from the corner of a cloud up to which its points are filtered; there float32 resolves 8 mm."""
@@ -54,9 +56,23 @@ class Points:
     def spacing(self) -> float:
         """Mean point spacing in metres: square root of occupied area per point.
 
-        The occupied area is counted in cells that hold about eight points each, so that voids do not count.
+        The occupied area is counted in cells that hold about eight points each, so that voids do not count. A cloud that
+        is a part of a scene has the spacing of the whole.
         """
-        return self._spacing
+        whole = self.cloud.whole
+        return self._spacing if whole is None or whole.spacing is None else whole.spacing
+
+    def least_shape(self, cell: float, margin: int = 0) -> tuple[int, int]:
+        """Rows and columns of cells that arrays over the largest part of the whole scene have; (1, 1) for a scene of its own."""
+        whole = self.cloud.whole
+        if whole is None:
+            return 1, 1
+        return tuple(math.ceil(side / cell) + 1 + margin for side in (whole.height, whole.width))  # type: ignore[return-value]
+
+    def lattice_corner(self, cell: float) -> tuple[float, float]:
+        """The node of the anchored lattice of cells of this size at or south-west of all points, local metres."""
+        grid = lattice_over(self.xyz, cell, self.offset(cell))
+        return grid.x0, grid.y0
 
     @functools.cached_property
     def _spacing(self) -> float:

@@ -80,6 +80,10 @@ class TinFilter(Filter):
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
         return facet_reach(getattr(self, self.WINDOW))
 
+    def lattice(self) -> float:
+        """The cells that seeds are the lowest points of."""
+        return float(getattr(self, self.WINDOW))
+
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         """Outliers, seeds and network. ``trace``: keep the labels of rounds, if there are any already."""
         raise TypeError(f"{type(self).__name__} does not define start()")

@@ -1,0 +1,234 @@
+"""Ground filtering of a survey of any size: the files of a collection in, as many classified files out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from ..core.cloud import KEPT_CLASSES
+from ..core.errors import InputError, OutputError, ParameterError
+from ..core.filter import Filter
+from ..host.files import remove_dead
+from ..host.storage import Place, Remote, place_of
+from .collection import Collection
+from .collection import open as open_collection
+from .journal import NAME, Journal
+from .outputs import target_names
+from .plan import Plan, plan_tiles
+from .pool import Executor, Pool
+from .run import Run, RunReport, Standing
+from .setup import filter_for, sampled
+from .task import Job
+
+SCRATCH = ".jaxfilter-run"
+"""Folder beside the output that holds labels until their files are complete; removed with the last of them."""
+REPORT = "jaxfilter-run.json"
+
+_BASE = 350e6
+"""Bytes of a worker before it has read a point."""
+_PER_POINT = 330
+"""About so many bytes per point of core and halo."""
+_SHARE = 0.7
+"""Of the memory that is free, when none is given."""
+_MOST_POINTS = 6_000_000
+"""Points of core and halo: larger tiles save little."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """How a run is cut: ``plan``, number of ``workers``, ``memory`` in bytes for all, and ``halo`` in metres."""
+
+    plan: Plan
+    workers: int
+    memory: float
+    halo: float
+
+
+def layout(
+    collection: Collection,
+    filter_: Filter,
+    *,
+    halo: float | None = None,
+    tile: float | None = None,
+    memory: float | None = None,
+    workers: int | None = None,
+) -> Layout:
+    """The tiles of a run, by the memory there is; see :func:`ground`. Raises: ParameterError, InputError."""
+    if halo is not None and not 0 <= halo < math.inf:
+        raise ParameterError(f"halo={halo!r}: must be metres >= 0")
+    if memory is not None and not memory > 0:
+        raise ParameterError(f"memory={memory!r}: must be > 0 bytes")
+    around = filter_.tile_halo() if halo is None else halo
+    budget = _SHARE * psutil.virtual_memory().available if memory is None else memory
+    most = max(1, int(budget // (2 * _BASE)))
+    count = min(os.cpu_count() or 1, most) if workers is None else workers
+    room = (budget - _BASE) / count - _BASE
+    if room <= 0:
+        raise ParameterError(f"memory={budget:.3g} bytes do not suffice for {count} workers of {_BASE:.3g} each")
+    plan = plan_tiles(
+        collection.footprints,
+        collection.counts,
+        metre=collection.metre,
+        halo=around,
+        lattice=filter_.lattice(),
+        most_points=min(room / _PER_POINT, _MOST_POINTS),
+        side=tile,
+    )
+    return Layout(plan, count, budget, around)
+
+
+def ground(
+    what: Any,
+    out: str | Path,
+    filter_: Filter | None = None,
+    *,
+    units: str | None = None,
+    halo: float | None = None,
+    tile: float | None = None,
+    memory: float | None = None,
+    workers: int | None = None,
+    client: Any = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    returns: str = "last,only",
+    ignore_classes: Iterable[int] = KEPT_CLASSES,
+    keep_withheld: bool = False,
+    drop_invalid: bool = False,
+    ground_class: int = 2,
+    other_class: int = 1,
+    reset: str = "ground",
+    only_ground: bool = False,
+    extra: Iterable[str] = (),
+    progress: Callable[[Standing], None] | None = None,
+    setup: Callable[[Collection, dict[str, Any]], tuple[Filter, Any]] | None = None,
+) -> RunReport:
+    """Classify the ground points of the files of a collection, tile by tile, into one file for each in a folder.
+
+    Every file is written as it was, with classes changed, when all its tiles are done. The journal in the folder lets a run
+    that was stopped, in whatever way, go on with ``resume``; the files are those of an undisturbed run.
+
+    Args:
+        what: a :class:`Collection`, or what :func:`jaxfilter.open` takes.
+        out: a folder, made if missing; it must be empty, but for ``resume`` and ``overwrite``.
+        filter_: by default the default method, set up for the collection.
+        halo: metres around each tile that are read as well; by default what the method needs (``Filter.tile_halo``).
+        tile: side of a tile in metres; by default as large as the memory allows.
+        memory: bytes for all processes together; by default seven tenths of what is free.
+        workers: processes; by default one per processor, as far as the memory goes.
+        client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
+        resume: go on with the run that was begun in the folder. overwrite: begin anew; files in it are replaced.
+        returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
+        ground_class, other_class, reset, only_ground, extra: as in :func:`jaxfilter.write`.
+        progress: called with the :class:`Standing` about four times a second.
+        setup: in place of ``filter_``: makes filter and whole of the collection and the reading options.
+
+    Returns: RunReport; what could not be done is in it.
+    Raises: InputError, ParameterError, OutputError before anything is filtered; OutputError if the journal cannot be written.
+    """
+    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
+    collection.crs  # noqa: B018: refuses what cannot be run together
+    folder = Path(out)
+    reading = {
+        "returns": returns,
+        "ignore_classes": tuple(ignore_classes),
+        "keep_withheld": keep_withheld,
+        "drop_invalid": drop_invalid,
+    }
+    classes = {"ground_class": ground_class, "other_class": other_class, "reset": reset, "only_ground": only_ground}
+    names = target_names(list(collection.uris))
+    prepare_folder(folder, collection, names, resume=resume, overwrite=overwrite)
+    index = folder / SCRATCH / "index"
+    if setup is not None:
+        filter_, whole = setup(collection, reading)
+    else:
+        sample = sampled(collection, reading, index)
+        filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
+    cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers)
+    width, height = (side * collection.metre for side in cut.plan.largest(collection.footprints))
+    whole = dataclasses.replace(whole, width=width, height=height)
+    job = Job(filter_, reading, classes, tuple(extra), whole, folder / SCRATCH, index)
+    executor: Executor
+    if client is not None:
+        from .dask import Cluster
+
+        executor = Cluster(client)
+    else:
+        executor = Pool(cut.workers)
+    targets: list[Place] = [folder / name for name in names]
+    with Journal(folder / NAME) as journal:
+        journal.begin(_facts(collection, job, cut.plan))
+        run = Run(job, cut.plan, collection, targets, journal, executor, overwrite=True, progress=progress)
+        report = run()
+    report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
+    remove_dead(folder)
+    return report
+
+
+def prepare_folder(
+    folder: Path, collection: Collection, names: list[str], *, resume: bool, overwrite: bool
+) -> None:
+    """Make the folder of a run, empty but for what may stay.
+
+    Raises: OutputError if it holds something and neither ``resume`` nor ``overwrite`` is asked for, or holds an input.
+    """
+    if isinstance(place_of(str(folder)), Remote):
+        raise OutputError(f"{folder}: a run is written to a local folder; copy its files when it is complete")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        held = sorted(entry.name for entry in os.scandir(folder))
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
+    inputs = {os.path.realpath(uri) for uri in collection.uris if "://" not in uri}
+    mine = [name for name in names if os.path.realpath(folder / name) in inputs]
+    if mine:
+        raise OutputError(f"{folder / mine[0]}: is an input; name another folder")
+    if not held or resume:
+        return
+    if not overwrite:
+        more = f" and {len(held) - 1} more" if len(held) > 1 else ""
+        raise OutputError(
+            f"{folder}: is not empty, it holds {held[0]}{more}: name another folder, pass resume=True to go on with a run, "
+            "or overwrite=True to begin anew"
+        )
+    with Journal(folder / NAME):  # nobody else is at it
+        pass
+    (folder / NAME).unlink()
+    shutil.rmtree(folder / SCRATCH, ignore_errors=True)
+    for name in (*names, REPORT):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _facts(collection: Collection, job: Job, plan: Plan) -> dict[str, Any]:
+    """What decides the outcome of a run, to be told from another."""
+    whole = dataclasses.asdict(job.whole)
+    filter_ = {"method": type(job.filter).__name__, **dataclasses.asdict(job.filter)}  # type: ignore[call-overload]
+    digest = _digest(collection)
+    return {
+        "version": version("jaxfilter"),
+        "inputs": digest,
+        "filter": filter_,
+        "reading": {**job.reading, "ignore_classes": list(job.reading["ignore_classes"])},
+        "classes": job.classes,
+        "extra": list(job.extra),
+        "spacing": whole["spacing"],
+        "tiles": {"side": plan.side, "halo": plan.halo, "number": len(plan), "digest": plan.digest()},
+    }
+
+
+def _digest(collection: Collection) -> str:
+    """Tells the files of a collection, by name and content, from others."""
+    import hashlib
+
+    found = hashlib.sha256()
+    for source in collection:
+        found.update(json.dumps([source.uri, source.count, source.identity]).encode())
+    return found.hexdigest()
