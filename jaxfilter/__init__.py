@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.sweep import sweep
     from .terrain import dtm, dtm_rmse
+    from .tiles.collection import Collection, open
 
 _HOMES = {
     "citing": ("citation",),
@@ -53,14 +54,15 @@ _HOMES = {
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse"),
+    "tiles.collection": ("Collection", "open"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError", "JaxfilterError",
-    "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "plots", "read", "scenes",
+    "Calibration", "Collection", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError",
+    "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "open", "plots", "read", "scenes",
     "soft_labels", "sweep", "write",
 ]  # fmt: skip
 

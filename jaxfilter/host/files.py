@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError, OutputError
+from .storage import Place, Remote, new_object
 
 if sys.platform == "win32":
     import msvcrt
@@ -38,23 +39,28 @@ class Identity:
     """What tells a file from another that takes its name, and from itself after a change.
 
     Attributes:
-        device, inode: which file it is.
+        device, inode: which file it is; 0 for files that are not on a disk.
         size, modified: bytes and time (ns) of the last change.
+        tag: of remote files, instead of the time: their ETag, or what else tells versions apart.
     """
 
     device: int
     inode: int
     size: int
     modified: int
+    tag: str = ""
 
     @classmethod
-    def of(cls, place: int | Path) -> Identity:
-        """Of an open file, by its descriptor, or of the file that has a name now. Raises OSError."""
+    def of(cls, place: int | Place) -> Identity:
+        """Of an open file, by its descriptor, or of the file that has a name now. Raises OSError, InputError."""
+        if isinstance(place, Remote):
+            size, tag = place.status()
+            return cls(0, 0, size, 0, tag)
         status = os.stat(place)
         return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
 
     @contextlib.contextmanager
-    def kept(self, path: Path, message: str) -> Iterator[None]:
+    def kept(self, path: Place, message: str) -> Iterator[None]:
         """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
         not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
         try:
@@ -66,10 +72,10 @@ class Identity:
         if not self._holds(path):
             raise InputError(f"{path}: {message}")
 
-    def _holds(self, path: Path) -> bool:
+    def _holds(self, path: Place) -> bool:
         try:
             return Identity.of(path) == self
-        except OSError:
+        except (OSError, InputError):
             return False
 
 
@@ -89,11 +95,11 @@ class Tally:
 
 
 @dataclasses.dataclass(frozen=True)
-class Source:
+class Handle:
     """The file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
 
     Attributes:
-        path: absolute.
+        path: absolute, or remote.
         kind: ``"las"`` (LAS, LAZ and COPC) or ``"text"``.
         format: in words, for messages.
         points: number of points taken from the file, the length of the cloud.
@@ -103,13 +109,19 @@ class Source:
             a file is changed and its time set back.
     """
 
-    path: Path
+    path: Place
     kind: str
     format: str
     points: int
     bounds: Bounds | None
     identity: Identity
     checksum: int
+
+    @property
+    def table(self) -> Path:
+        """The path of a text file, which is on a local disk."""
+        assert isinstance(self.path, Path)
+        return self.path
 
     def check_unchanged(self) -> None:
         """Raises InputError when the file is gone, or is not the one that was read."""
@@ -135,7 +147,7 @@ class Source:
 class Replay(Tally):
     """The points of a source that are read again. Raises InputError where they are not those of the first time."""
 
-    def __init__(self, source: Source | None) -> None:
+    def __init__(self, source: Handle | None) -> None:
         super().__init__()
         self.source = source
 
@@ -190,22 +202,29 @@ _KINDS = {
 
 @contextlib.contextmanager
 def new_file(
-    path: Path, *, overwrite: bool = False, in_place: bool = False, source: Path | None = None
+    path: Place, *, overwrite: bool = False, in_place: bool = False, source: Place | None = None
 ) -> Iterator[Path]:
     """A name to write to; the file gets the name ``path`` when the block ends, and vanishes if it fails.
 
     The file is written in a hidden folder beside ``path``, which is locked as long as its writer lives; folders that
     killed runs have left there are removed. It has reached the disk before it gets its name. What ``path`` replaces
     gives it its permissions. A symbolic link stays, and the file that it names is written; that may be a new one.
-    Without ``overwrite``, of two writers of one name the second fails.
+    Without ``overwrite``, of two writers of one name the second fails. A remote file is written to a local disk first and
+    then sent.
 
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
     not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
     """
+    if isinstance(path, Remote):
+        if path == source and not in_place:
+            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+        with new_object(path, overwrite or path == source) as part:
+            yield part
+        return
     final = Path(os.path.realpath(path)) if os.path.islink(path) else path
     try:
         status = existing(path)
-        mine = status is not None and source is not None and os.path.samestat(status, os.stat(source))
+        mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
             raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
         if status is not None and not mine and not overwrite:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import datetime
+import hashlib
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import BinaryIO
 
 import lazrs
@@ -20,6 +21,7 @@ import numpy as np
 from ..core.cloud import check_scales
 from ..core.errors import InputError, OutputError, warn
 from .files import CHANGED_IN_READING, Identity
+from .storage import Place, Remote
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point record by point format, 0 to 10."""
@@ -68,7 +70,7 @@ class Header:
     that of the file it was read from, None for the header of a new file; ``unread`` is the number of compressed points, as
     far as it is known, that are in the file and not in its count."""
 
-    path: Path
+    path: Place
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
@@ -77,12 +79,23 @@ class Header:
     unread: int = 0
 
     @contextlib.contextmanager
-    def open(self) -> Iterator[BinaryIO]:
-        """The file that the header is of. Raises InputError if the name is another file's by now, OSError."""
-        with open(self.path, "rb") as file:
-            if Identity.of(file.fileno()) != self.identity:
+    def open(self, sequential: bool = False) -> Iterator[BinaryIO]:
+        """The file that the header is of; ``sequential`` tells that it is read from end to end.
+
+        Raises: InputError if the name is another file's by now, OSError.
+        """
+        with opened(self.path, sequential) as (file, identity):
+            if identity != self.identity:
                 raise InputError(f"{self.path}: {CHANGED_IN_READING}")
             yield file
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the file, wherever it is mounted: a hash of its size, of the time of its last change or its ETag,
+        and of all that precedes its points."""
+        assert self.identity is not None
+        stated = f"{self.identity.size} {self.identity.modified} {self.identity.tag}\n".encode()
+        return hashlib.sha256(stated + self.head).hexdigest()[:32]
 
     def _get(self, layout: str, at: int) -> tuple:
         return struct.unpack_from("<" + layout, self.head, at)
@@ -127,6 +140,14 @@ class Header:
         """Smallest and largest x, y, z as the header states them."""
         both = np.array(self._get("6d", 179)).reshape(3, 2)
         return both[:, 1], both[:, 0]
+
+    @property
+    def date(self) -> str | None:
+        """Day on which the file was made, ISO 8601; None if the header states none that can be."""
+        day, year = self._get("2H", 90)
+        if not (1 <= day <= 366 and 1900 <= year <= 2999):
+            return None
+        return (datetime.date(year, 1, 1) + datetime.timedelta(day - 1)).isoformat()
 
     @property
     def is_copc(self) -> bool:
@@ -254,16 +275,28 @@ class Header:
         return _parse(self.path, bytes(head), None)
 
 
-def read_header(path: Path) -> Header:
+@contextlib.contextmanager
+def opened(path: Place, sequential: bool = False) -> Iterator[tuple[BinaryIO, Identity]]:
+    """An open file and its identity. Raises InputError, OSError."""
+    if isinstance(path, Remote):
+        identity = Identity.of(path)
+        with path.open(identity.size, sequential) as file:
+            yield file, identity
+    else:
+        with open(path, "rb") as file:
+            yield file, Identity.of(file.fileno())
+
+
+def read_header(path: Place, tables: bool = True) -> Header:
     """Read and validate. No field is trusted before it is bounded by the length of the file.
+
+    ``tables=False`` does not look among the points: whether chunks of LAZ hold as many as announced is then not checked.
 
     Raises: InputError naming the file and the field: not LAS, unknown version or point format, sizes, record counts or
     point counts that the file cannot hold, scales that are not positive numbers.
     """
-    with open(path, "rb") as file:
-        identity = Identity.of(file.fileno())
-        size = file.seek(0, 2)
-        file.seek(0)
+    with opened(path) as (file, identity):
+        size = identity.size
         block = file.read(HEADER_LENGTHS[4])
         if size == 0:
             raise InputError(f"{path}: the file is empty (0 bytes)")
@@ -290,7 +323,7 @@ def read_header(path: Path) -> Header:
         head = file.read(offset)
         header = dataclasses.replace(_parse(path, head, size), identity=identity)
         _check_points(header)
-        if header.compressed and (header.count or any(record.key == _LASZIP for record in header.vlrs)):
+        if tables and header.compressed and (header.count or any(record.key == _LASZIP for record in header.vlrs)):
             header = dataclasses.replace(header, unread=_check_chunk_table(header, file))
         if minor >= 4:
             start, count = struct.unpack_from("<QI", head, 235)
@@ -307,7 +340,7 @@ def read_header(path: Path) -> Header:
     return header
 
 
-def _parse(path: Path, head: bytes, file_size: int | None) -> Header:
+def _parse(path: Place, head: bytes, file_size: int | None) -> Header:
     header_size, _, records = struct.unpack_from("<HII", head, 94)
     found, at = [], header_size
     for i in range(records):
@@ -322,7 +355,7 @@ def _parse(path: Path, head: bytes, file_size: int | None) -> Header:
     return Header(path, head, len(head) if file_size is None else file_size, tuple(found), ())
 
 
-def _read_evlrs(path: Path, file: BinaryIO, start: int, count: int, size: int) -> tuple[Record, ...]:
+def _read_evlrs(path: Place, file: BinaryIO, start: int, count: int, size: int) -> tuple[Record, ...]:
     if count * _EVLR + start > size:
         raise InputError(
             f"{path}: the header announces {count} extended records from byte {start}, but the file has {size} bytes; "
@@ -433,7 +466,7 @@ def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:
 
 
 def new_header(
-    path: Path, scales: np.ndarray, offsets: np.ndarray, wkt: str | None, created: tuple[int, int]
+    path: Place, scales: np.ndarray, offsets: np.ndarray, wkt: str | None, created: tuple[int, int]
 ) -> Header:
     """A header of LAS 1.4, point format 6, without points yet; ``created`` is day of the year and year."""
     record = b"" if wkt is None else vlr("LASF_Projection", 2112, wkt.encode() + b"\0", "OGC WKT")

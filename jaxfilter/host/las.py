@@ -25,9 +25,10 @@ from ..core.units import (
     sampled,
 )
 from . import records, text
-from .files import CHANGED_IN_READING, Bounds, Identity, Source, Tally, check_bounds
-from .header import Header, read_header
+from .files import CHANGED_IN_READING, Bounds, Handle, Identity, Tally, check_bounds
+from .header import Header, opened, read_header
 from .records import inside, read_records, reading
+from .storage import Place, Remote, place_of
 from .writing import LAS_SUFFIXES, class_changes, write
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ _LARGEST_CRS = 2**20  # bytes
 
 
 def read(
-    path: str | Path | laspy.LasData,
+    path: str | Path | Remote | laspy.LasData,
     *,
     bounds: Iterable[float] | None = None,
     units: str | Units | None = None,
@@ -58,9 +59,10 @@ def read(
     class 2.
 
     Args:
-        path: the file. It is needed again for lossless writing; the cloud keeps a handle, not a copy. A
-            ``laspy.LasData`` is taken as the file it would become. What ``write`` makes of such a cloud is a new file,
-            which holds coordinates, echoes, withheld flags and classes only; to keep all else, give the labels to laspy:
+        path: the file; LAS, LAZ and COPC may also lie where fsspec gets at them (``"s3://..."``, ``"https://..."``). It is
+            needed again for lossless writing; the cloud keeps a handle, not a copy. A ``laspy.LasData`` is taken as
+            the file it would become. What ``write`` makes of such a cloud is a new file, which holds coordinates, echoes,
+            withheld flags and classes only; to keep all else, give the labels to laspy:
             ``las.classification[result.ground] = 2``.
         bounds: (xmin, ymin, xmax, ymax) in file units; points with xmin <= x < xmax and ymin <= y < ymax are kept, so
             that adjoining bounds share no point. COPC reads only the octree nodes concerned.
@@ -88,15 +90,17 @@ def read(
     }
     if is_laspy(path):
         return _laspy_cloud(path, asked, cut, chosen)
-    path = Path(path)
+    path = place_of(path)
     suspect = _refuse if asked is None else None
-    if _is_las(path):
-        header, reference = _open_las(path)
-        return _las_cloud(header, reference, linear_units(reference, asked, str(path)), cut, chosen, suspect)
-    return _text_cloud(path, asked or Units(), cut, chosen, suspect)
+    table = _table(path)
+    if table is None:
+        header, reference = open_las(path)
+        scale = linear_units(reference, asked, str(path))
+        return las_cloud(header, reference, scale, cut, chosen, suspect, _records(header, cut), header.count)
+    return _text_cloud(table, asked or Units(), cut, chosen, suspect)
 
 
-def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any]:
+def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict[str, Any]:
     """What is in a file, for people and for JSON; angular, geocentric and far-off coordinates are no error here.
 
     Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
@@ -104,16 +108,18 @@ def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any
     ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of occupied area). None where a file
     says nothing.
     """
-    path = Path(path)
+    path = place_of(path)
     asked = None if units is None else parse_units(units)
-    header, reference = _open_las(path) if _is_las(path) else (None, Reference())
+    table = _table(path)
+    header, reference = open_las(path) if table is None else (None, Reference())
     angular = asked is None and reference.problem is not None
     suspect = warn if asked is None and not angular else None
     if header is not None:
         scale = Units(1.0, 1.0, reference.shown) if angular else linear_units(reference, asked, str(path))
-        cloud = _las_cloud(header, reference, scale, None, {"drop_invalid": True}, suspect)
+        records_ = _records(header, None)
+        cloud = las_cloud(header, reference, scale, None, {"drop_invalid": True}, suspect, records_, header.count)
     else:
-        cloud = _text_cloud(path, asked or Units(), None, {"drop_invalid": True}, suspect)
+        cloud = _text_cloud(cast(Path, table), asked or Units(), None, {"drop_invalid": True}, suspect)
     low = high = None
     if len(cloud):
         corners = np.stack([cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)])
@@ -140,21 +146,27 @@ def info(path: str | Path, *, units: str | Units | None = None) -> dict[str, Any
     }
 
 
-def _is_las(path: Path) -> bool:
-    """By suffix, and for other suffixes than those of text by the signature of the file. Raises InputError."""
+def _table(path: Place) -> Path | None:
+    """The path of a text file; None for LAS: by suffix, and for other suffixes by the signature of the file.
+
+    Raises: InputError.
+    """
     suffix = path.suffix.lower()
-    with reading(path), open(path, "rb") as file:
+    with reading(path), opened(path) as (file, _):
         signed = file.read(4) == b"LASF"
     if signed or suffix in LAS_SUFFIXES:
-        return True
+        return None
+    if suffix in text.SUFFIXES and isinstance(path, Path):
+        return path
     if suffix in text.SUFFIXES:
-        return False
+        raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     raise InputError(f"{path}: neither LAS nor one of {', '.join(text.SUFFIXES)}; give text one of these suffixes")
 
 
-def _open_las(path: Path) -> tuple[Header, Reference]:
+def open_las(path: Place, tables: bool = True) -> tuple[Header, Reference]:
+    """The header of a LAS file, see :func:`read_header`, and its CRS. Raises InputError. Warns: as :func:`read`."""
     with reading(path):
-        header = read_header(path)
+        header = read_header(path, tables)
         stated = {}
         with header.open() as file:
             for record in header.vlrs + header.evlrs:
@@ -165,6 +177,16 @@ def _open_las(path: Path) -> tuple[Header, Reference]:
         for remark in header.remarks():
             warn(f"{path}: {remark}")
         return header, reference_of(stated, str(path))
+
+
+def _records(header: Header, cut: Bounds | None) -> Iterable[np.ndarray]:
+    """The records inside a cut; warns if there are none."""
+    found = False
+    for chunk in read_records(header, cut, every_field=False):
+        found |= len(chunk) > 0
+        yield chunk
+    if not found:
+        _warn_empty(str(header.path), cut)
 
 
 def _refuse(message: str) -> None:
@@ -180,14 +202,18 @@ def _laspy_cloud(las: Any, asked: Units | None, cut: Bounds | None, chosen: dict
     return cloud
 
 
-def _las_cloud(
+def las_cloud(
     header: Header,
     reference: Reference,
     units: Units,
     cut: Bounds | None,
     chosen: dict[str, Any],
     suspect: Callable[[str], None] | None,
+    chunks: Iterable[np.ndarray],
+    most: int,
 ) -> PointCloud:
+    """The cloud of some records of a file, u8[k, record_length] at a time, ``most`` of them or fewer; ``cut`` says which
+    they are."""
     name, number = str(header.path), header.point_format
     fields: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "return_number": lambda r: records.echoes(r, number)[0],
@@ -196,27 +222,25 @@ def _las_cloud(
         "withheld": lambda r: records.withheld(r, number),
     }
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
-    ticks, n = np.empty((header.count, 3), np.int32), 0
-    columns: dict[str, Any] = {key: np.empty(header.count, bool if key == "withheld" else np.uint8) for key in fields}
+    ticks, n = np.empty((most, 3), np.int32), 0
+    columns: dict[str, Any] = {key: np.empty(most, bool if key == "withheld" else np.uint8) for key in fields}
     identity, tally = cast(Identity, header.identity), Tally()
     with identity.kept(header.path, CHANGED_IN_READING):
-        for chunk in read_records(header, cut, every_field=False):
+        for chunk in chunks:
             rows = slice(n, n + len(chunk))
             ticks[rows] = records.integers(chunk)
             tally.add(ticks[rows])
             for key, get in fields.items():
                 columns[key][rows] = get(chunk)
             n = rows.stop
-    if n < header.count:
+    if n < most:
         ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}
-    if n == 0:
-        _warn_empty(name, cut)
     if suspect is not None:
         some = ticks[sampled(n)] * header.scales + header.offsets
         if reason := not_metric(some, n, reference.units is not None or cut is not None):
             suspect(f"{name}: {reason}")
     is_ground = columns["classification"] == GROUND_CLASS
-    source = Source(header.path.absolute(), "las", str(header), n, cut, identity, tally.checksum)
+    source = Handle(header.path.absolute(), "las", str(header), n, cut, identity, tally.checksum)
     return PointCloud.from_integers(
         ticks,
         header.scales,
@@ -254,7 +278,7 @@ def _text_cloud(
             suspect(f"{path}: {reason}")
     if not len(xyz):
         _warn_empty(str(path), cut)
-    source = Source(path.absolute(), "text", str(layout), len(xyz), cut, identity, tally.checksum)
+    source = Handle(path.absolute(), "text", str(layout), len(xyz), cut, identity, tally.checksum)
     return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
 
 

@@ -6,7 +6,6 @@ import contextlib
 import shutil
 import struct
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import lazrs
@@ -15,13 +14,15 @@ import numpy as np
 from ..core.errors import InputError, JaxfilterError
 from ..core.forks import need_threads
 from . import copc
+from .blocks import Blocks, check_inside, read_blocks
 from .files import Bounds
 from .header import Header
+from .storage import Place
 
 CHUNK = 1_000_000
 """Points that are held at a time. LAZ is written in pieces of this size as well."""
 
-_NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud is wanted
+NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud is wanted
     lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
     | lazrs.SELECTIVE_DECOMPRESS_Z
     | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
@@ -30,7 +31,7 @@ _NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the clou
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def reading(path: Place) -> Iterator[None]:
     """Turn whatever the decoders raise on a bad file into an InputError that names it."""
     try:
         yield
@@ -58,14 +59,32 @@ def read_records(header: Header, bounds: Bounds | None = None, every_field: bool
 
     Raises: InputError if the points are damaged.
     """
-    wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else _NEEDED
+    wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else NEEDED
+    if header.is_copc and bounds is not None:
+        with reading(header.path), header.open() as file:
+            found = copc.nodes(header, file)
+        yield from (chunk for chunk, _ in within(header, found, bounds, wanted))
+    else:
+        with reading(header.path), header.open(sequential=True) as file:
+            for chunk in _file_chunks(header, file, wanted):
+                yield chunk if bounds is None else chunk[inside(coordinates(chunk, header, 2), bounds)]
+
+
+def within(
+    header: Header, found: Blocks, bounds: Bounds, wanted: int = NEEDED
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The records inside ``bounds``, u8[k, record_length], and their numbers in the file, i64[k]; only the runs of
+    ``found`` that may hold some are read. Raises InputError if the points are damaged."""
+    met = found.meeting(bounds)
+    if not len(met):
+        return
     with reading(header.path), header.open() as file:
-        if header.is_copc and bounds is not None:
-            chunks = copc.node_chunks(header, file, copc.nodes_within(header, file, bounds), wanted, CHUNK)
-        else:
-            chunks = _file_chunks(header, file, wanted)
-        for chunk in chunks:
-            yield chunk if bounds is None else chunk[inside(coordinates(chunk, header, 2), bounds)]
+        for group in met.groups():
+            chunk = read_blocks(header, file, group, wanted)
+            if header.is_copc:
+                check_inside(header, group, chunk)
+            kept = inside(coordinates(chunk, header, 2), bounds)
+            yield chunk[kept], group.records()[kept]
 
 
 def _file_chunks(header: Header, file: BinaryIO, wanted: int) -> Iterator[np.ndarray]:

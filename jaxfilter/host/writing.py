@@ -17,9 +17,10 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
-from .files import Replay, Source, new_file
+from .files import Handle, Replay, new_file
 from .header import FLOAT32, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
+from .storage import Place, Remote, place_of
 
 RESETS = ("ground", "all", "none")
 EXTRAS = ("height", "slope", "angle", "elevation", "margin")
@@ -29,7 +30,7 @@ LAS_SUFFIXES = (".las", ".laz")
 
 
 def write(
-    path: str | Path,
+    path: str | Path | Remote,
     cloud: PointCloud,
     result: FilterResult | np.ndarray,
     *,
@@ -40,7 +41,7 @@ def write(
     reset: str = "ground",
     only_ground: bool = False,
     extra: Iterable[str] = (),
-) -> Path:
+) -> Path | Remote:
     """Write the points of a cloud with their classes: .las and .laz, or .txt, .xyz and .csv with a label (0 = ground).
 
     A cloud from a LAS file is streamed from that file again: only the classes of candidates change, everything else is
@@ -50,7 +51,7 @@ def write(
     if the text has more than three decimals). COPC cannot be written; its points go to plain .laz, in the file's order.
 
     Args:
-        path: the output; it appears whole or not at all.
+        path: the output; it appears whole or not at all. May be a URL that fsspec can write to (``"s3://..."``).
         result: what a filter returned, or bool[n], True = ground.
         overwrite: replace an existing file.
         in_place: allow the output to be the file that the cloud came from.
@@ -64,12 +65,12 @@ def write(
     Raises: OutputError (exists, is the input, cannot hold a class or a coordinate, disk), ParameterError, InputError
     (result of another length, source file changed).
     """
-    path, names = Path(path), tuple(extra)
+    path, names = place_of(path), tuple(extra)
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
         raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
     labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names)
-    source: Source | None = cloud.source
+    source: Handle | None = cloud.source
     if source is not None:
         source.check_unchanged()
         if source.points != len(cloud):
@@ -149,8 +150,8 @@ class _Labels:
         return np.where(self.ground[rows], text.GROUND, text.OBJECT)
 
 
-def _write_las(path: Path, file: BinaryIO, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
-    source: Source | None = cloud.source
+def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
+    source: Handle | None = cloud.source
     from_las = source is not None and source.kind == "las"
     if source is not None and from_las:
         with reading(source.path):
@@ -214,10 +215,10 @@ def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Label
         chunk[:, dimension.start : dimension.start + 4] = values.view(np.uint8).reshape(-1, 4)
 
 
-def _fresh_header(path: Path, cloud: PointCloud) -> Header:
+def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     decimals = 3
     if cloud.source is not None:
-        decimals = 4 if text.layout_of(cloud.source.path).decimals > 3 else 3
+        decimals = 4 if text.layout_of(cloud.source.table).decimals > 3 else 3
     wkt = None
     if cloud.crs is not None:
         try:
@@ -229,7 +230,7 @@ def _fresh_header(path: Path, cloud: PointCloud) -> Header:
     return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)
 
 
-def _fresh_records(path: Path, header: Header, cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
+def _fresh_records(path: Place, header: Header, cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
     """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
     start = 0
     for xyz in _coordinates(cloud, replay):
@@ -258,7 +259,7 @@ def _fresh_records(path: Path, header: Header, cloud: PointCloud, replay: Replay
 
 def _coordinates(cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
     """Chunks of f64[k, 3] in file units: those of the source file where there is one, else the cloud's."""
-    source: Source | None = cloud.source
+    source: Handle | None = cloud.source
     if source is None:
         for start in range(0, len(cloud), CHUNK):
             rows = slice(start, start + CHUNK)
@@ -271,17 +272,17 @@ def _coordinates(cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
         for chunk in _replayed(read_records(header, source.bounds, every_field=False), replay):
             yield records.coordinates(chunk, header)
     else:
-        for xyz, _ in text.read_text(source.path, text.layout_of(source.path), source.bounds):
+        for xyz, _ in text.read_text(source.table, text.layout_of(source.table), source.bounds):
             replay.add(xyz)
             yield xyz
 
 
-def _write_text(path: Path, temporary: Path, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
-    source: Source | None = cloud.source
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
+    source: Handle | None = cloud.source
     with open(temporary, "xb") as file:
         if source is not None and source.kind == "text":
-            layout = text.layout_of(source.path)
-            text.rewrite_text(source.path, layout, file, source.bounds, labels.texts, labels.classes, replay)
+            layout = text.layout_of(source.table)
+            text.rewrite_text(source.table, layout, file, source.bounds, labels.texts, labels.classes, replay)
             return
         decimals = 3 if source is None else _decimals(read_header(source.path))
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"

@@ -1,0 +1,153 @@
+"""Runs of point records that can be read alone, and the area that each covers: how to get at a part of a file.
+
+The runs are the chunks of LAZ, the nodes of COPC (``copc.py``), and :data:`RUN` records of LAS. What area the points of a
+run of LAS or LAZ cover is found by one pass over the file, see :func:`measured`, and can be kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import lazrs
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.forks import need_threads
+from .files import Bounds, new_file
+from .header import Header
+from .storage import read_ranges
+
+RUN = 4096
+"""Records of LAS in a run."""
+
+_MOST = 1_000_000  # points that are read at a time
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocks:
+    """k runs of records of a file, in file order.
+
+    Attributes:
+        start, size: i64[k], bytes: where a run begins in the file, and how long it is there.
+        first, points: i64[k]: number of its first record in the file, counted from 0, and how many it has.
+        low, high: f64[k, 2], file coordinates: all points of a run lie in low <= (x, y) <= high.
+    """
+
+    start: np.ndarray
+    size: np.ndarray
+    first: np.ndarray
+    points: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def __getitem__(self, rows: slice | np.ndarray) -> Blocks:
+        return Blocks(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+
+    def meeting(self, box: Bounds) -> Blocks:
+        """Those that may hold points inside a half-open box."""
+        low, high = self.low, self.high
+        return self[(low[:, 0] < box[2]) & (high[:, 0] >= box[0]) & (low[:, 1] < box[3]) & (high[:, 1] >= box[1])]
+
+    def records(self) -> np.ndarray:
+        """i64[n]: the numbers of the records, run after run."""
+        ends = np.cumsum(self.points)
+        return np.arange(ends[-1] if len(ends) else 0) + np.repeat(self.first - ends + self.points, self.points)
+
+    def groups(self) -> Iterator[Blocks]:
+        """Runs in succession, about a million points at a time."""
+        start = 0
+        ends = np.cumsum(self.points)
+        while start < len(self):
+            before = ends[start] - self.points[start]
+            stop = max(start + 1, int(np.searchsorted(ends, before + _MOST, side="right")))
+            yield self[start:stop]
+            start = stop
+
+    def save(self, path: Path, fingerprint: str) -> None:
+        """Keep them for the file that has this fingerprint. Raises OutputError."""
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        with new_file(path, overwrite=True) as part, open(part, "wb") as file:
+            np.savez(file, fingerprint=np.array(fingerprint), **columns)
+
+    @classmethod
+    def load(cls, path: Path, fingerprint: str) -> Blocks | None:
+        """What was kept for the file of this fingerprint; None if there is nothing, or nothing for this file."""
+        try:
+            with np.load(path) as kept:
+                if kept["fingerprint"].item() == fingerprint:
+                    return cls(*(kept[field.name] for field in dataclasses.fields(cls)))
+        except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):  # damaged ones are made anew
+            pass
+        return None
+
+
+def runs(header: Header, file: BinaryIO) -> Blocks:
+    """The runs of a LAS or LAZ file, whose areas are not known yet: they are infinite."""
+    if not header.count:
+        points = size = np.zeros(0, np.int64)
+        begin = 0
+    elif header.compressed:
+        file.seek(len(header.head))
+        compressor = lazrs.LazVlr(header.decoder)
+        table = np.array(lazrs.read_chunk_table(file, compressor), np.int64).reshape(-1, 2)
+        points, size = table.T.copy()
+        if not compressor.uses_variable_size_chunks():
+            points[:] = compressor.chunk_size()
+        points = np.diff(np.minimum(np.cumsum(points), header.count), prepend=0)
+        begin = len(header.head) + 8
+    else:
+        points = np.full(-(-header.count // RUN), RUN, np.int64)
+        points[-1] = header.count - RUN * (len(points) - 1)
+        size = points * header.record_length
+        begin = len(header.head)
+    wide = np.full((len(points), 2), np.inf)
+    return Blocks(begin + np.cumsum(size) - size, size, np.cumsum(points) - points, points, -wide, wide)
+
+
+def measured(header: Header) -> Blocks:
+    """The runs of a LAS or LAZ file with the areas that their points cover: reads all of it. Raises InputError."""
+    low, high = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    with header.open() as file:
+        found = runs(header, file)
+        found = found[found.points > 0]
+        for group in found.groups():
+            ticks = read_blocks(header, file, group, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)[:, :8].view("<i4")
+            at = group.first - group.first[0]
+            scale, offset = header.scales[:2], header.offsets[:2]
+            low.append(np.minimum.reduceat(ticks, at) * scale + offset)
+            high.append(np.maximum.reduceat(ticks, at) * scale + offset)
+    return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high))
+
+
+def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
+    """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress.
+
+    Raises: InputError if they are damaged.
+    """
+    packed = b"".join(read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist()))
+    if not header.compressed:
+        return np.frombuffer(bytearray(packed), np.uint8).reshape(-1, header.record_length)
+    records = np.zeros((int(blocks.points.sum()), header.record_length), np.uint8)
+    need_threads()
+    table = list(zip(blocks.points.tolist(), blocks.size.tolist(), strict=True))
+    selection = lazrs.DecompressionSelection(wanted)
+    lazrs.decompress_points_with_chunk_table(packed, header.decoder, records.reshape(-1), table, selection)
+    return records
+
+
+def check_inside(header: Header, blocks: Blocks, records: np.ndarray) -> None:
+    """Raises InputError if points of a run lie outside the area that it is said to cover, by more than rounding."""
+    xy = records[:, :8].view("<i4") * header.scales[:2] + header.offsets[:2]
+    low, high = (np.repeat(edge, blocks.points, axis=0) for edge in (blocks.low, blocks.high))
+    if not ((xy >= low) & (xy <= high)).all():
+        raise InputError(
+            f"{header.path}: points lie outside the cubes of its octree, so that points within bounds cannot be found by "
+            "it; read the file without bounds, or from a local disk"
+        )

@@ -1,0 +1,252 @@
+"""Bytes that are not on a local disk: files of object stores and web servers, by ranges, through fsspec.
+
+Local files are ``Path``, all others :class:`Remote`; :func:`place_of` tells them apart. What a store needs to be reached
+(keys, endpoints, tokens) comes from its own configuration: the environment, its files, or fsspec's
+(``FSSPEC_S3_ENDPOINT_URL=...``, ``~/.config/fsspec``), so that no result, journal or message holds a secret.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import os
+import posixpath
+import shutil
+import tempfile
+import time
+import urllib.parse
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar, cast
+
+from ..core.errors import InputError, OutputError
+
+ATTEMPTS = 5
+"""Times that a request is made before it is given up."""
+
+FIRST_WAIT = 0.25
+"""Seconds before the second attempt; each further one waits twice as long."""
+
+_SMALL, _LARGE = 4096, 8 << 20  # bytes read ahead: of headers, and of files that are read from end to end
+_GAP = 4096  # ranges that are this close are fetched as one
+_PASSING = (408, 425, 429, 500, 502, 503, 504)  # HTTP status of failures that may pass
+_LASTING = (
+    FileNotFoundError,
+    PermissionError,
+    IsADirectoryError,
+    NotADirectoryError,
+    NotImplementedError,
+    ImportError,
+    ValueError,
+)
+
+_T = TypeVar("_T")
+
+
+@dataclasses.dataclass(frozen=True)
+class Remote:
+    """A file that is reached by its URI, with what of :class:`pathlib.Path` the readers use."""
+
+    uri: str
+
+    def __str__(self) -> str:
+        return self.uri
+
+    @property
+    def name(self) -> str:
+        return posixpath.basename(urllib.parse.urlsplit(self.uri).path)
+
+    @property
+    def suffix(self) -> str:
+        return posixpath.splitext(self.name)[1]
+
+    def absolute(self) -> Remote:
+        """Itself."""
+        return self
+
+    def status(self) -> tuple[int, str]:
+        """Bytes, and what changes with the content: the ETag, or else the time of the last change.
+
+        Raises: InputError.
+        """
+        system, path = self._system()
+        system.invalidate_cache()
+        facts = _persistent(self.uri, lambda: system.info(path))
+        if facts.get("type") == "directory":
+            raise InputError(f"{self.uri}: is a folder, a file is needed")
+        if facts.get("size") is None:
+            raise InputError(f"{self.uri}: the server does not say how large it is; copy it to a local disk")
+        known = (facts.get(key) for key in ("ETag", "Last-Modified", "LastModified", "mtime", "created"))
+        return int(facts["size"]), str(next((value for value in known if value), ""))
+
+    def open(self, size: int, sequential: bool = False) -> BinaryIO:
+        """A file of ``size`` bytes that can be read and sought; ``sequential`` reads far ahead."""
+        return cast(BinaryIO, io.BufferedReader(_Ranges(self, size), _LARGE if sequential else _SMALL))
+
+    def ranges(self, starts: Sequence[int], ends: Sequence[int]) -> list[bytes]:
+        """The bytes of each range, fetched at the same time. Raises InputError."""
+        system, path = self._system()
+
+        def fetch() -> list[bytes]:
+            found: list[Any] = system.cat_ranges([path] * len(starts), list(starts), list(ends), on_error="raise")
+            for part, start, end in zip(found, starts, ends, strict=True):
+                if len(part) > end - start:
+                    raise InputError(
+                        f"{self.uri}: the server sends {len(part)} bytes where {end - start} were asked for: it knows no "
+                        "ranges; copy the file to a local disk"
+                    )
+                if len(part) < end - start:
+                    raise ConnectionError(f"{len(part)} of {end - start} bytes arrived")
+            return [bytes(part) for part in found]
+
+        return _persistent(self.uri, fetch)
+
+    def read(self) -> bytes:
+        """All of it. Raises InputError."""
+        system, path = self._system()
+        return _persistent(self.uri, lambda: bytes(system.cat_file(path)))
+
+    def listed(self, suffixes: tuple[str, ...]) -> list[str]:
+        """URIs of the files in this folder, or that match it as a pattern, that end so (in any case), sorted."""
+        system, path = self._system()
+        is_pattern = any(c in self.uri for c in "*[")
+        find: Callable[[], Any] = (lambda: system.glob(path)) if is_pattern else (lambda: system.ls(path, detail=False))
+        return sorted(
+            system.unstrip_protocol(found) for found in _persistent(self.uri, find) if found.lower().endswith(suffixes)
+        )
+
+    def exists(self) -> bool:
+        """Whether there is such a file. Raises InputError if the store cannot be reached."""
+        system, path = self._system()
+        system.invalidate_cache()
+        return _persistent(self.uri, lambda: bool(system.exists(path)))
+
+    def put(self, local: Path) -> None:
+        """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
+        system, path = self._system()
+        _persistent(self.uri, lambda: system.put_file(str(local), path))
+
+    def _system(self) -> tuple[Any, str]:
+        import fsspec
+
+        try:
+            return fsspec.core.url_to_fs(self.uri)
+        except (ImportError, ValueError) as error:
+            raise InputError(f"{self.uri}: cannot be reached: {error}") from error
+
+
+class _Ranges(io.RawIOBase):
+    """A remote file as a raw stream: each read is one request."""
+
+    def __init__(self, place: Remote, size: int) -> None:
+        self.place, self.size, self.at = place, size, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self.at
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self.at = max(0, offset + (0, self.at, self.size)[whence])
+        return self.at
+
+    def readinto(self, buffer: Any) -> int:
+        end = min(self.size, self.at + len(buffer))
+        if end <= self.at:
+            return 0
+        found = self.place.ranges([self.at], [end])[0]
+        buffer[: len(found)] = found
+        self.at += len(found)
+        return len(found)
+
+
+Place = Path | Remote
+
+
+def place_of(what: str | os.PathLike[str] | Remote) -> Place:
+    """A local path, or a URI; ``file://`` is local."""
+    if isinstance(what, Remote):
+        return what
+    text = os.fspath(what)
+    if "://" not in text:
+        return Path(text)
+    scheme, _, rest = text.partition("://")
+    return Path(urllib.parse.unquote(rest)) if scheme in ("file", "local") else Remote(text)
+
+
+def read_ranges(place: Place, file: BinaryIO, starts: Sequence[int], sizes: Sequence[int]) -> list[bytes]:
+    """Ranges of bytes of an open file, in the order asked for. Of remote files, ranges close to each other are fetched
+    together, the others at the same time. Ranges do not overlap and are sorted.
+
+    Raises: InputError if the file ends before, OSError.
+    """
+    if not isinstance(place, Remote):
+        found = []
+        for start, size in zip(starts, sizes, strict=True):
+            file.seek(start)
+            found.append(file.read(size))
+            if len(found[-1]) < size:
+                raise InputError(f"{place}: the file ends within its points; it is truncated")
+        return found
+    firsts: list[int] = []
+    ends: list[int] = []
+    member = []
+    for start, size in zip(starts, sizes, strict=True):
+        if not firsts or not 0 <= start - ends[-1] <= _GAP:
+            firsts.append(start)
+            ends.append(start)
+        member.append(len(firsts) - 1)
+        ends[-1] = start + size
+    parts = place.ranges(firsts, ends)
+    return [
+        parts[k][start - firsts[k] : start - firsts[k] + size]
+        for k, start, size in zip(member, starts, sizes, strict=True)
+    ]
+
+
+@contextlib.contextmanager
+def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
+    """A local name to write to; when the block ends, the file is copied to ``place``, where it appears whole.
+
+    Raises: OutputError if it exists and not ``overwrite``, or if the store refuses.
+    """
+    try:
+        if not overwrite and place.exists():
+            raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
+        folder = Path(tempfile.mkdtemp(prefix="jaxfilter-"))
+        try:
+            part = folder / "part"
+            yield part
+            place.put(part)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+    except InputError as error:
+        if str(error).startswith(f"{place}:"):
+            raise OutputError(str(error)) from error
+        raise
+
+
+def _persistent(uri: str, act: Callable[[], _T]) -> _T:
+    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI."""
+    for attempt in range(ATTEMPTS):
+        try:
+            return act()
+        except InputError:
+            raise
+        except FileNotFoundError as error:
+            raise InputError(f"{uri}: no such file") from error
+        except Exception as error:
+            status = getattr(error, "status", None)  # of aiohttp
+            lasting = isinstance(error, _LASTING) or (isinstance(status, int) and status not in _PASSING)
+            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            if lasting:
+                raise InputError(f"{uri}: cannot be reached: {reason}") from error
+            if attempt == ATTEMPTS - 1:
+                raise InputError(f"{uri}: failed {ATTEMPTS} times, the last time with {reason}") from error
+        time.sleep(FIRST_WAIT * 2**attempt)
+    raise AssertionError("unreachable")

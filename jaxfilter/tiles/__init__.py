@@ -1,0 +1,1 @@
+"""Surveys of many files: what they hold, where it lies, and what does not fit together."""

@@ -1,0 +1,242 @@
+"""Many files as one survey: named in any way, read by their headers only, and held against each other."""
+
+from __future__ import annotations
+
+import array
+import dataclasses
+import functools
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import pyproj
+
+from ..core.errors import InputError
+from ..core.units import Reference, Units, not_metric, parse_units
+from ..host.files import Bounds
+from ..host.footprints import Footprints
+from ..host.las import open_las
+from ..host.sources import Source, described
+from ..host.storage import place_of
+from . import names
+from .findings import OVERLAP, Findings, find, refuse_mixture
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Collection", "Source", "open"]
+
+_THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
+_ROWS, _ARRAYS = ("bounds", "z"), ("bounds", "z", "count")  # fields of several numbers, and all that are held as arrays
+
+
+class Collection:
+    """n files in the order in which they were named; see :func:`open`. It has a length, and gives a :class:`Source` by its
+    number; what is planned with is there as arrays as well.
+
+    Attributes:
+        unreadable: (name, reason) of files that were named and cannot be read.
+        repeated: names that were given more than once; they count once.
+    """
+
+    def __init__(
+        self,
+        sources: Iterable[Source],
+        unreadable: Iterable[tuple[str, str]] = (),
+        repeated: Iterable[str] = (),
+    ) -> None:
+        columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
+        columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
+        for source in sources:
+            for name, column in columns.items():
+                value = getattr(source, name)
+                column.extend(value) if name in _ROWS else column.append(value)
+        for name in _ARRAYS:
+            columns[name] = np.array(columns[name])
+        for name in _ROWS:
+            columns[name] = columns[name].reshape(len(columns["uri"]), -1)
+        self._columns = columns
+        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)
+
+    def __len__(self) -> int:
+        return len(self._columns["uri"])
+
+    @overload
+    def __getitem__(self, row: int) -> Source: ...
+    @overload
+    def __getitem__(self, row: slice) -> tuple[Source, ...]: ...
+    def __getitem__(self, row: int | slice) -> Source | tuple[Source, ...]:
+        if isinstance(row, slice):
+            return tuple(self[i] for i in range(*row.indices(len(self))))
+        values = {name: column[row] for name, column in self._columns.items()}
+        plain = {name: values[name].tolist() for name in _ARRAYS}
+        return Source(**values | plain | {name: tuple(plain[name]) for name in _ROWS})
+
+    def __iter__(self) -> Iterator[Source]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"Collection({len(self)} files, {self.count} points)"
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All files."""
+        return self[:]
+
+    @property
+    def uris(self) -> Sequence[str]:
+        """Their names."""
+        return self._columns["uri"]
+
+    @property
+    def footprints(self) -> np.ndarray:
+        """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points."""
+        return self._columns["bounds"]
+
+    @property
+    def counts(self) -> np.ndarray:
+        """i64[n]: points of each file."""
+        return self._columns["count"]
+
+    @property
+    def bounds(self) -> Bounds:
+        """(xmin, ymin, xmax, ymax) around all points, closed, file coordinates; NaN where there are none."""
+        known = self.footprints[self.counts > 0]
+        if not len(known):
+            return (math.nan,) * 4  # type: ignore[return-value]
+        return (*known[:, :2].min(axis=0).tolist(), *known[:, 2:].max(axis=0).tolist())
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return int(self.counts.sum())
+
+    @property
+    def area(self) -> float:
+        """Sum of the areas of the bounds of the files, square metres; what two files cover counts twice."""
+        b = self.footprints[self.counts > 0]
+        metre = np.array([u.xy for u, n in zip(self._columns["units"], self.counts, strict=True) if n > 0])
+        return float(((b[:, 2] - b[:, 0]) * (b[:, 3] - b[:, 1]) * metre**2).sum())
+
+    @property
+    def density(self) -> float:
+        """Points per square metre of ``area``; NaN without area."""
+        return self.count / self.area if self.area > 0 else math.nan
+
+    @functools.cached_property
+    def crs(self) -> pyproj.CRS | None:
+        """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`."""
+        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        stated = next((w for w in self._columns["wkt"] if w is not None), None)
+        return None if stated is None else pyproj.CRS.from_wkt(stated)
+
+    @functools.cached_property
+    def units(self) -> Units:
+        """Metres per unit of all files. Raises InputError if files differ in CRS or units, naming two of them."""
+        refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
+        return self._columns["units"][0]
+
+    @property
+    def metre(self) -> float:
+        """Metres per unit of X and Y. Raises InputError as :attr:`units`."""
+        return self.units.xy
+
+    @functools.cached_property
+    def _index(self) -> Footprints:
+        return Footprints(self.footprints)
+
+    def within(self, box: Bounds) -> np.ndarray:
+        """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers."""
+        return self._index.meeting(box)
+
+    def check(self) -> Findings:
+        """What does not fit together: overlaps, gaps, doubles, mixed CRS or units, files without points or CRS."""
+        return find(self, self._index)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each file: uri, format, points, xmin, ymin, xmax, ymax, zmin, zmax (file units), area (m2), density
+        (points per m2), crs (its name), metre, point_format, date."""
+        import pandas as pd
+
+        c = self._columns
+        crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
+        metre = np.array([u.xy for u in c["units"]], np.float64)
+        b, z = c["bounds"], c["z"]
+        area = (b[:, 2] - b[:, 0]) * (b[:, 3] - b[:, 1]) * metre**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            density = np.where(area > 0, self.counts / area, np.nan)
+        names = dict(zip(("xmin", "ymin", "xmax", "ymax"), b.T, strict=True))
+        return pd.DataFrame(
+            {"uri": c["uri"], "format": c["format"], "points": self.counts, **names, "zmin": z[:, 0], "zmax": z[:, 1]}
+            | {"area": area, "density": density, "crs": [crs[w] for w in c["wkt"]], "metre": metre}
+            | {"point_format": pd.array(c["point_format"], "Int64"), "date": c["date"]}
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the bounds of the files, coloured by density, with overlaps and gaps; see ``plots.footprints``."""
+        from ..plots import footprints
+
+        pairs, _ = self._index.overlaps(OVERLAP)
+        density = self.table()["density"].to_numpy()
+        gaps = self._index.holes()
+        return footprints(self.footprints, density, label="points per m2", overlaps=pairs, gaps=gaps, ax=ax)
+
+    def to_vpc(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a virtual point cloud, see ``vpc.py``; files without points are left out.
+
+        Returns: the path. Raises: OutputError.
+        """
+        from .vpc import write_vpc
+
+        return write_vpc(self, Path(path), overwrite)
+
+
+def open(
+    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, units: str | Units | None = None
+) -> Collection:
+    """Open a survey: read the headers of its files, and nothing of their points.
+
+    Args:
+        what: a LAS, LAZ or COPC file; a folder, which stands for all such files directly in it; a pattern (``"*"``, ``"?"``,
+            ``"[...]"``, ``"**"`` for any depth); a virtual point cloud (``.vpc``), whose entries are believed and whose
+            files are not touched; or a list of these. Any of them may be a URL that fsspec knows (``s3://``, ``https://``,
+            ``file://``).
+        units: of the coordinates, as in :func:`jaxfilter.read`; by default what each CRS says, and metres where there is
+            none.
+
+    Returns: Collection. Files that cannot be read are in its ``unreadable``, those without points are members.
+    Raises: InputError if nothing is named, a name stands for nothing, or no file can be read; for a text file.
+    """
+    asked = None if units is None else parse_units(units)
+    entries, repeated = names.expand(what, asked)
+    with ThreadPoolExecutor(_THREADS) as pool:
+        missing = [e for e in entries if isinstance(e, str)]
+        read = dict(zip(missing, pool.map(lambda uri: _described(uri, asked), missing, chunksize=1), strict=True))
+    found = [read[e] if isinstance(e, str) else e for e in entries]
+    unreadable = [e for e in found if not isinstance(e, Source)]
+    sources = [e for e in found if isinstance(e, Source)]
+    if not sources:
+        raise InputError(unreadable[0][1])
+    return Collection(sources, unreadable, repeated)
+
+
+def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
+    """The source, or the name and why there is none."""
+    try:
+        header, reference = open_las(place_of(uri), tables=False)
+        reason = None if asked is not None else reference.problem or _odd(header.extent, header.count, reference)
+        if reason is not None:
+            raise InputError(f"{uri}: {reason}")
+        return described(uri, header, reference, asked or reference.units or Units())
+    except InputError as error:
+        return uri, str(error)
+
+
+def _odd(extent: tuple[np.ndarray, np.ndarray], count: int, reference: Reference) -> str | None:
+    """Why the extent in a header cannot be of lengths, or None."""
+    corners = np.stack(extent)
+    return not_metric(corners, count, reference.units is not None) if np.isfinite(corners).all() else None

@@ -1,0 +1,125 @@
+"""What does not fit together in a survey, found from headers alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyproj
+
+from ..core.errors import InputError
+from ..core.units import Units
+from ..host.files import Bounds
+from ..host.footprints import Footprints
+
+if TYPE_CHECKING:
+    from .collection import Collection
+
+OVERLAP = 0.001
+"""Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Findings:
+    """What :meth:`Collection.check` found. A list is empty where nothing is wrong.
+
+    Attributes:
+        mixed: why files cannot be run together (different CRS or units), or None.
+        unreadable: (file, reason).
+        repeated: files that were named twice and count once.
+        doubles: pairs of files with the same number of points in the same bounds.
+        overlaps: (file, file, share of the smaller one's bounds), the largest first; without doubles.
+        gaps: bounds around places that no file covers and files enclose, the largest first.
+        empty: files without points.
+        no_crs: files that state no CRS.
+    """
+
+    mixed: str | None
+    unreadable: tuple[tuple[str, str], ...]
+    repeated: tuple[str, ...]
+    doubles: tuple[tuple[str, str], ...]
+    overlaps: tuple[tuple[str, str, float], ...]
+    gaps: tuple[Bounds, ...]
+    empty: tuple[str, ...]
+    no_crs: tuple[str, ...]
+
+    def lines(self, most: int = 3) -> list[str]:
+        """In words, one line for each kind, with the ``most`` first examples."""
+        told = [] if self.mixed is None else [self.mixed]
+        told += [reason for _, reason in self.unreadable[:most]]
+        if len(self.unreadable) > most:
+            told.append(f"{len(self.unreadable)} files cannot be read in all")
+        kinds: tuple[tuple[Sequence[Any], str, Callable[[Any], str]], ...] = (
+            (self.repeated, "named more than once, count once", str),
+            (self.doubles, "pairs have the same number of points in the same bounds", " and ".join),
+            (self.overlaps, "pairs overlap", lambda o: f"{o[0]} and {o[1]} ({100 * o[2]:.3g} % of the smaller)"),
+            (self.gaps, "gaps are enclosed by files", lambda b: ", ".join(f"{v:.10g}" for v in b)),
+            (self.empty, "files hold no points", str),
+            (self.no_crs, "files state no CRS", str),
+        )
+        for found, words, show in kinds:
+            if found:
+                examples = "; ".join(show(one) for one in found[:most])
+                told.append(f"{len(found)} {words}: {examples}{'; ...' if len(found) > most else ''}")
+        return told
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return dataclasses.asdict(self)
+
+
+def find(collection: Collection, index: Footprints) -> Findings:
+    """See :meth:`Collection.check`."""
+    uris, counts, bounds = collection.uris, collection.counts, collection.footprints
+    wkts, units = collection._columns["wkt"], collection._columns["units"]
+    try:
+        refuse_mixture(uris, wkts, units)
+        mixed = None
+    except InputError as error:
+        mixed = str(error)
+    pairs, share = index.overlaps(OVERLAP)
+    same = (counts[pairs[:, 0]] == counts[pairs[:, 1]]) & (bounds[pairs[:, 0]] == bounds[pairs[:, 1]]).all(axis=1)
+    return Findings(
+        mixed,
+        collection.unreadable,
+        collection.repeated,
+        tuple((uris[i], uris[j]) for i, j in pairs[same].tolist()),
+        tuple((uris[i], uris[j], s) for (i, j), s in zip(pairs[~same].tolist(), share[~same].tolist(), strict=True)),
+        tuple(index.holes()),
+        tuple(uris[i] for i in np.flatnonzero(counts == 0).tolist()),
+        tuple(uri for uri, wkt in zip(uris, wkts, strict=True) if wkt is None),
+    )
+
+
+def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:
+    """Raises InputError, naming two files, if files differ in horizontal CRS or in units.
+
+    Files that state no CRS go with those that do, if their units are the same: many surveys have some.
+    """
+    kinds: dict[tuple[str | None, Units], str] = {}
+    for uri, wkt, unit in zip(uris, wkts, units, strict=True):
+        kinds.setdefault((wkt, unit), uri)
+    first: tuple[str, pyproj.CRS] | None = None
+    (_, unit), named = next(iter(kinds.items()))
+    for (wkt, other), uri in kinds.items():
+        if (other.xy, other.z) != (unit.xy, unit.z):
+            raise InputError(
+                f"{named} is in {unit}, {uri} in {other}: files of different units cannot be run together; convert one, or "
+                "pass units= if one states its unit wrongly"
+            )
+        if wkt is None:
+            continue
+        crs = _horizontal(pyproj.CRS.from_wkt(wkt))
+        if first is None:
+            first = uri, crs
+        elif not crs.equals(first[1], ignore_axis_order=True):
+            raise InputError(
+                f"{first[0]} is in {first[1].name}, {uri} in {crs.name}: files of different coordinate reference systems "
+                "cannot be run together; reproject one"
+            )
+
+
+def _horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    return crs.sub_crs_list[0] if crs.is_compound else crs

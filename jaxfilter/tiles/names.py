@@ -1,0 +1,76 @@
+"""From what a user names (files, folders, patterns, virtual point clouds, URLs) to the files meant."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..core.errors import InputError
+from ..core.units import Units
+from ..host.sources import Source
+from ..host.storage import Remote, place_of
+from ..host.text import SUFFIXES as TEXT
+from ..host.writing import LAS_SUFFIXES
+from .vpc import read_vpc
+
+Entry = str | Source
+"""The name of a file whose header is to be read, or what a virtual point cloud says of it."""
+
+
+def expand(
+    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], asked: Units | None
+) -> tuple[list[Entry], list[str]]:
+    """The files meant, each once: those of each name in alphabetical order; and the names that were met again.
+
+    Raises: InputError if a name stands for nothing that can be a member.
+    """
+    listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
+    if not listed:
+        raise InputError("no files are named")
+    entries: dict[str, Entry] = {}
+    repeated: dict[str, None] = {}
+    for item in listed:
+        for entry in _expanded(os.fspath(item), asked):
+            uri = entry.uri if isinstance(entry, Source) else entry
+            if uri in entries:
+                repeated[uri] = None
+            else:
+                entries[uri] = entry
+    return list(entries.values()), list(repeated)
+
+
+def _expanded(name: str, asked: Units | None) -> Iterable[Entry]:
+    place = place_of(name)
+    suffix = place.suffix.lower()
+    if suffix == ".vpc":
+        return read_vpc(place, asked)
+    if isinstance(place, Remote):
+        if suffix in LAS_SUFFIXES and not any(c in name for c in "*["):
+            return [name]
+        _refuse_text(name, suffix)
+        return _some(name, place.listed(LAS_SUFFIXES))
+    if place.is_dir():
+        return _some(name, sorted(str(p) for p in place.iterdir() if _is_member(p)))
+    if not place.exists() and any(c in name for c in "*?["):
+        return _some(name, sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p))))
+    _refuse_text(name, suffix)
+    return [str(place)]
+
+
+def _is_member(path: Path) -> bool:
+    return path.suffix.lower() in LAS_SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
+def _some(name: str, found: list[str]) -> list[str]:
+    if not found:
+        raise InputError(
+            f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"
+        )
+    return found
+
+
+def _refuse_text(name: str, suffix: str) -> None:
+    if suffix in TEXT:
+        raise InputError(f"{name}: text cannot be a member of a collection; convert it to LAZ first")

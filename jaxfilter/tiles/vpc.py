@@ -1,0 +1,232 @@
+"""Virtual point clouds: the files of a survey in one JSON file, as PDAL wrench and QGIS read and write them.
+
+A ``.vpc`` is a GeoJSON FeatureCollection of STAC 1.0.0 items with the extensions pointcloud 1.0.0 and projection 1.1.0
+(PDAL wrench, vpc-spec.md). It is read and written item by item, since it may have a million of them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import posixpath
+from collections.abc import Iterable, Iterator
+from io import TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyproj
+
+from ..core.errors import InputError, warn
+from ..core.units import WKT, Reference, Units, reference_of
+from ..host.files import new_file
+from ..host.header import opened
+from ..host.records import reading
+from ..host.sources import Source
+from ..host.storage import Place, Remote
+
+if TYPE_CHECKING:
+    from .collection import Collection
+
+_PIECE = 1 << 22  # characters that are read at a time
+_EXTENSIONS = [
+    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
+    "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
+]
+_NOT_DATED = "1970-01-01"  # STAC wants a day
+_FLAGS = ("Synthetic", "KeyPoint", "Withheld", "Overlap")
+_SCHEMA = (  # name, bytes, type, of the dimensions that PDAL makes of every point format
+    *((name, 8, "floating") for name in "XYZ"),
+    ("Intensity", 2, "unsigned"),
+    *((name, 1, "unsigned") for name in ("ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine")),
+    ("Classification", 1, "unsigned"),
+    *((name, 1, "unsigned") for name in _FLAGS),
+    ("ScanAngleRank", 4, "floating"),
+    ("UserData", 1, "unsigned"),
+    ("PointSourceId", 2, "unsigned"),
+)
+_TIME = (("GpsTime", 8, "floating"),)
+_COLOUR = tuple((name, 2, "unsigned") for name in ("Red", "Green", "Blue"))
+
+
+def read_vpc(place: Place, asked: Units | None) -> Iterator[str | Source]:
+    """The members, as the file describes them, without a look at their files; the name alone of those that it does not
+    describe (no bounds, number of points or known suffix).
+
+    Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
+    """
+    base = str(place).rpartition("/")[0] if isinstance(place, Remote) else os.path.dirname(os.path.abspath(place))
+    known: dict[Any, Reference] = {}
+    with reading(place), opened(place, sequential=True) as (file, _):
+        for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
+            try:
+                yield _member(item, base, isinstance(place, Remote), known, asked, str(place))
+            except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
+                if isinstance(error, InputError):
+                    raise
+                raise InputError(
+                    f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r}"
+                ) from error
+
+
+def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
+    """The features of a FeatureCollection, one at a time."""
+    decoder, text, at = json.JSONDecoder(), "", 0
+
+    def more() -> bool:
+        nonlocal text, at
+        piece = file.read(_PIECE)
+        text, at = text[at:] + piece, 0
+        return bool(piece)
+
+    while (at := text.find('"features"')) < 0:
+        at = max(0, len(text) - 10)
+        if not more():
+            raise InputError(f"{name}: is no virtual point cloud: it has no features")
+    while (begin := text.find("[", at)) < 0:
+        if not more():
+            raise InputError(f"{name}: is no virtual point cloud: its features are no list")
+    at = begin + 1
+    while True:
+        while at < len(text) and text[at] in " \t\r\n,":
+            at += 1
+        if at < len(text) and text[at] == "]":
+            return
+        try:
+            item, at = decoder.raw_decode(text, at)
+        except json.JSONDecodeError as error:
+            if not more():
+                raise InputError(f"{name}: ends or is damaged within its items: {error.msg}") from error
+            continue
+        yield item
+
+
+def _member(
+    item: dict[str, Any], base: str, remote: bool, known: dict[Any, Reference], asked: Units | None, name: str
+) -> str | Source:
+    assets = item["assets"]
+    asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
+    uri, facts = _resolved(asset["href"], base, remote), item["properties"]
+    lower = uri.lower()
+    kind = next(
+        (k for k, end in (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las")) if lower.endswith(end)), None
+    )
+    box, count = facts.get("proj:bbox"), facts.get("pc:count")
+    if kind is None or count is None or box is None or len(box) not in (4, 6):
+        return uri
+    key = next((facts[k] for k in ("proj:wkt2", "proj:projjson", "proj:code", "proj:epsg") if facts.get(k)), None)
+    stated = json.dumps(key) if isinstance(key, dict) else key
+    if stated not in known:
+        wkt = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
+        known[stated] = reference_of({WKT: wkt.encode()}, name)
+    reference = known[stated]
+    if asked is None and reference.problem is not None:
+        raise InputError(f"{uri}: {reference.problem}")
+    half = len(box) // 2
+    return Source(
+        uri,
+        kind,
+        (float(box[0]), float(box[1]), float(box[half]), float(box[half + 1])),
+        int(count),
+        (float(box[2]), float(box[5])) if half == 3 else (float("nan"), float("nan")),
+        _wkt(reference),
+        asked or reference.units or Units(),
+        date=str(facts["datetime"])[:10] if facts.get("datetime") else None,
+    )
+
+
+def _wkt(reference: Reference) -> str | None:
+    return None if reference.crs is None else reference.crs.to_wkt()
+
+
+def _resolved(href: str, base: str, remote: bool) -> str:
+    """A name relative to the folder of the .vpc, or as it is."""
+    if "://" in href or os.path.isabs(href):
+        return href
+    path = href.removeprefix("./")
+    return f"{base}/{path}" if remote else os.path.normpath(os.path.join(base, path))
+
+
+def write_vpc(collection: Collection, path: Path, overwrite: bool) -> Path:
+    """Write the members of a collection that have points. Local names are relative to the folder of ``path``.
+
+    Warns: JaxfilterWarning if files are left out. Raises: OutputError.
+    """
+    left_out = int((collection.counts == 0).sum())
+    if left_out:
+        warn(f"{path}: {left_out} files without points are left out")
+    folder = os.path.dirname(os.path.abspath(path))
+    with new_file(path, overwrite=overwrite) as part, part.open("w", encoding="utf-8", newline="\n") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        mark = "\n"
+        for item in _features(collection, folder):
+            file.write(mark + json.dumps(item, ensure_ascii=False))
+            mark = ",\n"
+        file.write("\n]}\n")
+    return path
+
+
+def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
+    used: dict[str, int] = {}
+    to_world: dict[str | None, Any] = {}
+    for source in collection:
+        if not source.count:
+            continue
+        (x0, y0, x1, y1), (z0, z1) = source.bounds, source.z
+        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+        if source.wkt not in to_world:
+            to_world[source.wkt] = None if source.crs is None else _to_degrees(source.crs)
+        transform = to_world[source.wkt]
+        world = (
+            corners
+            if transform is None
+            else [tuple(c) for c in np.column_stack(transform(*zip(*corners, strict=True))).tolist()]
+        )
+        stem = posixpath.basename(source.uri).rpartition(".")[0]
+        used[stem] = used.get(stem, 0) + 1
+        x, y = zip(*world, strict=True)
+        local = not isinstance(source.place, Remote)
+        yield {
+            "type": "Feature",
+            "stac_version": "1.0.0",
+            "stac_extensions": _EXTENSIONS,
+            "id": stem if used[stem] == 1 else f"{stem}-{used[stem]}",
+            "geometry": {"type": "Polygon", "coordinates": [world]},
+            "bbox": [min(x), min(y), z0, max(x), max(y), z1],
+            "properties": {
+                "datetime": f"{source.date or _NOT_DATED}T00:00:00Z",
+                "pc:count": source.count,
+                "pc:type": "lidar",
+                "pc:encoding": source.format,
+                "pc:schemas": _schemas(source.point_format),
+                "proj:wkt2": source.wkt or "",
+                "proj:geometry": {"type": "Polygon", "coordinates": [corners]},
+                "proj:bbox": [x0, y0, z0, x1, y1, z1],
+            },
+            "links": [],
+            "assets": {"data": {"href": _relative(source.uri, folder) if local else source.uri, "roles": ["data"]}},
+        }
+
+
+def _to_degrees(crs: pyproj.CRS) -> Any:
+    return pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform
+
+
+def _relative(uri: str, folder: str) -> str:
+    """As PDAL wrench does it: from ``./`` on, so that folder and .vpc can be moved together."""
+    try:
+        return "./" + Path(os.path.relpath(uri, folder)).as_posix()
+    except ValueError:  # another drive
+        return os.path.abspath(uri)
+
+
+def _schemas(point_format: int | None) -> list[dict[str, Any]]:
+    dimensions: Iterable[tuple[str, int, str]] = _SCHEMA
+    if point_format is not None:
+        dimensions = (
+            *_SCHEMA,
+            *(_TIME if point_format not in (0, 2) else ()),
+            *(_COLOUR if point_format in (2, 3, 5, 7, 8, 10) else ()),
+            *((("Infrared", 2, "unsigned"),) if point_format in (8, 10) else ()),
+        )
+    return [{"name": name, "size": size, "type": kind} for name, size, kind in dimensions]
