@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from ..core.cloud import KEPT_CLASSES
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.cloud import KEPT_CLASSES, Whole
+from ..core.errors import JaxfilterError, OutputError, ParameterError
 from ..core.filter import Filter
 from ..host.files import remove_dead
 from ..host.storage import Place, Remote, place_of
@@ -25,7 +26,7 @@ from .journal import NAME, Journal
 from .outputs import target_names
 from .plan import Plan, plan_tiles
 from .pool import Executor, Pool
-from .run import Run, RunReport, Standing
+from .run import Run, RunReport, Standing, write_report
 from .setup import filter_for, sampled
 from .task import Job
 
@@ -109,7 +110,7 @@ def ground(
     only_ground: bool = False,
     extra: Iterable[str] = (),
     progress: Callable[[Standing], None] | None = None,
-    setup: Callable[[Collection, dict[str, Any]], tuple[Filter, Any]] | None = None,
+    setup: Callable[[Collection, dict[str, Any], Path], tuple[Filter, Whole]] | None = None,
 ) -> RunReport:
     """Classify the ground points of the files of a collection, tile by tile, into one file for each in a folder.
 
@@ -129,7 +130,8 @@ def ground(
         returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
         ground_class, other_class, reset, only_ground, extra: as in :func:`jaxfilter.write`.
         progress: called with the :class:`Standing` about four times a second.
-        setup: in place of ``filter_``: makes filter and whole of the collection and the reading options.
+        setup: in place of ``filter_``: makes filter and whole of the collection, the reading options and the folder for
+            what is found out about files.
 
     Returns: RunReport; what could not be done is in it.
     Raises: InputError, ParameterError, OutputError before anything is filtered; OutputError if the journal cannot be written.
@@ -146,31 +148,47 @@ def ground(
     classes = {"ground_class": ground_class, "other_class": other_class, "reset": reset, "only_ground": only_ground}
     names = target_names(list(collection.uris))
     prepare_folder(folder, collection, names, resume=resume, overwrite=overwrite)
-    index = folder / SCRATCH / "index"
-    if setup is not None:
-        filter_, whole = setup(collection, reading)
-    else:
-        sample = sampled(collection, reading, index)
-        filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
-    cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers)
-    width, height = (side * collection.metre for side in cut.plan.largest(collection.footprints))
-    whole = dataclasses.replace(whole, width=width, height=height)
-    job = Job(filter_, reading, classes, tuple(extra), whole, folder / SCRATCH, index)
-    executor: Executor
-    if client is not None:
-        from .dask import Cluster
-
-        executor = Cluster(client)
-    else:
-        executor = Pool(cut.workers)
-    targets: list[Place] = [folder / name for name in names]
-    with Journal(folder / NAME) as journal:
+    scratch = folder / SCRATCH
+    index = scratch / "index"
+    begun = (folder / NAME).exists()
+    with Journal(folder / NAME) as journal, _taken_back(scratch):
+        if setup is not None:
+            filter_, whole = setup(collection, reading, index)
+        else:
+            sample = sampled(collection, reading, index)
+            filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
+        if begun and tile is None:  # what is free changes, the tiles of a run do not
+            tile = (journal.fact("tiles") or {}).get("metres")
+        cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers)
+        width, height = (side * collection.metre for side in cut.plan.largest(collection.footprints))
+        whole = dataclasses.replace(whole, width=width, height=height)
+        job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)
         journal.begin(_facts(collection, job, cut.plan))
-        run = Run(job, cut.plan, collection, targets, journal, executor, overwrite=True, progress=progress)
-        report = run()
+        executor: Executor
+        if client is not None:
+            from .dask import Cluster
+
+            executor = Cluster(client)
+        else:
+            executor = Pool(cut.workers)
+        targets: list[Place] = [folder / name for name in names]
+        report = Run(job, cut.plan, collection, targets, journal, executor, overwrite=True, progress=progress)()
     report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
     remove_dead(folder)
+    write_report(report, folder / REPORT)
     return report
+
+
+@contextlib.contextmanager
+def _taken_back(scratch: Path) -> Iterator[None]:
+    """A block whose scratch folder goes, if it made it, where it is refused."""
+    existed = scratch.exists()
+    try:
+        yield
+    except JaxfilterError:
+        if not existed:
+            shutil.rmtree(scratch, ignore_errors=True)
+        raise
 
 
 def prepare_folder(
@@ -197,7 +215,7 @@ def prepare_folder(
         more = f" and {len(held) - 1} more" if len(held) > 1 else ""
         raise OutputError(
             f"{folder}: is not empty, it holds {held[0]}{more}: name another folder, pass resume=True to go on with a run, "
-            "or overwrite=True to begin anew"
+            "or pass overwrite=True to begin anew"
         )
     with Journal(folder / NAME):  # nobody else is at it
         pass
@@ -220,7 +238,7 @@ def _facts(collection: Collection, job: Job, plan: Plan) -> dict[str, Any]:
         "classes": job.classes,
         "extra": list(job.extra),
         "spacing": whole["spacing"],
-        "tiles": {"side": plan.side, "halo": plan.halo, "number": len(plan), "digest": plan.digest()},
+        "tiles": {"side": plan.side, "metres": plan.side * collection.metre, "halo": plan.halo, "number": len(plan), "digest": plan.digest()},
     }
 
 
