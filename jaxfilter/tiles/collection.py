@@ -5,7 +5,9 @@ from __future__ import annotations
 import array
 import dataclasses
 import functools
+import itertools
 import math
+import operator
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -51,16 +53,17 @@ class Collection:
     ) -> None:
         columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
         columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
+        add = [column.extend if name in _ROWS else column.append for name, column in columns.items()]
+        values = operator.attrgetter(*columns)
         for source in sources:
-            for name, column in columns.items():
-                value = getattr(source, name)
-                column.extend(value) if name in _ROWS else column.append(value)
+            for put, value in zip(add, values(source), strict=True):
+                put(value)
         for name in _ARRAYS:
             columns[name] = np.array(columns[name])
         for name in _ROWS:
             columns[name] = columns[name].reshape(len(columns["uri"]), -1)
         self._columns = columns
-        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)
+        self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)  # complete when all sources have been made
 
     def __len__(self) -> int:
         return len(self._columns["uri"])
@@ -212,16 +215,35 @@ def open(
     Raises: InputError if nothing is named, a name stands for nothing, or no file can be read; for a text file.
     """
     asked = None if units is None else parse_units(units)
-    entries, repeated = names.expand(what, asked)
+    unreadable: list[tuple[str, str]] = []
+    repeated: dict[str, None] = {}
+    collection = Collection(_read(names.expand(what, asked), asked, unreadable, repeated), unreadable, repeated)
+    if not len(collection):
+        raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
+    return collection
+
+
+def _read(
+    entries: Iterator[names.Entry], asked: Units | None, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+) -> Iterator[Source]:
+    """The sources of entries in their order; the headers of some are read at the same time."""
+    seen: set[str] = set()
     with ThreadPoolExecutor(_THREADS) as pool:
-        missing = [e for e in entries if isinstance(e, str)]
-        read = dict(zip(missing, pool.map(lambda uri: _described(uri, asked), missing, chunksize=1), strict=True))
-    found = [read[e] if isinstance(e, str) else e for e in entries]
-    unreadable = [e for e in found if not isinstance(e, Source)]
-    sources = [e for e in found if isinstance(e, Source)]
-    if not sources:
-        raise InputError(unreadable[0][1])
-    return Collection(sources, unreadable, repeated)
+        while batch := list(itertools.islice(entries, 64 * _THREADS)):
+            new: list[names.Entry] = []
+            for entry in batch:
+                uri = entry.uri if isinstance(entry, Source) else entry
+                if uri in seen:
+                    repeated[uri] = None
+                else:
+                    seen.add(uri)
+                    new.append(entry)
+            read = pool.map(lambda uri: _described(uri, asked), [entry for entry in new if isinstance(entry, str)])
+            for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
+                if isinstance(found, Source):
+                    yield found
+                else:
+                    unreadable.append(found)
 
 
 def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:

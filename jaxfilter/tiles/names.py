@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ..core.errors import InputError
@@ -19,26 +19,16 @@ Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
 
-def expand(
-    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], asked: Units | None
-) -> tuple[list[Entry], list[str]]:
-    """The files meant, each once: those of each name in alphabetical order; and the names that were met again.
+def expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], asked: Units | None) -> Iterator[Entry]:
+    """The files meant, those of each name in alphabetical order; ``asked`` are units that members are taken to have.
 
     Raises: InputError if a name stands for nothing that can be a member.
     """
     listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
     if not listed:
         raise InputError("no files are named")
-    entries: dict[str, Entry] = {}
-    repeated: dict[str, None] = {}
     for item in listed:
-        for entry in _expanded(os.fspath(item), asked):
-            uri = entry.uri if isinstance(entry, Source) else entry
-            if uri in entries:
-                repeated[uri] = None
-            else:
-                entries[uri] = entry
-    return list(entries.values()), list(repeated)
+        yield from _expanded(os.fspath(item), asked)
 
 
 def _expanded(name: str, asked: Units | None) -> Iterable[Entry]:

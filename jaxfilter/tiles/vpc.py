@@ -56,7 +56,7 @@ def read_vpc(place: Place, asked: Units | None) -> Iterator[str | Source]:
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
     base = str(place).rpartition("/")[0] if isinstance(place, Remote) else os.path.dirname(os.path.abspath(place))
-    known: dict[Any, Reference] = {}
+    known: dict[Any, tuple[Reference, str | None]] = {}
     with reading(place), opened(place, sequential=True) as (file, _):
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
@@ -102,7 +102,12 @@ def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _member(
-    item: dict[str, Any], base: str, remote: bool, known: dict[Any, Reference], asked: Units | None, name: str
+    item: dict[str, Any],
+    base: str,
+    remote: bool,
+    known: dict[Any, tuple[Reference, str | None]],
+    asked: Units | None,
+    name: str,
 ) -> str | Source:
     assets = item["assets"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
@@ -117,9 +122,10 @@ def _member(
     key = next((facts[k] for k in ("proj:wkt2", "proj:projjson", "proj:code", "proj:epsg") if facts.get(k)), None)
     stated = json.dumps(key) if isinstance(key, dict) else key
     if stated not in known:
-        wkt = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
-        known[stated] = reference_of({WKT: wkt.encode()}, name)
-    reference = known[stated]
+        text = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
+        reference = reference_of({WKT: text.encode()}, name)
+        known[stated] = reference, None if reference.crs is None else reference.crs.to_wkt()
+    reference, wkt = known[stated]
     if asked is None and reference.problem is not None:
         raise InputError(f"{uri}: {reference.problem}")
     half = len(box) // 2
@@ -129,14 +135,10 @@ def _member(
         (float(box[0]), float(box[1]), float(box[half]), float(box[half + 1])),
         int(count),
         (float(box[2]), float(box[5])) if half == 3 else (float("nan"), float("nan")),
-        _wkt(reference),
+        wkt,
         asked or reference.units or Units(),
         date=str(facts["datetime"])[:10] if facts.get("datetime") else None,
     )
-
-
-def _wkt(reference: Reference) -> str | None:
-    return None if reference.crs is None else reference.crs.to_wkt()
 
 
 def _resolved(href: str, base: str, remote: bool) -> str:
@@ -144,7 +146,7 @@ def _resolved(href: str, base: str, remote: bool) -> str:
     if "://" in href or os.path.isabs(href):
         return href
     path = href.removeprefix("./")
-    return f"{base}/{path}" if remote else os.path.normpath(os.path.join(base, path))
+    return f"{base}/{path}" if remote else os.path.normpath(f"{base}/{path}")
 
 
 def write_vpc(collection: Collection, path: Path, overwrite: bool) -> Path:
