@@ -131,6 +131,10 @@ class CSF(Filter):
         """
         return self.resolution * (_HOLE + MARGIN)
 
+    def tile_halo(self) -> float:
+        """Twice the width that the cloth bridges, so that what holds it there hangs as in the whole."""
+        return 2.0 * self.halo()
+
     def lattice(self) -> float:
         """The distance between particles."""
         return self.resolution

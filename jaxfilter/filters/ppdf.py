@@ -149,6 +149,10 @@ class PPDF(Filter):
         disks = math.ceil(self.window / self.canopy_cell - 1e-6)
         return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
 
+    def tile_halo(self) -> float:
+        """The farthest reference, seen twice, and four of the first cells: openings hardly ever add up to ``halo()``."""
+        return min(self.halo(), 2.0 * min(self.reach, 30.0) + 4.0 * self.cell)
+
     def lattice(self) -> float:
         """The first cells of the planes."""
         return self.cell

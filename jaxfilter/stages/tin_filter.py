@@ -80,6 +80,10 @@ class TinFilter(Filter):
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
         return facet_reach(getattr(self, self.WINDOW))
 
+    def tile_halo(self) -> float:
+        """Four windows: growth goes on from facet to facet, so ``halo()``, which one facet spans, is too little."""
+        return 4.0 * getattr(self, self.WINDOW)
+
     def lattice(self) -> float:
         """The cells that seeds are the lowest points of."""
         return float(getattr(self, self.WINDOW))
