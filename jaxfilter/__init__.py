@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.sweep import sweep
-    from .terrain import dtm, dtm_rmse
+    from .terrain import dtm, dtm_rmse, height_above_ground
     from .tiles.collection import Collection, open
 
 _HOMES = {
@@ -53,7 +53,7 @@ _HOMES = {
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.sweep": ("sweep",),
-    "terrain": ("dtm", "dtm_rmse"),
+    "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -62,8 +62,8 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Collection", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError",
     "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "info", "open", "plots", "read", "scenes",
-    "soft_labels", "sweep", "write",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "height_above_ground", "info", "open", "plots",
+    "read", "scenes", "soft_labels", "sweep", "write",
 ]  # fmt: skip
 
 

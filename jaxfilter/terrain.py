@@ -81,8 +81,7 @@ def dtm(
     if not points.has_area():
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
-    first = np.append(True, (np.diff(points.xyz[:, :2], axis=0) != 0).any(axis=1))
-    xyz = points.xyz[first]  # the lowest of each position comes first
+    xyz = _lowest(points.xyz)
     surface = interpolator(method, xyz, neighbours=neighbours, power=power, workers=workers)
     inside = inside_hull(xyz) if method in ("idw", "kriging") and not fill else None
     nearest = nearest_point(xyz, workers) if fill or max_gap is not None else None
@@ -105,6 +104,54 @@ def dtm(
                 z[distance > max_gap * cloud.units.xy] = np.nan
         values[top : top + step] = (cloud.origin[2] + z / cloud.units.z).reshape(len(rows), -1)
     return Raster(values, transform, cloud.crs)
+
+
+def height_above_ground(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray | None = None,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> np.ndarray:
+    """How high every point lies above the ground, linear in the triangles of the ground points.
+
+    Ground points themselves have height 0, unless another ground point lies below at the same position. Outside the hull of
+    the ground points the ground is as high as at the nearest of them.
+
+    Args:
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
+        result: what is ground, as in :func:`dtm`.
+        workers: threads; by default one per core.
+        progress: called with the fraction done and the name of the step.
+
+    Returns: f64[n], in the units of Z of the cloud's own coordinate system, for **all** points, whether they were judged or
+    not; those without valid coordinates have 0.
+    Raises: InputError if no point is ground, or as :func:`dtm` for labels that do not fit.
+    """
+    cloud = as_cloud(cloud)
+    ground = _ground(cloud, result)
+    if not len(cloud):
+        return np.zeros(0)
+    report = progress or (lambda fraction, step: None)
+    report(0.0, "interpolator")
+    points = canonical_points(dataclasses.replace(cloud, candidate=ground))
+    if not len(points):
+        raise InputError("height_above_ground: no point is ground: classify the cloud first, or pass result=")
+    xyz = _lowest(points.xyz)
+    surface = interpolator("tin", xyz, workers=workers) if points.has_area() else None
+    nearest = nearest_point(xyz, workers)
+    heights = np.zeros(len(cloud))
+    for start in range(0, len(cloud), _CELLS):
+        report(start / len(cloud), "heights")
+        rows = slice(start, start + _CELLS)
+        at = cloud.xyz[rows, :2].astype(np.float64)
+        z = np.full(len(at), np.nan) if surface is None else surface(at)
+        beyond = np.flatnonzero(np.isnan(z))
+        z[beyond] = xyz[nearest(at[beyond])[1], 2]
+        heights[rows] = (cloud.xyz[rows, 2] - z) / cloud.units.z
+    if cloud.valid is not None:
+        heights[~cloud.valid] = 0.0
+    return heights
 
 
 @dataclasses.dataclass(frozen=True)
@@ -170,11 +217,16 @@ def check_settings(cell: float, method: str, max_gap: float | None, neighbours: 
         raise ParameterError(f"neighbours={neighbours!r} must be at least 1")
 
 
+def _lowest(xyz: np.ndarray) -> np.ndarray:
+    """f32[m, 3]: of points in canonical order the lowest of each position, which comes first."""
+    return xyz[np.append(True, (np.diff(xyz[:, :2], axis=0) != 0).any(axis=1))]
+
+
 def _ground(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
     """bool[n]: the points that the surface goes through."""
     if result is None:
         if cloud.reference is None:
-            raise InputError("dtm: the cloud has no reference labels (a label column, or class 2): pass result=")
+            raise InputError("the cloud has no reference labels (a label column, or class 2): pass result=")
         ground = cloud.reference if cloud.withheld is None else cloud.reference & ~cloud.withheld
     else:
         ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)

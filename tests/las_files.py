@@ -61,17 +61,40 @@ def patch(path: Path, layout: str, at: int, *values: object) -> None:
 
 
 def make_copc(path: Path, n: int = 400, seed: int = 0) -> np.ndarray:
-    """A COPC 1.0 file (copc.io specification) of point format 6 with a root and four children; returns its records in
-    file order, u8[n, 30]."""
+    """A COPC 1.0 file of random points in a root and eight children; returns its records in file order, u8[n, 30]."""
     rng = np.random.default_rng(seed)
-    records = np.zeros((n, 30), np.uint8)
     xyz = rng.integers(0, 10_000, (n, 3)).astype("<i4")
-    records[:, :12] = xyz.view(np.uint8)
-    records[:, 14], records[:, 16] = 0x11, 1
     inner = rng.random(n) < 0.2
     child = np.where(inner, -1, (xyz[:, 0] >= 5000) + 2 * (xyz[:, 1] >= 5000) + 4 * (xyz[:, 2] >= 5000))
-    records = records[np.argsort(child, kind="stable")]
-    child = np.sort(child)
+    parts = []
+    for number in np.unique(child):
+        key = (0, 0, 0, 0) if number < 0 else (1, number & 1, number >> 1 & 1, number >> 2 & 1)
+        parts.append((key, xyz[child == number]))
+    return write_copc(path, parts)
+
+
+def make_deep_copc(path: Path, levels: int, per_node: int, seed: int = 0) -> np.ndarray:
+    """A COPC 1.0 file of flat ground, as surveys have it: ``per_node`` points in each of the 4^l nodes of every level l;
+    returns its records in file order. Nodes are in no order of place."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for level in range(levels):
+        edge = 10_000 / 2**level
+        for x, y in rng.permutation([(x, y) for x in range(2**level) for y in range(2**level)]).tolist():
+            corner = np.array([x, y, 0]) * edge
+            size = np.array([edge, edge, min(edge, 10_000 / 2**levels)])
+            parts.append(((level, x, y, 0), (corner + rng.random((per_node, 3)) * size).astype("<i4")))
+    order = rng.permutation(len(parts))
+    return write_copc(path, [parts[i] for i in order])
+
+
+def write_copc(path: Path, parts: list[tuple[tuple[int, ...], np.ndarray]]) -> np.ndarray:
+    """A COPC 1.0 file (copc.io specification) of point format 6 with the ticks i32[k, 3] of each node, by its key (level,
+    x, y, z) in the cube of 100 m at OFFSETS; returns its records in file order, u8[n, 30]."""
+    records = np.zeros((sum(len(xyz) for _, xyz in parts), 30), np.uint8)
+    n = len(records)
+    records[:, :12] = np.concatenate([xyz for _, xyz in parts]).view(np.uint8)
+    records[:, 14], records[:, 16] = 0x11, 1
     laszip = lazrs.LazVlr.new_for_compression(6, 0, True)
 
     def vlr(user: bytes, number: int, payload: bytes) -> bytes:
@@ -83,20 +106,18 @@ def make_copc(path: Path, n: int = 400, seed: int = 0) -> np.ndarray:
     body = io.BytesIO(b"\0" * offset)
     body.seek(offset)
     compressor = lazrs.LasZipCompressor(body, laszip)
-    nodes, at = [], offset + 8
-    for number in np.unique(child):
-        part = records[child == number]
-        if nodes:
+    start = 0
+    for i, (_, xyz) in enumerate(parts):
+        if i:
             compressor.finish_current_chunk()
-        compressor.compress_many(np.ascontiguousarray(part).reshape(-1))
-        key = (0, 0, 0, 0) if number < 0 else (1, number & 1, number >> 1 & 1, number >> 2 & 1)
-        nodes.append([key, len(part)])
+        compressor.compress_many(records[start : start + len(xyz)].reshape(-1))
+        start += len(xyz)
     compressor.done()
     end = body.seek(0, 2)
     body.seek(offset)
-    entries = b""
-    for (key, count), (_, size) in zip(nodes, lazrs.read_chunk_table(body, laszip), strict=True):
-        entries += struct.pack("<4iQ2i", *key, at, size, count)
+    entries, at = b"", offset + 8
+    for (key, xyz), (_, size) in zip(parts, lazrs.read_chunk_table(body, laszip), strict=True):
+        entries += struct.pack("<4iQ2i", *key, at, size, len(xyz))
         at += size
     info = struct.pack("<5d2Q2d", *(OFFSETS + 50), 50.0, 1.0, end + 60, len(entries), 0.0, 0.0).ljust(160, b"\0")
     head = bytearray(375)

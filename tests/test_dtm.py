@@ -102,6 +102,12 @@ def test_tin_is_the_linear_interpolator_of_scipy(rng):
     assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
 
 
+def test_many_cells_at_once_are_shared_between_threads(rng):
+    cloud = scattered(rng)
+    one, three = (model(cloud, cell=0.08, workers=workers).values for workers in (1, 3))
+    assert one.size > 200_000 and one.tobytes() == three.tobytes()
+
+
 def test_tin_of_a_quadratic_errs_within_the_bound_of_linear_interpolation(rng):
     """On z = k (x^2 + y^2), a facet lies above the surface by at most k times its squared circumradius."""
     k, cloud = 0.02, scattered(rng, lambda x, y: 0.02 * ((x - ORIGIN[0]) ** 2 + (y - ORIGIN[1]) ** 2), n=6000)

@@ -1,6 +1,6 @@
-"""The ``jaxfilter`` command: ground, evaluate, demo, methods, info.
+"""The ``jaxfilter`` command: ground, evaluate, demo, methods.
 
-Terrain models are in ``terrain.py``, sweeps in ``sweeps.py``.
+Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -21,9 +21,9 @@ from click.core import ParameterSource
 from rich.console import Console
 
 from ..core.errors import JaxfilterError
-from . import surveys
+from . import runs
+from .runs import ground_collection, is_collection
 from .session import BadUsage, Session, session_options, stoppable
-from .surveys import ground_collection, is_collection
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -177,8 +177,10 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             type=click.IntRange(1),
             help="Threads for triangulation; of a collection, processes.  [default: one per core]",
         ),
-        *surveys.options(),
-        click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists; of a collection, begin anew in OUT."),
+        *runs.options(),
+        click.Option(
+            ["--overwrite"], is_flag=True, help="Replace OUT if it exists; of a collection, begin anew in OUT."
+        ),
         click.Option(["--in-place"], is_flag=True, help="Replace IN."),
         *session_options(),
     ]
@@ -203,9 +205,10 @@ def _file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path 
         try:
             found.append(kind.convert(word, None, ctx))
         except click.BadParameter as error:
+            message = error.message
             if name == "IN" and ctx.info_name == _DEFAULT and "." not in word:
-                error.message += f" It is no method either: choose one of {', '.join(FILTERS)}."
-            raise click.BadParameter(error.message, ctx, param_hint=repr(name)) from error
+                message = f"{error.message} It is no method either: choose one of {', '.join(FILTERS)}."
+            raise click.BadParameter(message, ctx, param_hint=repr(name)) from error
     return found[0], found[1] if len(found) > 1 else None
 
 
@@ -234,7 +237,7 @@ def _ground(
     with Session(quiet=quiet, debug=debug) as session:
         if method is not None:
             filter_ = method.preset(preset, **changes) if preset else method(**changes)
-        target = _checked_target(source, target, options["overwrite"], options["in_place"])
+        target = checked_target(source, target, options["overwrite"], options["in_place"])
         check_reading(reading["units"], reading["returns"])
         with session.step("read"):
             cloud = read(source, **reading)
@@ -265,9 +268,10 @@ def _ground(
         _print_report(report)
 
 
-def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool) -> Path:
-    """Where to write, or BadUsage if that would destroy something or cannot work."""
-    from ..host import text, writing
+def checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool, text: bool = True) -> Path:
+    """Where to write, or BadUsage if that would destroy something or cannot work. ``text`` may be written."""
+    from ..host import writing
+    from ..host.text import SUFFIXES
 
     if target is None:
         if not in_place:
@@ -275,7 +279,7 @@ def _checked_target(source: Path, target: Path | None, overwrite: bool, in_place
         return source
     if check_target(target, overwrite, source) and not in_place:
         raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
-    suffixes = writing.LAS_SUFFIXES + text.SUFFIXES
+    suffixes = writing.LAS_SUFFIXES + (SUFFIXES if text else ())
     if target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     return target
@@ -585,27 +589,6 @@ def methods(as_json: bool) -> None:
 def _summary(method: type[Filter]) -> str:
     """First paragraph of the docstring, on one line."""
     return " ".join((method.__doc__ or "").strip().split("\n\n")[0].split())
-
-
-@main.command()
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
-def info(file: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
-    """What a file says of itself: points, extent, CRS, units, classes and echoes."""
-    from ..host import las
-
-    with Session(quiet=quiet, debug=debug):
-        check_reading(units, "last,only")
-        facts = las.info(file, units=units)
-    if as_json:
-        print_json(facts)
-        return
-    width = max(len(k) for k in facts)
-    for key, value in facts.items():
-        click.echo(f"{key.replace('_', ' '):{width}}  {value}")
-
-
-info.params += session_options()
 
 
 def print_json(value: Any) -> None:

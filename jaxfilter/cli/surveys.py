@@ -1,203 +1,142 @@
-"""``jaxfilter ground`` for collections: folders, patterns, several files, virtual point clouds, URLs."""
+"""The ``info`` command: what a file says of itself, or a survey of many."""
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
-import math
-import re
-import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
+from rich.console import Console
 
-from .session import BadUsage, Session
+from .commands import check_reading, check_target, main, print_json
+from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:
-    from ..core.filter import Filter
-    from ..tiles.run import RunReport, Standing
+    from ..tiles.collection import Collection
 
-_LINE_EVERY = 60.0  # seconds between lines of progress where there is no terminal
-_UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
-_SINGLE = ("bounds", "in_place")
-"""Options that only a single file takes."""
+_ROWS = 40  # of a table on the screen
 
 
-class Bytes(click.ParamType):
-    """A number of bytes: 4e9, 4GB, 512MiB."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Bytes of a text."""
-        if isinstance(value, float):
-            return value
-        found = re.fullmatch(r"([\d.]+(?:e\d+)?)\s*([kmgt]?i?)b?", str(value).strip().lower())
-        if found is None or float(found[1]) <= 0:
-            self.fail(f"{value!r} is no number of bytes, such as 4GB or 512MiB.", param, ctx)
-        return float(found[1]) * _UNITS[found[2]]
-
-
-def options() -> list[click.Parameter]:
-    """The options that only collections take."""
-    return [
-        click.Option(
-            ["--halo"], type=click.FloatRange(0), metavar="METRES", help="Of a collection: read so far around each tile.  [default: as far as METHOD looks]"
-        ),
-        click.Option(
-            ["--tile"], type=click.FloatRange(0, min_open=True), metavar="METRES", help="Of a collection: side of the tiles.  [default: what fits into the memory]"
-        ),
-        click.Option(["--memory"], type=Bytes(), help="Of a collection: for all processes, such as 4GB.  [default: 70 % of what is free]"),
-        click.Option(["--scheduler"], metavar="ADDRESS", help="Of a collection: a Dask scheduler that does the work."),
-        click.Option(["--resume"], is_flag=True, help="Of a collection: go on with the run that was begun in OUT."),
-    ]  # fmt: skip
-
-
-def is_collection(paths: Sequence[str]) -> bool:
-    """Whether the words IN... OUT name more than a file and a file."""
-    *inputs, last = paths
-    if len(inputs) != 1:
-        return len(inputs) > 1
-    name = inputs[0]
-    many = "://" in name or Path(name).is_dir() or name.lower().endswith(".vpc")
-    pattern = any(c in name for c in "*?[") and not Path(name).exists()
-    return many or pattern or Path(last).is_dir() or last.endswith(("/", "\\"))
-
-
-def ground_collection(
-    ctx: click.Context,
-    method: type[Filter] | None,
-    changes: dict[str, Any],
-    paths: Sequence[str],
-    *,
+@main.command()
+@click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
+@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
+@click.option(
+    "--vpc", type=click.Path(dir_okay=False, path_type=Path), help="Write the survey as a virtual point cloud."
+)
+@click.option(
+    "--map", "picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw its files as PNG, PDF or SVG."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+def info(
+    names: tuple[str, ...],
+    units: str | None,
+    vpc: Path | None,
+    picture: Path | None,
+    overwrite: bool,
     quiet: bool,
     as_json: bool,
     debug: bool,
-    **options: Any,
 ) -> None:
-    """Run ``ground`` on a collection and print what it did. Exit code 1 if anything could not be done."""
-    from .commands import check_reading, print_json
+    """What a file says of itself: points, extent, CRS, units, classes and echoes.
 
-    for name in _SINGLE:
-        if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
-            raise BadUsage(f"--{name.replace('_', '-')} is for a single file, and {', '.join(paths[:-1])} is a collection")
-    *inputs, out = paths
-    _check_named(inputs, method is None)
-    reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
-    reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
-    kept = ("halo", "tile", "memory", "workers", "resume", "overwrite", "ground_class", "other_class", "reset")
-    with Session(quiet=quiet, debug=debug, remaining=True) as session:
-        if method is not None:  # what is wrong with the parameters is said before anything is read
-            method.preset(options["preset"], **changes) if options["preset"] else method(**changes)
-        check_reading(options["units"], options["returns"])
-        from ..tiles.collection import open as open_collection
-        from ..tiles.ground import ground
-        from ..tiles.setup import filter_for, sampled
+    Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
+    what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
+    """
+    from ..host import las
 
-        with session.step("headers"):
-            collection = open_collection(inputs, units=options["units"])
-            for line in collection.check().lines():
-                if not quiet:
-                    click.echo(f"note: {line}", err=True)
-        chosen: list[Filter] = []
-
-        def setup(files: Any, how: dict[str, Any], index: Path) -> tuple[Filter, Any]:
-            sample = sampled(files, how, index)
-            filter_ = filter_for(
-                sample,
-                method,
-                changes,
-                preset=options["preset"],
-                for_cloud=options["for_cloud"],
-                largest_building=options["largest_building"],
-            )
-            chosen.append(filter_)
-            return filter_, sample.whole
-
-        with session.step("filter"), _to_be_resumed():
-            report = ground(
-                collection,
-                Path(out),
-                setup=setup,
-                client=options["scheduler"],
-                only_ground=options["only_ground"],
-                extra=options["extra"],
-                progress=_shown(session, quiet),
-                **{name: options[name] for name in kept},
-                **reading,
-            )
-    facts = report.as_dict() | {
-        "method": type(chosen[0]).__name__,
-        "parameters": dataclasses.asdict(chosen[0]),  # type: ignore[call-overload]
-        "output": str(out),
-        **session.as_dict(),
-    }
+    with Session(quiet=quiet, debug=debug) as session:
+        check_reading(units, "last,only")
+        for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
+            if target is not None:
+                if target.suffix.lower() not in suffixes:
+                    raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
+                check_target(target, overwrite)
+        one = _checked(names)
+        if vpc is not None or picture is not None:
+            one = None
+        if one is not None:
+            facts = las.info(one, units=units)
+        else:
+            facts = _survey(session, names, units, vpc, picture, overwrite, table=not (quiet or as_json))
     if as_json:
         print_json(facts)
-    elif not quiet:
-        _print(report, facts)
-    if not report.complete:
-        ctx.exit(1)
+    elif one is not None:
+        width = max(len(k) for k in facts)
+        for key, value in facts.items():
+            click.echo(f"{key.replace('_', ' '):{width}}  {value}")
 
 
-def _check_named(inputs: Sequence[str], bare: bool) -> None:
-    """Raises BadUsage for a name that stands for nothing; ``bare``: the first of them might be meant as a method."""
-    from ..filters import FILTERS
-
-    for number, name in enumerate(inputs):
-        if "://" in name or any(c in name for c in "*?[") or Path(name).exists():
-            continue
-        words = f", and no method: choose one of {', '.join(FILTERS)}" if bare and number == 0 and "." not in name else ""
-        raise BadUsage(f"{name}: no such file or folder{words}")
+info.params += session_options()
 
 
-def _shown(session: Session, quiet: bool) -> Any:
-    """The callback that shows how far a run is."""
-    last = time.monotonic()
+def _checked(names: tuple[str, ...]) -> Path | None:
+    """The one file that is named, to be read as a whole; None for a survey. Raises BadUsage for names of nothing."""
+    from ..host.storage import place_of
 
-    def show(standing: Standing) -> None:
-        nonlocal last
-        note = f"{standing.tiles_done:,} of {standing.tiles:,}, {standing.rate:,.0f} points/s"
-        session.progress(standing.tiles_done / max(standing.tiles, 1), standing.step, note)
-        if not quiet and not session.is_terminal and time.monotonic() - last > _LINE_EVERY:
-            last = time.monotonic()
-            left = "" if math.isnan(standing.left) else f", {standing.left:,.0f} s left"
-            click.echo(f"{standing.step}: {note}{left}", err=True)
-
-    return show
+    places = [place_of(name) for name in names]
+    for name, place in zip(names, places, strict=True):
+        if isinstance(place, Path) and not place.exists() and not any(c in name for c in "*?["):
+            raise BadUsage(f"{name}: no such file or folder")
+    one = places[0]
+    whole = len(places) == 1 and isinstance(one, Path) and one.is_file() and one.suffix.lower() != ".vpc"
+    return one if whole and isinstance(one, Path) else None
 
 
-@contextlib.contextmanager
-def _to_be_resumed() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        stop.add_note("the same command with --resume goes on")
-        raise
+def _survey(
+    session: Session,
+    names: tuple[str, ...],
+    units: str | None,
+    vpc: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    table: bool,
+) -> dict[str, Any]:
+    from ..host.files import new_file
+    from ..tiles.collection import open as open_survey
+
+    with session.step("headers"):
+        survey = open_survey(names, units=units)
+    with session.step("check"):
+        findings = survey.check()
+    if vpc is not None:
+        survey.to_vpc(vpc, overwrite=overwrite)
+    if picture is not None:
+        figure = survey.plot().figure
+        with new_file(picture, overwrite=overwrite) as part:
+            figure.savefig(part, format=picture.suffix[1:].lower())
+    if table:
+        _print_survey(survey)
+        for line in findings.lines():
+            click.echo(line)
+    mixed = findings.mixed is not None
+    return {
+        "files": len(survey),
+        "points": survey.count,
+        "bounds": None if mixed else survey.bounds,
+        "area": survey.area,
+        "density": survey.density,
+        "crs": None if mixed or survey.crs is None else survey.crs.name,
+        "units": None if mixed else str(survey.units),
+        "findings": findings.as_dict(),
+        "members": survey.table().to_dict(orient="records"),
+        **session.as_dict(),
+    }
 
 
-def _print(report: RunReport, facts: dict[str, Any]) -> None:
-    from .commands import print_classes
+def _print_survey(survey: Collection) -> None:
+    from rich.table import Table
 
-    share = 100 * report.ground / max(report.points, 1)
+    frame = survey.table()
+    shown = Table("file", "format", "points", "x", "y", "z", "per m2", "CRS")
+    for column in shown.columns[2:7]:
+        column.justify = "right"
+    for row in frame.head(_ROWS).itertuples():
+        spans = [f"{low:.10g} to {high:.10g}" for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
+        crs = row.crs if isinstance(row.crs, str) else ""
+        heights, density = f"{row.zmin:.6g} to {row.zmax:.6g}", f"{row.density:.3g}"
+        shown.add_row(Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs)
+    Console(soft_wrap=True).print(shown)
+    more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
     click.echo(
-        f"{facts['output']}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground "
-        f"({share:.1f} %), {report.candidates:,} were judged"
+        f"{more}{len(frame):,} files, {survey.count:,} points on {survey.area / 1e6:,.4g} km2, {survey.density:.3g} per m2"
     )
-    click.echo(
-        f"{facts['method']}: {report.tiles:,} tiles in {report.seconds:.1f} s; with their halos they hold "
-        f"{report.read / max(report.points, 1):.2f} times the points"
-    )
-    if facts["classes"]:
-        print_classes(facts["classes"])
-    for remark, times in report.remarks.items():
-        click.echo(f"warning: {remark}" + (f" ({times} times)" if times > 1 else ""), err=True)
-    for one in report.set_aside:
-        click.echo(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}", err=True)
-    for one in report.left_out:
-        click.echo(f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}", err=True)
-    for one in report.failed:
-        click.echo(f"not written: {one['file']}: {one['reason']}", err=True)

@@ -1,14 +1,98 @@
-"""The ``dtm`` command: from a point cloud to a GeoTIFF of its terrain."""
+"""The commands ``dtm``, from a point cloud to a GeoTIFF of its terrain, and ``height``, to heights above it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from .commands import check_reading, check_target, main, print_json
+from .commands import check_reading, check_target, checked_target, main, print_json
 from .session import BadUsage, Session, session_options
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..core.cloud import PointCloud
+    from ..core.result import FilterResult
+
+
+def _ground_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What says which points of IN are ground, and how IN is read."""
+    for option in (
+        click.option("--workers", type=click.IntRange(1), help="Threads.  [default: one per core]"),
+        click.option(
+            "--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]"
+        ),
+        click.option(
+            "--ground-class",
+            "ground_classes",
+            type=click.IntRange(0, 255),
+            multiple=True,
+            default=(2,),
+            show_default=True,
+            help="Class of the ground points; may be repeated.",
+        ),
+        click.option(
+            "--largest-building",
+            type=click.FloatRange(0, min_open=True),
+            metavar="METRES",
+            help="With --filter: set what depends on point spacing and on this width from the cloud.",
+        ),
+        click.option(
+            "--filter",
+            "filter_name",
+            metavar="METHOD",
+            help="Find the ground with this filter instead of by class or label.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def _check_filter(filter_name: str | None) -> None:
+    """Raises BadUsage if there is no such filter."""
+    from ..filters import FILTERS
+
+    if filter_name is not None and filter_name not in FILTERS:
+        raise BadUsage(f"no filter {filter_name!r}: choose one of {', '.join(FILTERS)}")
+
+
+def _found(
+    session: Session,
+    source: Path,
+    cloud: PointCloud,
+    filter_name: str | None,
+    largest_building: float | None,
+    ground_classes: tuple[int, ...],
+    workers: int | None,
+) -> FilterResult | np.ndarray:
+    """What is ground: the result of a filter, or bool[n] by class or label. Raises InputError where nothing is."""
+    import numpy as np
+
+    from ..core.errors import InputError
+    from ..filters import FILTERS
+
+    if filter_name is not None:
+        method = FILTERS[filter_name]
+        filter_ = method() if largest_building is None else method.for_cloud(cloud, largest_building)
+        with session.step("filter"):
+            result = filter_(cloud, workers=workers, progress=session.progress)
+        ground = result.ground
+    elif cloud.classification is not None:
+        ground = np.isin(cloud.classification, ground_classes)
+        if cloud.withheld is not None:
+            ground &= ~cloud.withheld
+    elif cloud.reference is not None:
+        ground = cloud.reference
+    elif not len(cloud):
+        ground = cloud.candidate
+    else:
+        raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
+    if len(cloud) and not ground.any():
+        raise InputError(f"{source}: no point is ground; classify it first, or find the ground with --filter")
+    return ground if filter_name is None else result
 
 
 @main.command()
@@ -16,24 +100,7 @@ from .session import BadUsage, Session, session_options
 @click.argument("target", metavar="OUT", type=click.Path(dir_okay=False, path_type=Path))
 @click.option("--cell", type=float, default=1.0, show_default=True, help="Side of a cell, file units.")
 @click.option("--method", default="tin", show_default=True, help="Interpolation: tin, natural, idw or kriging.")
-@click.option(
-    "--filter", "filter_name", metavar="METHOD", help="Find the ground with this filter instead of by class or label."
-)
-@click.option(
-    "--largest-building",
-    type=click.FloatRange(0, min_open=True),
-    metavar="METRES",
-    help="With --filter: set what depends on point spacing and on this width from the cloud.",
-)
-@click.option(
-    "--ground-class",
-    "ground_classes",
-    type=click.IntRange(0, 255),
-    multiple=True,
-    default=(2,),
-    show_default=True,
-    help="Class of the ground points; may be repeated.",
-)
+@_ground_options
 @click.option("--max-gap", type=float, help="No height farther than this from every ground point, file units.")
 @click.option("--fill", is_flag=True, help="Give cells outside the hull of the ground points a height too.")
 @click.option(
@@ -47,8 +114,6 @@ from .session import BadUsage, Session, session_options
     metavar="XMIN YMIN XMAX YMAX",
     help="Of the raster, file units.  [default: the extent of IN]",
 )
-@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
-@click.option("--workers", type=click.IntRange(1), help="Threads.  [default: one per core]")
 @click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
 def dtm(
     source: Path,
@@ -69,8 +134,7 @@ def dtm(
     The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned
     to multiples of --cell, in the coordinate system and units of IN.
     """
-    from ..core.errors import InputError
-    from ..filters import FILTERS
+    from ..core.result import FilterResult
     from ..host.las import read
     from ..terrain import check_settings
     from ..terrain import dtm as make
@@ -79,29 +143,11 @@ def dtm(
         check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
         _check_target(target, overwrite)
         check_reading(units, "last,only")
-        if filter_name is not None and filter_name not in FILTERS:
-            raise BadUsage(f"no filter {filter_name!r}: choose one of {', '.join(FILTERS)}")
+        _check_filter(filter_name)
         with session.step("read"):
             cloud = read(source, units=units)
-        if filter_name is not None:
-            method = FILTERS[filter_name]
-            filter_ = method() if largest_building is None else method.for_cloud(cloud, largest_building)
-            with session.step("filter"):
-                ground = filter_(cloud, workers=workers, progress=session.progress).ground
-        elif cloud.classification is not None:
-            import numpy as np
-
-            ground = np.isin(cloud.classification, ground_classes)
-            if cloud.withheld is not None:
-                ground &= ~cloud.withheld
-        elif cloud.reference is not None:
-            ground = cloud.reference
-        elif not len(cloud):
-            ground = cloud.candidate
-        else:
-            raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-        if len(cloud) and not ground.any():
-            raise InputError(f"{source}: no point is ground; classify it first, or find the ground with --filter")
+        found = _found(session, source, cloud, filter_name, largest_building, ground_classes, workers)
+        ground = found.ground if isinstance(found, FilterResult) else found
         with session.step("interpolate"):
             raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
         with session.step("write"):
@@ -121,6 +167,76 @@ def dtm(
 
 
 dtm.params += session_options()
+
+
+@main.command()
+@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("target", metavar="[OUT]", required=False, type=click.Path(dir_okay=False, path_type=Path))
+@_ground_options
+@click.option("--replace-z", is_flag=True, help="Write heights in place of Z instead of as an extra dimension.")
+@click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
+@click.option("--in-place", is_flag=True, help="Replace IN.")
+def height(
+    source: Path,
+    target: Path | None,
+    filter_name: str | None,
+    largest_building: float | None,
+    ground_classes: tuple[int, ...],
+    units: str | None,
+    workers: int | None,
+    replace_z: bool,
+    overwrite: bool,
+    in_place: bool,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """Write the height of every point above the ground, in the units of Z.
+
+    The ground is linear in the triangles of the ground points: those of class 2 of IN, or of label 0 in text, or those
+    that --filter finds, whose classes are then written as well, as by jaxfilter ground. All points get a height, noise and
+    water included. It goes into the extra dimension HeightAboveGround, as in PDAL; all else stays as it is.
+    """
+    from ..core.result import FilterResult
+    from ..host.las import read
+    from ..host.writing import HEIGHT, write
+    from ..terrain import height_above_ground
+
+    with Session(quiet=quiet, debug=debug) as session:
+        target = checked_target(source, target, overwrite, in_place, text=False)
+        check_reading(units, "last,only")
+        _check_filter(filter_name)
+        with session.step("read"):
+            cloud = read(source, units=units)
+        found = _found(session, source, cloud, filter_name, largest_building, ground_classes, workers)
+        with session.step("heights"):
+            heights = height_above_ground(cloud, found, workers=workers, progress=session.progress)
+        classified = found if isinstance(found, FilterResult) else None
+        with session.step("write"):
+            write(
+                target,
+                cloud,
+                classified,
+                overwrite=overwrite,
+                in_place=in_place,
+                heights=heights,
+                replace_z=replace_z,
+            )
+    ground = int((found.ground if isinstance(found, FilterResult) else found).sum())
+    low, high = (float(heights.min()), float(heights.max())) if len(heights) else (float("nan"), float("nan"))
+    if as_json:
+        facts = {"input": str(source), "output": str(target), "points": len(cloud), "ground": ground}
+        written = {"dimension": "Z" if replace_z else HEIGHT, "lowest": low, "highest": high, "units": str(cloud.units)}
+        print_json(facts | written | session.as_dict())
+    elif not quiet:
+        seconds = ", ".join(f"{name} {value:.2f} s" for name, value in session.seconds.items())
+        click.echo(
+            f"{target}: {len(cloud):,} points {low:.2f} to {high:.2f} above {ground:,} ground points, in "
+            f"{'Z' if replace_z else HEIGHT}\n{seconds}"
+        )
+
+
+height.params += session_options()
 
 
 def _check_target(target: Path, overwrite: bool) -> None:

@@ -36,7 +36,7 @@ _EXTRA_ENTRY = 192
 _CHUNKED, _LAYERED = 2, 3  # methods of LASzip
 _POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
 _EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
-_UINT8, FLOAT32 = 1, 9
+_UINT8, FLOAT32, FLOAT64 = 1, 9, 10
 
 
 @dataclasses.dataclass(frozen=True)

@@ -58,17 +58,14 @@ def _linear(xyz: np.ndarray, workers: int | None) -> Heights:
         tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, threads)
     inside, xy, z = inside_hull(xyz), xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 
-    def locate(at: np.ndarray) -> np.ndarray:
-        start = np.searchsorted(code, morton(np.maximum(at, 0.0)))
-        return tin.walk(at, tin.where[np.minimum(start, len(xyz) - 1)])
-
     def heights(at: np.ndarray) -> np.ndarray:
-        with ThreadPoolExecutor(threads) as pool:
-            tri = np.concatenate(list(pool.map(locate, np.array_split(at, 4 * threads))))
-        beyond = np.flatnonzero(tri < 0)
+        start = np.searchsorted(code, morton(np.maximum(at, 0.0)))
+        with ThreadPoolExecutor(threads) as tin.pool:
+            tri = tin.walk(at, tin.where[np.minimum(start, len(xyz) - 1)])
+            beyond = np.flatnonzero(tri < 0)
+            tri[beyond] = -1 - tri[beyond]
+            nodes = tin.corners(tri)
         within = inside(at[beyond])
-        tri[beyond] = -1 - tri[beyond]
-        nodes = tin.corners(tri)
         corner, level = np.take(xy, nodes, axis=0), z[nodes]
         (x1, y1), (x2, y2), (x, y) = (
             d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], at - corner[:, 0])

@@ -30,6 +30,7 @@ FIRST_WAIT = 0.25
 
 _SMALL, _LARGE = 4096, 8 << 20  # bytes read ahead: of headers, and of files that are read from end to end
 _GAP = 4096  # ranges that are this close are fetched as one
+_MISSING = (404, 410)
 _PASSING = (408, 425, 429, 500, 502, 503, 504)  # HTTP status of failures that may pass
 _LASTING = (
     FileNotFoundError,
@@ -238,15 +239,25 @@ def _persistent(uri: str, act: Callable[[], _T]) -> _T:
             return act()
         except InputError:
             raise
-        except FileNotFoundError as error:
-            raise InputError(f"{uri}: no such file") from error
         except Exception as error:
-            status = getattr(error, "status", None)  # of aiohttp
-            lasting = isinstance(error, _LASTING) or (isinstance(status, int) and status not in _PASSING)
-            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-            if lasting:
+            cause = (
+                error.__cause__ if isinstance(error.__cause__, Exception) else error
+            )  # fsspec calls much "not found"
+            status = _status(cause)
+            if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
+                raise InputError(f"{uri}: no such file") from error
+            reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
+            if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
                 raise InputError(f"{uri}: cannot be reached: {reason}") from error
             if attempt == ATTEMPTS - 1:
                 raise InputError(f"{uri}: failed {ATTEMPTS} times, the last time with {reason}") from error
         time.sleep(FIRST_WAIT * 2**attempt)
     raise AssertionError("unreachable")
+
+
+def _status(error: Exception) -> int | None:
+    """The HTTP status that an error of aiohttp or of botocore tells of."""
+    response = getattr(error, "response", None)
+    told = response.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(response, dict) else None
+    status = getattr(error, "status", told)
+    return status if isinstance(status, int) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -18,7 +19,7 @@ from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
 from .files import Handle, Replay, new_file
-from .header import FLOAT32, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
+from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
 from .storage import Place, Remote, place_of
 
@@ -26,13 +27,19 @@ RESETS = ("ground", "all", "none")
 EXTRAS = ("height", "slope", "angle", "elevation", "margin")
 """Quantities of a FilterResult that can be written along with the points."""
 
+HEIGHT = "HeightAboveGround"
+"""The extra dimension of heights above ground, by the name that PDAL gives it."""
+
 LAS_SUFFIXES = (".las", ".laz")
+
+_FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
+_EXTENT_Z = 211  # byte of the header where largest and smallest Z are
 
 
 def write(
     path: str | Path | Remote,
     cloud: PointCloud,
-    result: FilterResult | np.ndarray,
+    result: FilterResult | np.ndarray | None,
     *,
     overwrite: bool = False,
     in_place: bool = False,
@@ -41,6 +48,8 @@ def write(
     reset: str = "ground",
     only_ground: bool = False,
     extra: Iterable[str] = (),
+    heights: np.ndarray | None = None,
+    replace_z: bool = False,
 ) -> Path | Remote:
     """Write the points of a cloud with their classes: .las and .laz, or .txt, .xyz and .csv with a label (0 = ground).
 
@@ -52,7 +61,7 @@ def write(
 
     Args:
         path: the output; it appears whole or not at all. May be a URL that fsspec can write to (``"s3://..."``).
-        result: what a filter returned, or bool[n], True = ground.
+        result: what a filter returned, or bool[n], True = ground; None keeps all classes.
         overwrite: replace an existing file.
         in_place: allow the output to be the file that the cloud came from.
         ground_class: class of candidates that are ground.
@@ -60,6 +69,9 @@ def write(
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
         only_ground: change nothing but ground candidates, the same as ``reset="none"``.
         extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin.
+        heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes
+            ``HeightAboveGround``.
+        replace_z: put ``heights`` in place of Z instead, rounded to the scale of the file; only Z and its extent change.
 
     Returns: the path.
     Raises: OutputError (exists, is the input, cannot hold a class or a coordinate, disk), ParameterError, InputError
@@ -70,13 +82,14 @@ def write(
     if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
         raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
     labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names)
+    labels.add_heights(heights, replace_z)
     source: Handle | None = cloud.source
     if source is not None:
         source.check_unchanged()
         if source.points != len(cloud):
             raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
-    if names and kind in text.SUFFIXES:
-        raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz")
+    if kind in text.SUFFIXES and (names or heights is not None):
+        raise OutputError(f"{path}: text holds labels only; extra={names!r} and heights need .las or .laz")
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Replay(None)) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as replay:
@@ -113,12 +126,15 @@ class _Labels:
     def __init__(
         self,
         cloud: PointCloud,
-        result: FilterResult | np.ndarray,
+        result: FilterResult | np.ndarray | None,
         ground_class: int,
         other_class: int,
         reset: str,
         extra: tuple[str, ...],
     ) -> None:
+        self.candidate = cloud.candidate
+        if result is None:
+            self.candidate = result = np.zeros(len(cloud), bool)
         ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
         if ground.shape != (len(cloud),) or ground.dtype != bool:
             shape = list(ground.shape)
@@ -133,11 +149,27 @@ class _Labels:
             raise ParameterError(f"extra={extra!r}: distinct names out of {', '.join(EXTRAS)} are needed")
         if extra and not isinstance(result, FilterResult):
             raise ParameterError(f"extra={extra!r}: labels alone hold no such quantities; pass the FilterResult")
-        self.ground, self.candidate = ground, cloud.candidate
+        self.ground = ground
         self.ground_class, self.other_class = ground_class, other_class
         self.resets = np.zeros(256, bool)
         self.resets[{"ground": [0, GROUND_CLASS, ground_class], "all": slice(None), "none": []}[reset]] = True  # type: ignore[call-overload]
         self.extra = {name: getattr(result, name) for name in extra}
+        self.z: np.ndarray | None = None
+
+    def add_heights(self, heights: np.ndarray | None, replace_z: bool) -> None:
+        """Write heights above ground as well. Raises InputError, ParameterError."""
+        if heights is None:
+            if replace_z:
+                raise ParameterError("replace_z=True: there are no heights to put there; pass heights=")
+            return
+        heights = np.asarray(heights)
+        if heights.shape != self.ground.shape or not np.isfinite(heights).all():
+            shape = list(heights.shape)
+            raise InputError(f"heights: {len(self.ground)} finite numbers are needed for this cloud, not {shape}")
+        if replace_z:
+            self.z = heights.astype(np.float64)
+        else:
+            self.extra[HEIGHT] = heights
 
     def classes(self, old: np.ndarray, rows: slice) -> np.ndarray:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
@@ -169,8 +201,10 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
     for dimension in existing.values():
-        if dimension.data_type != FLOAT32:
-            raise OutputError(f"{path}: the input has extra bytes named {dimension.name!r} that are not float32")
+        if dimension.data_type not in _FLOATS:
+            raise OutputError(
+                f"{path}: the input has extra bytes named {dimension.name!r} that are not float32 or float64"
+            )
     added = tuple(name for name in labels.extra if name not in existing)
     compressor = None
     if path.suffix.lower() == ".laz":
@@ -181,7 +215,10 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         kind = "LAS" if compressor is None else "LAZ"
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
     recount = not from_las or source.bounds is not None  # type: ignore[union-attr]
-    writer = Writer(file, header.rewritten(compressor, added, drop), recount)
+    rewritten = header.rewritten(compressor, added, drop)
+    if labels.z is not None:
+        rewritten = _with_heights(path, rewritten, labels.z)
+    writer = Writer(file, rewritten, recount)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
     start, channels = 0, 0
     for chunk in chunks:
@@ -196,6 +233,8 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
                 )
         records.set_classes(chunk, number, labels.classes(records.classes(chunk, number), rows))
         _fill(chunk, existing, labels, rows)
+        if labels.z is not None:
+            records.integers(chunk)[:, 2] = _ticks(header, labels.z[rows])
         if added:
             columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
@@ -211,8 +250,28 @@ def _replayed(chunks: Iterator[np.ndarray], replay: Replay) -> Iterator[np.ndarr
 
 def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Labels, rows: slice) -> None:
     for name, dimension in existing.items():
-        values = labels.extra[name][rows].astype("<f4")
-        chunk[:, dimension.start : dimension.start + 4] = values.view(np.uint8).reshape(-1, 4)
+        values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
+        chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(values), -1)
+
+
+def _ticks(header: Header, z: np.ndarray) -> np.ndarray:
+    """f64[n]: the integers that stand for Z in units of the file."""
+    return np.rint((z - header.offsets[2]) / header.scales[2])
+
+
+def _with_heights(path: Place, header: Header, z: np.ndarray) -> Header:
+    """The header with the extent of other Z. Raises OutputError if they do not fit into the integers."""
+    if not len(z):
+        return header
+    low, high = _ticks(header, np.array([z.min(), z.max()]))
+    if max(abs(low), abs(high)) >= 2**31:
+        raise OutputError(
+            f"{path}: heights do not fit into 32 bits at a scale of {header.scales[2]:g} from {header.offsets[2]:g}; write "
+            "them as extra bytes instead"
+        )
+    head = bytearray(header.head)
+    struct.pack_into("<2d", head, _EXTENT_Z, *(np.array([high, low]) * header.scales[2] + header.offsets[2]))
+    return dataclasses.replace(header, head=bytes(head))
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:

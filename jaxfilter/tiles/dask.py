@@ -43,7 +43,9 @@ class Cluster:
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
         threads = self._threads()
         if threads and max(threads) > 1:
-            warn("workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned")
+            warn(
+                "workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned"
+            )
 
     def room(self) -> int:
         """Tasks that the workers there are now may be given."""

@@ -40,18 +40,17 @@ _PER_POINT = 330
 """About so many bytes per point of core and halo."""
 _SHARE = 0.7
 """Of the memory that is free, when none is given."""
-_MOST_POINTS = 6_000_000
+_MOST_POINTS = 8_000_000
 """Points of core and halo: larger tiles save little."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """How a run is cut: ``plan``, number of ``workers``, ``memory`` in bytes for all, and ``halo`` in metres."""
+    """How a run is cut: ``plan``, number of ``workers``, and ``most_points`` of core and halo; None if the size was given."""
 
     plan: Plan
     workers: int
-    memory: float
-    halo: float
+    most_points: float | None
 
 
 def layout(
@@ -62,8 +61,12 @@ def layout(
     tile: float | None = None,
     memory: float | None = None,
     workers: int | None = None,
+    most_points: float | None = None,
 ) -> Layout:
-    """The tiles of a run, by the memory there is; see :func:`ground`. Raises: ParameterError, InputError."""
+    """The tiles of a run, by the memory there is, or so that none has more than so many points; see :func:`ground`.
+
+    Raises: ParameterError, InputError.
+    """
     if halo is not None and not 0 <= halo < math.inf:
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     if memory is not None and not memory > 0:
@@ -75,16 +78,18 @@ def layout(
     room = (budget - _BASE) / count - _BASE
     if room <= 0:
         raise ParameterError(f"memory={budget:.3g} bytes do not suffice for {count} workers of {_BASE:.3g} each")
+    if tile is None and (most_points is None or memory is not None):
+        most_points = min(room / _PER_POINT, _MOST_POINTS)
     plan = plan_tiles(
         collection.footprints,
         collection.counts,
         metre=collection.metre,
         halo=around,
         lattice=filter_.lattice(),
-        most_points=min(room / _PER_POINT, _MOST_POINTS),
+        most_points=most_points or math.inf,
         side=tile,
     )
-    return Layout(plan, count, budget, around)
+    return Layout(plan, count, most_points)
 
 
 def ground(
@@ -137,7 +142,7 @@ def ground(
     Raises: InputError, ParameterError, OutputError before anything is filtered; OutputError if the journal cannot be written.
     """
     collection = what if isinstance(what, Collection) else open_collection(what, units=units)
-    collection.crs  # noqa: B018: refuses what cannot be run together
+    metre = collection.metre  # which is refused where files do not go together
     folder = Path(out)
     reading = {
         "returns": returns,
@@ -150,20 +155,18 @@ def ground(
     prepare_folder(folder, collection, names, resume=resume, overwrite=overwrite)
     scratch = folder / SCRATCH
     index = scratch / "index"
-    begun = (folder / NAME).exists()
     with Journal(folder / NAME) as journal, _taken_back(scratch):
         if setup is not None:
             filter_, whole = setup(collection, reading, index)
         else:
             sample = sampled(collection, reading, index)
             filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
-        if begun and tile is None:  # what is free changes, the tiles of a run do not
-            tile = (journal.fact("tiles") or {}).get("metres")
-        cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers)
-        width, height = (side * collection.metre for side in cut.plan.largest(collection.footprints))
+        most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
+        cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers, most_points=most)
+        width, height = (side * metre for side in cut.plan.largest())
         whole = dataclasses.replace(whole, width=width, height=height)
         job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)
-        journal.begin(_facts(collection, job, cut.plan))
+        journal.begin(_facts(collection, job, cut))
         executor: Executor
         if client is not None:
             from .dask import Cluster
@@ -191,9 +194,7 @@ def _taken_back(scratch: Path) -> Iterator[None]:
         raise
 
 
-def prepare_folder(
-    folder: Path, collection: Collection, names: list[str], *, resume: bool, overwrite: bool
-) -> None:
+def prepare_folder(folder: Path, collection: Collection, names: list[str], *, resume: bool, overwrite: bool) -> None:
     """Make the folder of a run, empty but for what may stay.
 
     Raises: OutputError if it holds something and neither ``resume`` nor ``overwrite`` is asked for, or holds an input.
@@ -225,7 +226,7 @@ def prepare_folder(
         (folder / name).unlink(missing_ok=True)
 
 
-def _facts(collection: Collection, job: Job, plan: Plan) -> dict[str, Any]:
+def _facts(collection: Collection, job: Job, cut: Layout) -> dict[str, Any]:
     """What decides the outcome of a run, to be told from another."""
     whole = dataclasses.asdict(job.whole)
     filter_ = {"method": type(job.filter).__name__, **dataclasses.asdict(job.filter)}  # type: ignore[call-overload]
@@ -238,7 +239,14 @@ def _facts(collection: Collection, job: Job, plan: Plan) -> dict[str, Any]:
         "classes": job.classes,
         "extra": list(job.extra),
         "spacing": whole["spacing"],
-        "tiles": {"side": plan.side, "metres": plan.side * collection.metre, "halo": plan.halo, "number": len(plan), "digest": plan.digest()},
+        "tiles": {
+            "width": cut.plan.width,
+            "height": cut.plan.height,
+            "halo": cut.plan.halo,
+            "number": len(cut.plan),
+            "digest": cut.plan.digest(),
+            "most_points": cut.most_points,
+        },
     }
 
 

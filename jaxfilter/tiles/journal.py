@@ -43,7 +43,9 @@ class Journal:
             reason = "another run is writing into this folder" if busy else f"cannot be written: {error}"
             raise OutputError(f"{path}: {reason}") from error
         except sqlite3.DatabaseError as error:
-            raise OutputError(f"{path}: is not a journal of jaxfilter: {error}; begin anew with overwrite=True") from error
+            raise OutputError(
+                f"{path}: is not a journal of jaxfilter: {error}; begin anew with overwrite=True"
+            ) from error
         self._open, self._since = False, time.monotonic()
 
     def __enter__(self) -> Self:

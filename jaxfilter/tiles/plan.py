@@ -12,10 +12,13 @@ import math
 import numpy as np
 
 from ..core.errors import InputError, ParameterError
+from ..host.files import Bounds
 
 MOST_TILES = 20_000_000
 _LARGEST_SIDE = 100_000.0  # metres
 _ROUNDS = 12
+_ROUNDED = 0.01
+"""Units, and metres, by which bounds in headers may be off."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,16 +57,20 @@ class Plan:
     """Tiles, numbered from the south-west, row by row.
 
     Attributes:
-        side: of the cores, file units; a core is [i side, (i + 1) side) in x and y, half open, for whole numbers i.
-        halo: file units around a core that are read as well.
-        cell: i64[t, 2], the number i of every tile in x and in y.
+        origin: x and y, file units; a multiple of ``lattice``. width, height: of the cores, file units. The core with the
+            whole numbers i and j is [x + i width, x + (i + 1) width) by [y + j height, y + (j + 1) height).
+        halo: file units around a core that are read as well. lattice: file units; windows end at multiples of it.
+        cell: i64[t, 2], the numbers i and j of every tile.
         points: f64[t], expected in core and halo, by the densities of the files.
         near: per tile, the files that core and halo may meet; home: those that the core may meet.
         tiles_of: per file, the tiles that label it.
     """
 
-    side: float
+    origin: tuple[float, float]
+    width: float
+    height: float
     halo: float
+    lattice: float
     cell: np.ndarray
     points: np.ndarray
     near: Lists
@@ -73,29 +80,38 @@ class Plan:
     def __len__(self) -> int:
         return len(self.cell)
 
-    def core(self, number: int) -> tuple[float, float, float, float]:
-        """(xmin, ymin, xmax, ymax) of a tile, file units."""
-        x, y = (int(v) for v in self.cell[number])
-        return x * self.side, y * self.side, (x + 1) * self.side, (y + 1) * self.side
+    def core(self, number: int) -> Bounds:
+        """(xmin, ymin, xmax, ymax) of a tile, file units. Cores that adjoin have the same number for their common edge."""
+        i, j = (int(v) for v in self.cell[number])
+        (x, y), w, h = self.origin, self.width, self.height
+        return x + i * w, y + j * h, x + (i + 1) * w, y + (j + 1) * h
 
-    def window(self, number: int) -> tuple[float, float, float, float]:
-        """The core and the halo around it."""
+    def window(self, number: int) -> Bounds:
+        """The core and the halo around it, as far as the lattice."""
         x0, y0, x1, y1 = self.core(number)
-        return x0 - self.halo, y0 - self.halo, x1 + self.halo, y1 + self.halo
-
-    def largest(self, bounds: np.ndarray) -> tuple[float, float]:
-        """Width and height of the largest window, as far as the files, f64[n, 4], reach; file units."""
-        known = bounds[np.diff(self.tiles_of.start) > 0]
-        if not len(known):
-            return 0.0, 0.0
-        wide = self.side + 2 * self.halo
+        low, high = ((math.floor, -self.halo), (math.ceil, self.halo))
         return tuple(  # type: ignore[return-value]
-            float(min(wide, known[:, axis + 2].max() - known[:, axis].min())) for axis in range(2)
+            self.lattice * turn((edge + step) / self.lattice + slack)
+            for edge, (turn, step), slack in ((x0, low, 1e-6), (y0, low, 1e-6), (x1, high, -1e-6), (y1, high, -1e-6))
         )
+
+    def cores(self) -> np.ndarray:
+        """f64[t, 4]: all cores."""
+        low = np.array(self.origin) + self.cell * [self.width, self.height]
+        return np.concatenate([low, np.array(self.origin) + (self.cell + 1) * [self.width, self.height]], axis=1)
+
+    def largest(self) -> tuple[float, float]:
+        """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
+        if not len(self):
+            return 0.0, 0.0
+        many = np.ptp(self.cell, axis=0) > 0
+        more = 2 * (self.halo + self.lattice)
+        return self.width + more * bool(many[0]), self.height + more * bool(many[1])
 
     def digest(self) -> str:
         """Tells this plan from others."""
-        found = hashlib.sha256(f"{self.side!r} {self.halo!r} {len(self)}".encode())
+        numbers = (self.origin, self.width, self.height, self.halo, self.lattice, len(self))
+        found = hashlib.sha256(repr(numbers).encode())
         for array in (self.cell, self.home.start, self.home.member, self.near.start, self.near.member):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
@@ -108,72 +124,91 @@ def plan_tiles(
     metre: float,
     halo: float,
     lattice: float = 1.0,
+    grid: float = 0.0,
     most_points: float = math.inf,
     side: float | None = None,
 ) -> Plan:
-    """Square tiles over files.
+    """Tiles over files, nearly square, all of one size, so that a whole number of them covers the data.
 
     Args:
         bounds: f64[n, 4] of files: xmin, ymin, xmax, ymax, file units, all closed; counts: i64[n], points in each.
         metre: metres per file unit in x and y.
-        halo: metres; widened to a multiple of ``lattice``, metres, as the sides of cores are.
-        most_points: in core and halo, as the densities of the files have it; decides the side, unless that is given.
-        side: of cores, metres; widened to a multiple of ``lattice``.
+        halo: metres. lattice: metres; windows end at multiples of it.
+        grid: metres; cores end at multiples of it, by default of the lattice.
+        most_points: in core and halo, as the densities of the files have it; decides the size, unless that is given.
+        side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``grid``.
 
     Raises: ParameterError if a core as wide as its halo has too many points; InputError for too many tiles.
     """
     used = np.flatnonzero(counts > 0)
-    wide = lattice * math.ceil(halo / lattice - 1e-9)
+    grid = grid or lattice
+    units = (halo / metre, lattice / metre)
+    if not len(used):
+        return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), *units)
+    low, high = (pick(bounds[used][:, axes], axis=0) for pick, axes in ((np.min, [0, 1]), (np.max, [2, 3])))
     if side is not None:
         if not side > 0:
             raise ParameterError(f"tile={side!r}: must be > 0 metres")
-        return _tiles(bounds, counts, used, lattice * math.ceil(side / lattice - 1e-9) / metre, wide / metre)
-    area = (bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1]) * metre**2
-    total = float(np.sum(counts[used]))
-    density = total / max(float(area.sum()), 1.0)
-    least = max(lattice, 2 * wide)
-    room = math.sqrt(most_points / density) - 2 * wide if density > 0 and math.isfinite(most_points) else math.inf
-    spread = float(max(np.ptp(bounds[used][:, [0, 2]]), np.ptp(bounds[used][:, [1, 3]]))) * metre if len(used) else 0.0
-    guess = min(room, spread + lattice, _LARGEST_SIDE)
+        step = grid * math.ceil(side / grid - 1e-9) / metre
+        return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), *units)
+    unit = grid / metre
+    origin = unit * np.floor((low - _ROUNDED / metre) / unit)
+    extent = (high - origin) * metre + _ROUNDED
+    area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
+    density = float(counts[used].sum()) / max(area, 1.0)
+    least = max(grid, 2 * halo)
+    guess = max(least, min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()), _LARGEST_SIDE))
     for _ in range(_ROUNDS):
-        cells = max(1, math.floor(max(guess, least) / lattice + 1e-9))
-        plan = _tiles(bounds, counts, used, cells * lattice / metre, wide / metre)
+        sides = unit * np.ceil(extent / np.ceil(extent / guess) / grid + 1e-6)
+        plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), *units)
         most = float(plan.points.max(initial=0.0))
         if most <= most_points:
             return plan
         if guess <= least:
             break
-        guess = max(least, 0.95 * ((guess + 2 * wide) * math.sqrt(most_points / most) - 2 * wide))
+        guess = max(least, 0.95 * ((guess + 2 * halo) * math.sqrt(most_points / most) - 2 * halo))
     raise ParameterError(
-        f"a tile of {plan.side * metre:g} m with a halo of {wide:g} m holds about {most:,.0f} points, more than the "
-        f"{most_points:,.0f} that the memory is good for: pass a smaller halo=, more memory=, or fewer workers="
+        f"a tile of {plan.width * metre:g} x {plan.height * metre:g} m with a halo of {halo:g} m holds about {most:,.0f} "
+        f"points, more than the {most_points:,.0f} that the memory is good for: pass halo= with less, memory= with more, or "
+        "workers= with fewer"
     )
 
 
-def _tiles(bounds: np.ndarray, counts: np.ndarray, used: np.ndarray, side: float, halo: float) -> Plan:
-    """The plan of cores ``side`` wide with a ``halo``, both in file units; ``used``: i64[k], the files with points."""
-    slack = 1e-6 * side  # headers round
-    box = bounds[used] + [-slack, -slack, slack, slack]
-    key, file, width = _covered(box, used, side)
+def _tiles(
+    bounds: np.ndarray,
+    counts: np.ndarray,
+    used: np.ndarray,
+    origin: tuple[float, ...],
+    sides: tuple[float, ...],
+    halo: float,
+    lattice: float,
+) -> Plan:
+    """The plan of cores of such sides; all lengths in file units. ``used``: i64[k], the files with points."""
+    start, size = np.tile(np.array(origin), 2), np.array(sides)
+    slack = min(1e-6 * size.min(), _ROUNDED / 2)
+    box = bounds[used] - start + [-slack, -slack, slack, slack]
+    key, file, frame = _covered(box, used, size)
     tiles = np.unique(key)
     home = Lists.of(np.searchsorted(tiles, key), file, len(tiles))
-    cell = np.stack([tiles % width.columns + width.west, tiles // width.columns + width.south], axis=1)
-    if halo > 0:
-        key, file, _ = _covered(box + [-halo, -halo, halo, halo], used, side, width)
-        at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
-        kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
-        near = Lists.of(at[kept], file[kept], len(tiles))
-    else:
-        near = home
+    cell = np.stack([tiles % frame.columns + frame.west, tiles // frame.columns + frame.south], axis=1)
+    wide = halo + lattice
+    key, file, _ = _covered(box + [-wide, -wide, wide, wide], used, size, frame)
+    at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
+    kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
+    near = Lists.of(at[kept], file[kept], len(tiles))
     tile = np.repeat(np.arange(len(tiles)), np.diff(near.start))
     shares = np.ones(len(tile))
     for axis in range(2):
         low, high = bounds[near.member, axis], bounds[near.member, axis + 2]
-        west = cell[tile, axis] * side - halo
-        overlap = np.minimum(high, west + side + 2 * halo) - np.maximum(low, west)
-        shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12) if len(tile) else 1.0
+        west = start[axis] + cell[tile, axis] * size[axis] - halo
+        overlap = np.minimum(high, west + size[axis] + 2 * halo) - np.maximum(low, west)
+        shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12)
     points = np.bincount(tile, np.minimum(shares, 1.0) * counts[near.member], minlength=len(tiles))
-    return Plan(side, halo, cell, points, near, home, home.turned(len(bounds)))
+    plain = tuple(float(v) for v in origin)
+    return Plan(
+        (plain[0], plain[1]), float(size[0]), float(size[1]), halo, lattice, cell, points, near, home,
+        home.turned(len(bounds)),
+    )  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,25 +221,25 @@ class _Frame:
 
 
 def _covered(
-    box: np.ndarray, used: np.ndarray, side: float, frame: _Frame | None = None
+    box: np.ndarray, used: np.ndarray, size: np.ndarray, frame: _Frame | None = None
 ) -> tuple[np.ndarray, np.ndarray, _Frame]:
-    """i64[p], i32[p]: all pairs of a cell ``side`` wide and a file whose box, f64[k, 4], it meets; ``used``: its number.
+    """i64[p], i32[p]: all pairs of a cell of f64[2] sides and a file whose box, f64[k, 4], it meets; ``used``: its number.
 
     Raises: InputError for too many pairs.
     """
-    low, high = (np.floor(box[:, ends] / side).astype(np.int64) for ends in ([0, 1], [2, 3]))
+    low, high = (np.floor(box[:, ends] / size).astype(np.int64) for ends in ([0, 1], [2, 3]))
     if frame is None:
-        west, south = (int(low[:, axis].min(initial=2**62)) if len(low) else 0 for axis in range(2))
-        frame = _Frame(west - 1, south - 1, (int(high[:, 0].max()) if len(high) else 0) - west + 3)
+        west, south = low.min(axis=0) if len(low) else (0, 0)
+        east = high[:, 0].max() if len(high) else 0
+        frame = _Frame(int(west) - 1, int(south) - 1, int(east - west) + 3)
     first, last = frame.west, frame.west + frame.columns - 1
     low[:, 0], high[:, 0] = np.clip(low[:, 0], first, last), np.clip(high[:, 0], first, last)
     wide, tall = (high - low + 1).T
     pairs = wide * tall
     if len(pairs) and pairs.sum() > 2 * MOST_TILES:
-        worst = int(used[int(np.argmax(pairs))])
         raise InputError(
-            f"tiles of {side:g} units make {int(pairs.sum()):,} of them; file number {worst} covers {int(pairs.max()):,}: pass "
-            "a larger tile=, or remove stray points far from the rest"
+            f"tiles of {size[0]:g} x {size[1]:g} units make {int(pairs.sum()):,} of them, and one file alone covers "
+            f"{int(pairs.max()):,}: pass tile= with more, or remove stray points far from the rest"
         )
     owner = np.repeat(np.arange(len(used)), pairs)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)

@@ -20,8 +20,8 @@ import numpy as np
 
 from ..core.errors import OutputError
 from ..core.filter import Filter
-from ..host.sources import Source
 from ..host.storage import Place
+from .collection import Collection
 from .journal import Journal
 from .outputs import FileReport, FileTask, write_file
 from .plan import Plan
@@ -114,7 +114,7 @@ class Run:
         self,
         job: Job,
         plan: Plan,
-        sources: Sequence[Source],
+        sources: Collection,
         targets: Sequence[Place],
         journal: Journal,
         executor: Executor,
@@ -178,18 +178,18 @@ class Run:
             journal.forget("tiles", lost)
         is_done[done] = True
         is_done[lost] = False
-        for number in np.flatnonzero(is_done):
+        for number in np.flatnonzero(is_done).tolist():
             self._missing[plan.home[number]] -= 1
         is_written = np.zeros(len(self._missing), bool)
         is_written[written] = True
-        for number, finished, report in journal.reports("tiles"):
-            if finished and is_done[number]:
-                self._hopeless |= dict(report["left_out"])
+        for tile, finished, facts in journal.reports("tiles"):
+            if finished and is_done[tile]:
+                self._hopeless |= dict(facts["left_out"])
         standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
-        complete = [int(f) for f in np.flatnonzero((self._missing == 0) & ~is_written)]
+        complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist()
         todo: Iterator[_Task] = itertools.chain(
             ((f, write_file, self._file) for f in complete if f not in self._hopeless),
-            ((int(n), filter_tile, self._tile) for n in np.flatnonzero(~is_done)),
+            ((n, filter_tile, self._tile) for n in np.flatnonzero(~is_done).tolist()),
         )
         for f in complete:
             if f in self._hopeless:
@@ -301,14 +301,14 @@ _Task = tuple[int, Callable[..., Any], Callable[[int, bool], Any]]
 
 
 def report_of(
-    plan: Plan, sources: Sequence[Source], targets: Sequence[Place], journal: Journal, seconds: float
+    plan: Plan, sources: Collection, targets: Sequence[Place], journal: Journal, seconds: float
 ) -> RunReport:
     """What the journal knows."""
     report = RunReport(
         tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], points=0, candidates=0, ground=0, read=0,
         seconds=seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
         remarks=collections.Counter(),
-        cores=np.concatenate([plan.cell * plan.side, (plan.cell + 1) * plan.side], axis=1).astype(np.float64),
+        cores=plan.cores(),
         state=np.full(len(plan), np.nan),
     )  # fmt: skip
     left_out: dict[int, str] = {}

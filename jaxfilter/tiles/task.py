@@ -246,9 +246,19 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None) -> PointClo
 
 def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
     """The points of some rows, i64[k] or bool[n], without their file."""
-    names = ("xyz", "return_number", "number_of_returns", "classification", "withheld", "candidate", "reference", "valid")
+    names = (
+        "xyz",
+        "return_number",
+        "number_of_returns",
+        "classification",
+        "withheld",
+        "candidate",
+        "reference",
+        "valid",
+    )
     arrays = {name: getattr(cloud, name) for name in names}
-    return dataclasses.replace(cloud, source=None, **{k: None if a is None else a[rows] for k, a in arrays.items()})
+    parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
+    return dataclasses.replace(cloud, source=None, **parts)
 
 
 def labels_path(folder: Path, number: int) -> Path:

@@ -1,0 +1,180 @@
+"""Heights above ground: of all points, and written without loss of anything else."""
+
+from __future__ import annotations
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from las_files import make_copc, make_las
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.core.cloud import QUANTUM
+
+pytestmark = pytest.mark.usefixtures("compilation_cache")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def expected_heights(xyz, ground):
+    """By SciPy: linear between ground points, nearest outside of them; f64[n]."""
+    local = xyz - xyz.min(axis=0)
+    surface = LinearNDInterpolator(local[ground, :2], local[ground, 2])(local[:, :2])
+    nearest = NearestNDInterpolator(local[ground, :2], local[ground, 2])(local[:, :2])
+    return local[:, 2] - np.where(np.isnan(surface), nearest, surface)
+
+
+def a_file(path, point_format=6, n=600, **fields):
+    """Random points of distinct positions, a third of them ground."""
+    rng = np.random.default_rng(5)
+    place = rng.permutation(10_000)[:n]
+    ground = np.arange(n) % 3 == 0
+    x, y = place % 100 * 100 + rng.integers(0, 60, n), place // 100 * 80 + rng.integers(0, 50, n)
+    z = np.where(ground, 500 + 20 * np.sin(x / 900) + y // 100, rng.integers(500, 30_000, n))
+    classes = np.where(ground, 2, rng.choice([1, 5, 7, 9], n)).astype(np.uint8)
+    return make_las(
+        path, point_format, n=n, X=x, Y=y, Z=z, classification=classes, withheld=np.zeros(n, bool), **fields
+    )
+
+
+def test_heights_are_those_of_scipy():
+    rng = np.random.default_rng(2)
+    xyz = rng.uniform(0, 60, (3000, 3)) * [1, 1, 0.2]
+    xyz = np.rint(xyz / QUANTUM) * QUANTUM
+    ground = rng.random(3000) < 0.3
+    ground[np.hypot(*(xyz[:, :2] - 30).T) > 26] = False  # many points outside the hull
+    heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz), ground)
+    assert heights.dtype == np.float64 and (heights[ground] == 0).all()
+    difference = np.abs(heights - expected_heights(xyz, ground))
+    assert np.quantile(difference, 0.99) < 0.002 and np.median(difference) < 1e-6
+
+
+def test_units_of_z_and_points_without_coordinates():
+    xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [np.nan, 1, 1], [40, 40, 12.5]])
+    cloud = jf.PointCloud.from_arrays(xyz, units="ft", drop_invalid=True)
+    ground = np.array([True, True, True, False, False, False])
+    heights = jf.height_above_ground(cloud, ground)
+    np.testing.assert_allclose(heights, [0, 0, 0, 15, 0, 2.5], atol=2 * QUANTUM / 0.3048)
+
+
+@pytest.mark.parametrize("ground, expected", [([0], [0, 4, 7]), ([0, 1], [0, 0, 3])])
+def test_too_few_ground_points_for_a_triangle(ground, expected):
+    """The height at the nearest of them."""
+    cloud = jf.PointCloud.from_arrays(np.array([[0.0, 0, 1], [5, 5, 5], [9, 9, 8]]))
+    np.testing.assert_allclose(jf.height_above_ground(cloud, np.isin(np.arange(3), ground)), expected)
+    with pytest.raises(jf.InputError, match="no point is ground"):
+        jf.height_above_ground(cloud, np.zeros(3, bool))
+
+
+@pytest.mark.parametrize("point_format, suffix", [(1, ".las"), (3, ".laz"), (6, ".laz"), (7, ".las")])
+def test_the_extra_dimension_and_nothing_else(tmp_path, point_format, suffix):
+    source = tmp_path / f"in{suffix}"
+    a_file(source, point_format, extra=True)
+    result = run("height", source, tmp_path / f"out{suffix}", "--json")
+    assert result.exit_code == 0, result.output
+    before, after = laspy.read(source), laspy.read(tmp_path / f"out{suffix}")
+    for name in before.point_format.dimension_names:
+        np.testing.assert_array_equal(after[name], before[name])
+    expected = expected_heights(np.asarray(before.xyz), np.asarray(before.classification) == 2)
+    np.testing.assert_allclose(after["HeightAboveGround"], expected, atol=0.02)
+    facts = json.loads(result.stdout)
+    assert facts["highest"] == pytest.approx(after["HeightAboveGround"].max(), abs=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_in_place_of_z(tmp_path, suffix):
+    """Bytes of the file other than Z and its extent are as they were."""
+    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    a_file(source, 6, extra=True)
+    assert run("height", source, target, "--replace-z").exit_code == 0
+    before, after = laspy.read(source), laspy.read(target)
+    expected = expected_heights(np.asarray(before.xyz), np.asarray(before.classification) == 2)
+    np.testing.assert_allclose(after.z, expected, atol=0.02)
+    for name in set(before.point_format.dimension_names) - {"Z"}:
+        np.testing.assert_array_equal(after[name], before[name])
+    assert after.header.mins[2] == after.z.min() and after.header.maxs[2] == after.z.max()
+    if suffix == ".las":
+        old, new = np.fromfile(source, np.uint8), np.fromfile(target, np.uint8)
+        assert len(old) == len(new)
+        first, length = before.header.offset_to_point_data, before.point_format.size
+        differs = np.flatnonzero(old != new)
+        column = (differs - first) % length
+        in_points = (differs >= first) & (differs < first + length * len(before))
+        assert (((column >= 8) & (column < 12)) | ~in_points).all()
+        assert set(differs[~in_points].tolist()) <= set(range(211, 227))
+
+
+def test_found_on_the_way(tmp_path, scene):
+    """With --filter, the classes are those that jaxfilter ground writes, and the heights those above them."""
+    jf.write(tmp_path / "in.las", scene.cloud, np.zeros(len(scene), bool), reset="none")
+    assert run("height", tmp_path / "in.las", tmp_path / "out.las", "--filter", "smrf").exit_code == 0
+    assert run("ground", "smrf", tmp_path / "in.las", tmp_path / "ground.las").exit_code == 0
+    out, ground = laspy.read(tmp_path / "out.las"), laspy.read(tmp_path / "ground.las")
+    np.testing.assert_array_equal(out.classification, ground.classification)
+    heights = jf.height_above_ground(jf.read(tmp_path / "ground.las"))
+    np.testing.assert_array_equal(out["HeightAboveGround"], heights.astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_a_dimension_that_is_there_is_renewed(tmp_path, kind):
+    """PDAL writes it as a double."""
+    las = a_file(tmp_path / "first.las", 6)
+    las.add_extra_dim(laspy.ExtraBytesParams("HeightAboveGround", kind))
+    las.write(tmp_path / "in.las")
+    assert run("height", tmp_path / "in.las", tmp_path / "out.las").exit_code == 0
+    out = laspy.read(tmp_path / "out.las")
+    assert list(out.point_format.extra_dimension_names) == ["HeightAboveGround"]
+    assert out["HeightAboveGround"].dtype == kind and out["HeightAboveGround"].max() > 1
+
+
+def test_copc_becomes_laz(tmp_path):
+    make_copc(tmp_path / "in.copc.laz")
+    cloud = jf.read(tmp_path / "in.copc.laz")
+    heights = np.arange(len(cloud)) / 4
+    with pytest.warns(jf.JaxfilterWarning, match="COPC"):
+        jf.write(tmp_path / "out.laz", cloud, None, heights=heights, replace_z=True)
+    out = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_allclose(out.z, heights, atol=0.006)
+    np.testing.assert_array_equal(out.classification, cloud.classification)
+
+
+def test_text_and_arrays_become_las(tmp_path):
+    xyz = np.random.default_rng(0).uniform(0, 50, (200, 3))
+    np.savetxt(tmp_path / "in.txt", np.column_stack([xyz, np.arange(200) % 2]), fmt="%.3f")
+    assert run("height", tmp_path / "in.txt", tmp_path / "out.laz", "--replace-z").exit_code == 0
+    out = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_allclose(out.z, expected_heights(xyz.round(3), np.arange(200) % 2 == 0), atol=0.05)
+    assert out.header.mins[2] == out.z.min()
+
+
+def test_what_cannot_be_is_said(tmp_path):
+    a_file(tmp_path / "in.las", 6)
+    a_file(tmp_path / "none.las", 6)
+    las = laspy.read(tmp_path / "none.las")
+    las.classification[:] = 1
+    las.write(tmp_path / "none.las")
+    for arguments, code, words in (
+        ([tmp_path / "none.las", tmp_path / "out.las"], 1, "no point is ground"),
+        ([tmp_path / "in.las", tmp_path / "out.txt"], 2, "suffix"),
+        ([tmp_path / "in.las", tmp_path / "in.las"], 2, "--in-place"),
+        ([tmp_path / "in.las"], 2, "OUT is missing"),
+        ([tmp_path / "in.las", tmp_path / "out.las", "--filter", "nothing"], 2, "no filter 'nothing'"),
+    ):
+        result = run("height", *arguments)
+        assert result.exit_code == code and words in result.stderr and result.stderr.count("\n") == 1, result.output
+    cloud = jf.read(tmp_path / "in.las")
+    with pytest.raises(jf.InputError, match="600 finite numbers"):
+        jf.write(tmp_path / "out.las", cloud, None, heights=np.full(600, np.nan))
+    with pytest.raises(jf.OutputError, match="32 bits"):
+        jf.write(tmp_path / "out.las", cloud, None, heights=np.full(600, 1e9), replace_z=True)
+    with pytest.raises(jf.ParameterError, match="pass heights="):
+        jf.write(tmp_path / "out.las", cloud, None, replace_z=True)
+    with pytest.raises(jf.OutputError, match=r"need .las or .laz"):
+        jf.write(tmp_path / "out.txt", cloud, None, heights=np.zeros(600))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.las", "none.las"]

@@ -1,0 +1,232 @@
+"""Windows of files are the masks of whole files, and little is read for them."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patch
+
+import jaxfilter as jf
+from jaxfilter.host import blocks, windows
+from jaxfilter.host.windows import blocks_of, read_window
+
+COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
+X, Y = OFFSETS[:2]
+
+
+def source_of(path, **options):
+    return jf.open(path, **options)[0]
+
+
+def whole(path):
+    """Coordinates f64[n, 3] of a file and its fields, by laspy."""
+    las = laspy.read(path)
+    ticks = np.stack([las.X, las.Y, las.Z], axis=1)
+    return ticks * las.header.scales + las.header.offsets, las
+
+
+def assert_is_mask(window, path, box, **options):
+    """The window is what a mask of the whole file leaves, by laspy and by ``read``."""
+    xyz, las = whole(path)
+    inside = (xyz[:, 0] >= box[0]) & (xyz[:, 0] < box[2]) & (xyz[:, 1] >= box[1]) & (xyz[:, 1] < box[3])
+    np.testing.assert_array_equal(window.record, np.flatnonzero(inside))
+    assert window.record.dtype == np.int64 and len(window.cloud) == inside.sum()
+    np.testing.assert_array_equal(window.cloud.classification, np.asarray(las.classification)[inside])
+    np.testing.assert_array_equal(window.cloud.withheld, np.asarray(las.withheld)[inside])
+    if not inside.any():
+        return
+    np.testing.assert_allclose(window.cloud.coordinates(), xyz[inside], atol=2**-10 / window.cloud.units.z)
+    cut = jf.read(path, bounds=box, **options)
+    assert cut.xyz.tobytes() == window.cloud.xyz.tobytes() and cut.origin.tobytes() == window.cloud.origin.tobytes()
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(window.cloud, name), getattr(cut, name))
+    assert window.cloud.crs == cut.crs and window.cloud.units == cut.units
+
+
+def boxes_of(bounds, seed=0, n=6):
+    """Boxes of all sizes in and around bounds, among them all of it, corners, and some that touch nothing."""
+    rng = np.random.default_rng(seed)
+    low, size = np.array(bounds[:2]), np.array(bounds[2:]) - bounds[:2]
+    found = [tuple(np.concatenate([low - size, low + 2 * size])), tuple(np.concatenate([low, low + size / 7]))]
+    found += [tuple(np.concatenate([low + 2 * size, low + 3 * size])), tuple(np.concatenate([low - size, low]))]
+    for _ in range(n):
+        a = low + rng.uniform(-0.2, 1.0, 2) * size
+        found.append(tuple(np.concatenate([a, a + rng.uniform(0.01, 0.6, 2) * size])))
+    return found
+
+
+@pytest.mark.parametrize("point_format", [0, 1, 2, 3, 6, 7, 8])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_windows_of_every_point_format(tmp_path, monkeypatch, point_format, suffix):
+    monkeypatch.setattr(blocks, "RUN", 100)
+    path = tmp_path / f"in{suffix}"
+    make_las(path, point_format, n=1500, extra=True)
+    source = source_of(path)
+    for box in boxes_of(source.bounds):
+        assert_is_mask(read_window(source, box, tmp_path / "index"), path, box)
+
+
+@pytest.mark.parametrize("make", [make_copc, lambda path: make_deep_copc(path, 4, 30)], ids=["cube", "flat"])
+def test_windows_of_copc(tmp_path, make):
+    path = tmp_path / "in.copc.laz"
+    make(path)
+    source = source_of(path)
+    assert source.format == "copc"
+    for box in boxes_of(source.bounds):
+        assert_is_mask(read_window(source, box), path, box)
+
+
+def test_windows_of_real_tiles(data, tmp_path):
+    for name in ("lff_2_67.laz", "lidR_Topography.laz", "geo1101_Delft_manual.las", "ign_77050_627755.laz"):
+        path = data / "tiles" / name
+        source = source_of(path)
+        for box in boxes_of(source.bounds, n=2)[1:]:
+            assert_is_mask(read_window(source, box, tmp_path), path, box)
+
+
+def test_points_on_borders_belong_to_one_box(tmp_path):
+    """A lattice of boxes whose borders go through points: every point is in one window, by integers and scales that
+    floating point does not hold exactly."""
+    path = tmp_path / "in.laz"
+    rng = np.random.default_rng(1)
+    make_las(path, 6, n=900, X=rng.integers(0, 30, 900) * 10, Y=rng.integers(0, 30, 900) * 10)
+    source = source_of(path)
+    xs, ys = (np.arange(31) * 10 * SCALES[axis] + OFFSETS[axis] for axis in (0, 1))
+    boxes = [(xs[i], ys[j], xs[i + 3], ys[j + 3]) for i in range(0, 28, 3) for j in range(0, 28, 3)]
+    found = [read_window(source, box, tmp_path) for box in boxes]
+    np.testing.assert_array_equal(np.sort(np.concatenate([w.record for w in found])), np.arange(900))
+    assert max(len(w.record) for w in found) < 100
+
+
+def test_feet_and_options_as_in_read(tmp_path):
+    path = tmp_path / "in.las"
+    make_las(path, 6, n=400, crs=2225)  # US survey feet
+    source, box = source_of(path), (X + 10, Y + 10, X + 60, Y + 70)
+    assert source.metre == pytest.approx(1200 / 3937)
+    options = {"returns": "first", "ignore_classes": (3,), "keep_withheld": True, "anchor": (X, Y)}
+    window, cut = read_window(source, box, **options), jf.read(path, bounds=box, **options)
+    assert window.cloud.xyz.tobytes() == cut.xyz.tobytes()
+    np.testing.assert_array_equal(window.cloud.candidate, cut.candidate)
+    np.testing.assert_array_equal(window.cloud.anchor, (X, Y))
+    assert_is_mask(read_window(source_of(path, units="m"), box), path, box, units="m")
+
+
+def test_a_window_is_written_like_a_cut(tmp_path):
+    path, box = tmp_path / "in.laz", (X + 10, Y + 10, X + 60, Y + 70)
+    make_las(path, 7, n=300, extra=True)
+    window = read_window(source_of(path), box)
+    ground = np.arange(len(window.record)) % 2 == 0
+    jf.write(tmp_path / "window.laz", window.cloud, ground)
+    jf.write(tmp_path / "cut.laz", jf.read(path, bounds=box), ground)
+    assert (tmp_path / "window.laz").read_bytes() == (tmp_path / "cut.laz").read_bytes()
+
+
+def test_no_points(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 6, n=0)
+    source = source_of(path)
+    window = read_window(source, (X, Y, X + 1, Y + 1), tmp_path)
+    assert len(window.cloud) == 0 and window.record.shape == (0,) and np.isnan(source.bounds).all()
+
+
+def test_more_points_than_the_header_says(tmp_path):
+    """LAZ whose header announces fewer points than its chunks hold: those that ``read`` gives."""
+    path = tmp_path / "in.laz"
+    make_las(path, 6, n=500)
+    patch(path, "Q", 247, 450)
+    with pytest.warns(jf.JaxfilterWarning, match="450"):
+        window = read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
+    np.testing.assert_array_equal(window.record, np.arange(450))
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz"])
+def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
+    """The index serves later processes (an empty memory) as long as the file is the same, and is made anew when damaged."""
+    path, index = tmp_path / name, tmp_path / "index"
+    make_las(path, 6, n=1000)
+    passes = []
+    measured = windows.measured
+    monkeypatch.setattr(windows, "measured", lambda header: passes.append(1) or measured(header))
+
+    def read():
+        windows._opened.cache_clear()
+        windows._blocks.cache_clear()
+        return read_window(source_of(path), (X, Y, X + 50, Y + 50), index)
+
+    first, second = read(), read()
+    assert len(passes) == 1 and first.cloud.xyz.tobytes() == second.cloud.xyz.tobytes()
+    (kept,) = index.iterdir()
+    content = kept.read_bytes()
+    for damage in (b"", content[:100], content[: len(content) // 2], b"x" * 500):
+        kept.write_bytes(damage)
+        assert read().record.tobytes() == first.record.tobytes()
+    assert len(passes) == 5 and kept.read_bytes() == content
+    make_las(path, 6, n=1000, seed=1)
+    assert_is_mask(read(), path, (X, Y, X + 50, Y + 50))
+    assert len(passes) == 6 and len(list(index.iterdir())) == 1
+
+
+def test_a_file_that_changes_is_refused(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 6, n=500)
+    source, box = source_of(path), (X, Y, X + 50, Y + 50)
+    read_window(source, box)
+    make_las(path, 6, n=500, seed=1)
+    with pytest.raises(jf.InputError, match=r"in\.laz: the file has changed since the collection was opened"):
+        read_window(source, box)
+    path.unlink()
+    with pytest.raises(jf.InputError, match="no such file"):
+        read_window(source, box)
+
+
+@pytest.mark.parametrize("name", ["in.laz", "in.las", "in.copc.laz"])
+def test_a_truncated_file_is_refused(tmp_path, name):
+    path = tmp_path / name
+    make_copc(path) if "copc" in name else make_las(path, 1, n=5000)
+    source = dataclasses.replace(source_of(path), identity="")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    with pytest.raises(jf.InputError, match=name.replace(".", r"\.")):
+        read_window(source, (X, Y, X + 50, Y + 50))
+
+
+def bytes_read(monkeypatch, call):
+    """What ``call`` returns, and the bytes that were read from files among the points and tables for it."""
+    counted = []
+    ranges = blocks.read_ranges
+    monkeypatch.setattr(blocks, "read_ranges", lambda *a: counted.append(sum(a[3])) or ranges(*a))
+    return call(), sum(counted)
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
+    """Scan lines of 200,000 points: a hundredth of the area at the end of the file is a few runs of them."""
+    path, n = tmp_path / f"in{suffix}", 200_000
+    row, column = np.divmod(np.arange(n), 400)
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = SCALES, OFFSETS
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = X + column / 4, Y + row / 5, np.zeros(n)
+    las.write(path)
+    source = source_of(path, units="m")
+    x1, y1 = source.bounds[2:]
+    box = (x1 - 10, y1 - 10, x1 + 1, y1 + 1)
+    read_window(source, box, tmp_path / "index")
+    window, read = bytes_read(monkeypatch, lambda: read_window(source, box, tmp_path / "index"))
+    assert len(window.record) == 41 * 51
+    assert read <= path.stat().st_size * (0.13 if suffix == ".las" else 0.26)
+
+
+def test_sources_are_small_and_go_to_other_processes(tmp_path):
+    make_las(tmp_path / "in.laz", 6, n=500)
+    source = source_of(tmp_path / "in.laz")
+    sent = pickle.dumps(source)
+    assert pickle.loads(sent) == source and len(sent) < 2500
+    window = read_window(pickle.loads(sent), (X, Y, X + 50, Y + 50))
+    again = read_window(dataclasses.replace(source, identity=""), (X, Y, X + 50, Y + 50))
+    assert window.cloud.xyz.tobytes() == again.cloud.xyz.tobytes()
+    assert len(blocks_of(source)) == 1 and isinstance(source.place, Path)
