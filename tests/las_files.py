@@ -94,6 +94,8 @@ def write_copc(path: Path, parts: list[tuple[tuple[int, ...], np.ndarray]]) -> n
     records = np.zeros((sum(len(xyz) for _, xyz in parts), 30), np.uint8)
     n = len(records)
     records[:, :12] = np.concatenate([xyz for _, xyz in parts]).view(np.uint8)
+    rng = np.random.default_rng(n)
+    records[:, 12:14], records[:, 22:30] = rng.integers(0, 256, (n, 2)), rng.random((n, 1)).view(np.uint8)  # time
     records[:, 14], records[:, 16] = 0x11, 1
     laszip = lazrs.LazVlr.new_for_compression(6, 0, True)
 
@@ -115,11 +117,15 @@ def write_copc(path: Path, parts: list[tuple[tuple[int, ...], np.ndarray]]) -> n
     compressor.done()
     end = body.seek(0, 2)
     body.seek(offset)
-    entries, at = b"", offset + 8
+    first, second, at = b"", b"", offset + 8
     for (key, xyz), (_, size) in zip(parts, lazrs.read_chunk_table(body, laszip), strict=True):
-        entries += struct.pack("<4iQ2i", *key, at, size, len(xyz))
+        entry = struct.pack("<4iQ2i", *key, at, size, len(xyz))
+        first, second = (first + entry, second) if key[0] < 2 else (first, second + entry)
         at += size
-    info = struct.pack("<5d2Q2d", *(OFFSETS + 50), 50.0, 1.0, end + 60, len(entries), 0.0, 0.0).ljust(160, b"\0")
+    if second:  # deep nodes have a page of their own
+        first += struct.pack("<4iQ2i", 2, 0, 0, 0, end + 60 + len(first) + 32, len(second), -1)
+    entries = first + second
+    info = struct.pack("<5d2Q2d", *(OFFSETS + 50), 50.0, 1.0, end + 60, len(first), 0.0, 0.0).ljust(160, b"\0")
     head = bytearray(375)
     struct.pack_into("<4sHH", head, 0, b"LASF", 0, 16)
     struct.pack_into("<BB32s32sHHHIIBH", head, 24, 1, 4, b"", b"", 1, 2024, 375, offset, 3, 6 | 0x80, 30)

@@ -152,14 +152,14 @@ def _table(path: Place) -> Path | None:
     Raises: InputError.
     """
     suffix = path.suffix.lower()
+    if isinstance(path, Remote) and suffix in text.SUFFIXES:
+        raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     with reading(path), opened(path) as (file, _):
         signed = file.read(4) == b"LASF"
     if signed or suffix in LAS_SUFFIXES:
         return None
-    if suffix in text.SUFFIXES and isinstance(path, Path):
+    if isinstance(path, Path) and suffix in text.SUFFIXES:
         return path
-    if suffix in text.SUFFIXES:
-        raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
     raise InputError(f"{path}: neither LAS nor one of {', '.join(text.SUFFIXES)}; give text one of these suffixes")
 
 

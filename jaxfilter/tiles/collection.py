@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
-_ROWS, _ARRAYS = ("bounds", "z"), ("bounds", "z", "count")  # fields of several numbers, and all that are held as arrays
+_ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
+_ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
 
 
 class Collection:
@@ -60,8 +61,8 @@ class Collection:
                 put(value)
         for name in _ARRAYS:
             columns[name] = np.array(columns[name])
-        for name in _ROWS:
-            columns[name] = columns[name].reshape(len(columns["uri"]), -1)
+        for name, width in _ROWS.items():
+            columns[name] = columns[name].reshape(-1, width)
         self._columns = columns
         self.unreadable, self.repeated = tuple(unreadable), tuple(repeated)  # complete when all sources have been made
 

@@ -177,7 +177,7 @@ def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
         (x0, y0, x1, y1), (z0, z1) = source.bounds, source.z
         corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
         if source.wkt not in to_world:
-            to_world[source.wkt] = None if source.crs is None else _to_degrees(source.crs)
+            to_world[source.wkt] = _to_degrees(source.crs)
         transform = to_world[source.wkt]
         world = (
             corners
@@ -210,8 +210,14 @@ def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
         }
 
 
-def _to_degrees(crs: pyproj.CRS) -> Any:
-    return pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform
+def _to_degrees(crs: pyproj.CRS | None) -> Any:
+    """A function from x and y to longitudes and latitudes; None for a CRS that is not of the Earth."""
+    if crs is None:
+        return None
+    try:
+        return pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform
+    except pyproj.exceptions.ProjError:
+        return None
 
 
 def _relative(uri: str, folder: str) -> str:

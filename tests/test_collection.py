@@ -1,0 +1,375 @@
+"""Surveys of many files: what is named, what their headers say, what does not fit together, virtual point clouds."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pyproj
+import pytest
+from click.testing import CliRunner
+from las_files import OFFSETS, make_copc, make_las
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.host.footprints import Footprints
+from jaxfilter.host.sources import Source
+from jaxfilter.tiles import vpc
+from jaxfilter.tiles.collection import Collection
+
+WKT = pyproj.CRS.from_epsg(32632).to_wkt()
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+def tile(uri, x=0.0, y=0.0, side=100.0, count=10, **fields):
+    return Source(
+        uri, "laz", (x, y, x + side, y + side), count, (0.0, 9.0), **{"wkt": WKT, "point_format": 6, **fields}
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Three files with points, one without, and others that are no members."""
+    place = tmp_path / "survey"
+    (place / "below").mkdir(parents=True)
+    make_las(place / "b.laz", 6, n=120)
+    make_las(place / "a.LAS", 1, n=100)
+    make_copc(place / "c.copc.laz", n=400)
+    make_las(place / "empty.laz", 6, n=0)
+    make_las(place / "below" / "d.laz", 6, n=50, seed=3)
+    make_las(place / ".hidden.laz", 6, n=50)
+    (place / "notes.txt").write_text("1 2 3\n")
+    return place
+
+
+def names(survey):
+    return [os.path.basename(uri) for uri in survey.uris]
+
+
+def test_ways_to_name_files(folder):
+    members = ["a.LAS", "b.laz", "c.copc.laz", "empty.laz"]
+    assert names(jf.open(folder)) == members
+    assert names(jf.open(str(folder) + "/")) == members and names(jf.open(f"file://{folder}")) == members
+    assert names(jf.open(folder / "*.laz")) == members[1:]
+    assert names(jf.open(folder / "[ab].*")) == members[:2]
+    assert names(jf.open(folder / "**" / "*.laz")) == ["b.laz", "d.laz", "c.copc.laz", "empty.laz"]
+    assert names(jf.open(folder / "b.laz")) == ["b.laz"]
+    survey = jf.open([folder / "c.copc.laz", folder, folder / "b.laz"])
+    assert names(survey) == ["c.copc.laz", "a.LAS", "b.laz", "empty.laz"]
+    assert [os.path.basename(uri) for uri in survey.repeated] == ["c.copc.laz", "b.laz"]
+
+
+def test_a_name_with_the_letters_of_a_pattern(tmp_path):
+    make_las(tmp_path / "tile[1].laz", 6, n=20)
+    assert jf.open(tmp_path / "tile[1].laz").count == 20
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("absent.laz", "no such file"),
+        ("absent*.laz", "holds no .las or .laz file"),
+        ("below/none", "no such file"),
+        ("notes.txt", "text cannot be a member"),
+        ("nothing", r"name .*nothing/\*\*/\*.laz"),
+    ],
+)
+def test_names_that_stand_for_nothing(folder, name, words):
+    (folder / "nothing").mkdir()
+    with pytest.raises(jf.InputError, match=words):
+        jf.open(folder / name)
+    with pytest.raises(jf.InputError, match="no files are named"):
+        jf.open([])
+
+
+def test_what_headers_say(folder):
+    survey = jf.open(folder)
+    assert [s.format for s in survey] == ["las", "laz", "copc", "laz"]
+    assert [s.point_format for s in survey] == [1, 6, 6, 6]
+    assert survey.counts.tolist() == [100, 120, 400, 0] and survey.count == 620
+    clouds = [jf.read(source.uri) for source in survey[:3]]
+    for source, cloud in zip(survey[:3], clouds, strict=True):
+        xyz = cloud.coordinates()
+        if source.format != "copc":  # whose header states the cube
+            np.testing.assert_allclose(source.bounds, [*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0)], atol=2e-3)
+            np.testing.assert_allclose(source.z, [xyz[:, 2].min(), xyz[:, 2].max()], atol=2e-3)
+        assert source.crs == cloud.crs and source.units == cloud.units and len(source.identity) == 32
+    assert np.isnan(survey[3].bounds).all() and survey[3].area == 0
+    table = survey.table()
+    assert table["points"].tolist() == survey.counts.tolist() and table["crs"][1] == "WGS 84 / UTM zone 32N"
+    assert survey.area == pytest.approx(table["area"].sum()) and survey.density == pytest.approx(620 / survey.area)
+    np.testing.assert_allclose(survey.bounds[:2], OFFSETS[:2], atol=1.0)
+    assert [*survey][:3] == [*survey[:3]] == [survey[i] for i in range(3)]
+
+
+def test_identity_changes_with_the_file(tmp_path):
+    path = tmp_path / "a.laz"
+    make_las(path, 6, n=20)
+    first = jf.open(path)[0].identity
+    assert jf.open(path)[0].identity == first
+    os.utime(path, (1, 1))
+    second = jf.open(path)[0].identity
+    content = bytearray(path.read_bytes())
+    content[90] ^= 1  # the day in the header
+    path.write_bytes(content)
+    os.utime(path, (1, 1))
+    assert len({first, second, jf.open(path)[0].identity}) == 3
+
+
+def test_one_corrupt_file_among_a_hundred(tmp_path):
+    make_las(tmp_path / "first.laz", 6, n=30)
+    content = (tmp_path / "first.laz").read_bytes()
+    for k in range(98):
+        (tmp_path / f"{k:03d}.laz").write_bytes(content)
+    (tmp_path / "050.laz").write_bytes(content[:200])
+    (tmp_path / "zero.laz").write_bytes(b"")
+    survey = jf.open(tmp_path)
+    assert len(survey) == 98
+    assert [os.path.basename(uri) for uri, _ in survey.unreadable] == ["050.laz", "zero.laz"]
+    assert "too few for a LAS header" in survey.unreadable[0][1] and "empty (0 bytes)" in survey.unreadable[1][1]
+    found = survey.check()
+    assert found.unreadable == survey.unreadable and len(found.doubles) == 98 * 97 // 2
+    with pytest.raises(jf.InputError, match="empty"):
+        jf.open(tmp_path / "zero.laz")
+
+
+def test_units_and_crs_that_differ(tmp_path):
+    for name, crs in (("m.laz", 32632), ("other.laz", 25833), ("ft.laz", 2225), ("none.laz", None), ("m2.laz", 32632)):
+        make_las(tmp_path / name, 6, n=30, crs=crs)
+
+    def opened(*found, **options):
+        return jf.open([tmp_path / f"{name}.laz" for name in found], **options)
+
+    assert opened("m", "m2", "none").crs == pyproj.CRS.from_epsg(32632)
+    assert opened("none").crs is None and opened("none").metre == 1.0
+    assert opened("ft").metre == pytest.approx(1200 / 3937)
+    for found, words in (
+        (("m", "ft"), r"m\.laz is in metre, .*ft\.laz in US survey foot: .* different units"),
+        (("ft", "none"), "different units"),
+        (("none", "m", "other"), r"m\.laz is in WGS 84 / UTM zone 32N, .*other\.laz in ETRS89.* reproject one"),
+    ):
+        survey = opened(*found)
+        for what in ("crs", "units", "metre"):
+            with pytest.raises(jf.InputError, match=words):
+                getattr(survey, what)
+        assert survey.check().mixed is not None and survey.count > 0
+    assert opened("ft", "none", units="us-ft").metre == pytest.approx(1200 / 3937)
+
+
+def test_a_compound_crs_goes_with_its_horizontal_one():
+    compound = pyproj.CRS.from_epsg(7415)
+    wkts = [compound.to_wkt(), compound.sub_crs_list[0].to_wkt(), pyproj.CRS.from_epsg(28992).to_wkt("WKT1_GDAL")]
+    survey = Collection(tile(f"{k}.laz", wkt=wkt) for k, wkt in enumerate(wkts))
+    assert survey.crs == compound and survey.check().mixed is None
+
+
+def test_degrees_are_no_member(tmp_path):
+    make_las(tmp_path / "angles.laz", 6, n=30, crs=4326)
+    make_las(tmp_path / "metres.laz", 6, n=30)
+    survey = jf.open(tmp_path)
+    assert names(survey) == ["metres.laz"] and "projected" in survey.unreadable[0][1]
+
+
+def boxes(rng, n):
+    low = rng.uniform(0, 1000, (n, 2))
+    return np.column_stack([low, low + rng.choice([1, 10, 100, 600], (n, 1)) * rng.uniform(0.5, 1, (n, 2))])
+
+
+def test_footprints_by_brute_force(rng):
+    """Rectangles of very different sizes, some twice, some without points."""
+    bounds = boxes(rng, 400)
+    bounds[50:60] = bounds[40:50]
+    bounds[100:110] = np.nan
+    index = Footprints(bounds)
+    for box in boxes(rng, 50):
+        met = (bounds[:, 0] < box[2]) & (bounds[:, 2] >= box[0]) & (bounds[:, 1] < box[3]) & (bounds[:, 3] >= box[1])
+        np.testing.assert_array_equal(index.meeting(tuple(box)), np.flatnonzero(met))
+    expected = {}
+    for i in range(len(bounds)):
+        for j in [] if np.isnan(bounds[i, 0]) else np.flatnonzero(~np.isnan(bounds[:, 0])):
+            if j <= i:
+                continue
+            width, height = (min(bounds[i, k + 2], bounds[j, k + 2]) - max(bounds[i, k], bounds[j, k]) for k in (0, 1))
+            areas = [(bounds[k, 2] - bounds[k, 0]) * (bounds[k, 3] - bounds[k, 1]) for k in (i, j)]
+            if width > 0 and height > 0 and width * height >= 0.05 * min(areas):
+                expected[i, j] = width * height / min(areas)
+    pairs, share = index.overlaps(0.05)
+    assert {tuple(p) for p in pairs.tolist()} == set(expected) and (np.diff(share) <= 0).all()
+    np.testing.assert_allclose(share, [expected[tuple(p)] for p in pairs.tolist()])
+
+
+def test_gaps_overlaps_and_doubles():
+    """A 6 x 5 block of tiles without two that neighbours enclose and one at the rim; one tile twice, one too large."""
+    missing = {(2, 2), (3, 2), (5, 0)}
+    tiles = [tile(f"{i}{j}.laz", 100 * i, 100 * j) for i in range(6) for j in range(5) if (i, j) not in missing]
+    found = Collection([*tiles, tile("double.laz", 0, 0), tile("large.laz", 300, 300, 130)]).check()
+    (gap,) = found.gaps
+    np.testing.assert_allclose(gap, (200, 200, 400, 300), atol=26)
+    assert found.doubles == (("00.laz", "double.laz"),)
+    shares = {(a, b): share for a, b, share in found.overlaps}
+    assert set(shares) == {(f"{i}{j}.laz", "large.laz") for i in (3, 4) for j in (3, 4)}
+    assert shares["33.laz", "large.laz"] == 1.0 and shares["44.laz", "large.laz"] == pytest.approx(0.09)
+    text = "\n".join(found.lines())
+    assert "1 pairs have the same" in text and "4 pairs overlap" in text and "1 gaps" in text
+    assert not Collection(tiles[:9]).check().overlaps  # tiles that touch do not overlap
+
+
+def test_planning_queries():
+    survey = Collection(tile(f"{k}.laz", 100 * (k % 10), 100 * (k // 10)) for k in range(50))
+    assert survey.within((150, 150, 260, 190)).tolist() == [11, 12]
+    assert survey.within((100, 100, 101, 101)).tolist() == [0, 1, 10, 11]  # closed footprints
+    assert survey.within((2000, 0, 2100, 10)).tolist() == []
+
+
+def test_virtual_point_cloud_there_and_back(folder):
+    survey = jf.open([folder, folder / "below" / "d.laz"])
+    with pytest.warns(jf.JaxfilterWarning, match="1 files without points are left out"):
+        survey.to_vpc(folder / "below" / "all.vpc")
+    back = jf.open(folder / "below" / "all.vpc")
+    kept = [source for source in survey if source.count]
+    for one, other in zip(kept, back, strict=True):
+        assert (other.uri, other.format, other.count, other.units) == (one.uri, one.format, one.count, one.units)
+        assert other.bounds == one.bounds and other.z == one.z and other.identity == ""
+        assert other.crs.equals(one.crs)
+    with pytest.raises(jf.OutputError, match="exists"):
+        survey.to_vpc(folder / "below" / "all.vpc")
+    moved = folder.parent / "moved"
+    folder.rename(moved)
+    assert jf.open(moved / "below" / "all.vpc").uris[0] == str(moved / "a.LAS")
+
+
+def test_items_are_those_of_stac(folder, monkeypatch):
+    """The fields that PDAL wrench and QGIS read: type, stac_version, first asset, geometry and bbox in degrees, and
+    pc:count, proj:wkt2, proj:bbox, proj:geometry, pc:schemas."""
+    monkeypatch.chdir(folder)
+    survey = jf.open(["b.laz", "below/d.laz"])
+    survey.to_vpc("all.vpc")
+    content = json.loads((folder / "all.vpc").read_text())
+    assert content["type"] == "FeatureCollection" and len(content["features"]) == 2
+    item, source = content["features"][1], survey[1]
+    assert (item["type"], item["stac_version"], item["id"]) == ("Feature", "1.0.0", "d")
+    assert item["assets"] == {"data": {"href": "./below/d.laz", "roles": ["data"]}}
+    facts, (x0, y0, x1, y1) = item["properties"], source.bounds
+    assert facts["pc:count"] == 50 and facts["proj:bbox"] == [x0, y0, source.z[0], x1, y1, source.z[1]]
+    assert pyproj.CRS(facts["proj:wkt2"]).equals(pyproj.CRS.from_epsg(32632))
+    assert facts["datetime"].endswith("T00:00:00Z") and facts["pc:schemas"][0] == {
+        "name": "X",
+        "size": 8,
+        "type": "floating",
+    }
+    assert "GpsTime" in {schema["name"] for schema in facts["pc:schemas"]}
+    ring = item["geometry"]["coordinates"][0]
+    project = pyproj.Proj(32632)
+    np.testing.assert_allclose([project(*place) for place in ring[:2]], [(x0, y0), (x1, y0)], atol=1e-3)
+    np.testing.assert_allclose(item["bbox"][0], min(place[0] for place in ring))
+    assert ring[0] == ring[-1] and facts["proj:geometry"]["coordinates"][0][2] == [x1, y1]
+
+
+def an_item(href="./a.laz", **properties):
+    facts = {
+        "pc:count": 7,
+        "proj:bbox": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+        "proj:wkt2": WKT,
+        "datetime": "2013-07-17T00:00:00Z",
+    }
+    assets = {"data": {"href": href, "roles": ["data"]}}
+    item = {"type": "Feature", "stac_version": "1.0.0", "id": "a", "geometry": None, "links": [], "assets": assets}
+    return item | {"properties": {k: v for k, v in (facts | properties).items() if v is not None}}
+
+
+def write_items(path, items, **how):
+    path.write_text(
+        json.dumps({"stac_version": "1.0.0", "type": "FeatureCollection", "features": items, "x": [1]}, **how)
+    )
+    return path
+
+
+@pytest.mark.parametrize("piece", [7, 100, 1 << 20])
+@pytest.mark.parametrize("indent", [None, 2])
+def test_items_are_read_piece_by_piece(tmp_path, monkeypatch, piece, indent):
+    monkeypatch.setattr(vpc, "_PIECE", piece)
+    items = [an_item(f"./tiles/{k} ä]}}.laz", **{"pc:count": k + 1}) for k in range(20)]
+    survey = jf.open(write_items(tmp_path / "a.vpc", items, indent=indent, ensure_ascii=bool(indent)))
+    assert survey.counts.tolist() == list(range(1, 21))
+    assert survey.uris[3] == str(tmp_path / "tiles" / "3 ä]}.laz") and survey[0].date == "2013-07-17"
+
+
+def test_other_writers(tmp_path):
+    """Names of all kinds, overviews beside the data, boxes without Z, codes instead of WKT; and what has to be read."""
+    make_las(tmp_path / "real.laz", 6, n=33)
+    overview = an_item()
+    overview["assets"] = {"a": {"href": "./a-overview.copc.laz", "roles": ["overview"]}, "b": {"href": "b.copc.laz"}}
+    items = [
+        overview, an_item("/else/where.las"), an_item("https://x.org/t/1.laz"), an_item("../up.laz"),
+        an_item("flat.laz", **{"proj:bbox": [1, 2, 4, 5]}),
+        an_item("code.laz", **{"proj:wkt2": None, "proj:epsg": 2225}),
+        an_item("json.laz", **{"proj:wkt2": None, "proj:projjson": json.loads(pyproj.CRS.from_epsg(2225).to_json())}),
+        an_item("none.laz", **{"proj:wkt2": ""}),
+        an_item("real.laz", **{"proj:bbox": None}), an_item("absent.laz", **{"pc:count": None}), an_item("x/ept.json"),
+    ]  # fmt: skip
+    survey = jf.open(write_items(tmp_path / "a.vpc", items))
+    up, here = tmp_path.parent, tmp_path
+    expected = [here / "b.copc.laz", "/else/where.las", "https://x.org/t/1.laz", up / "up.laz"]
+    assert list(survey.uris)[:4] == [str(uri) for uri in expected]
+    assert [s.format for s in survey] == ["copc", "las", "laz", "laz", "laz", "laz", "laz", "laz", "laz"]
+    assert survey[4].bounds == (1, 2, 4, 5) and survey[0].z == (3.0, 6.0)
+    assert survey[5].metre == survey[6].metre == pytest.approx(1200 / 3937) and survey[7].crs is None
+    assert survey[8].count == 33 and survey[8].identity
+    assert [os.path.basename(uri) for uri, _ in survey.unreadable] == ["absent.laz", "ept.json"]
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        ("", "no features"),
+        ('{"features": {}}', "no list"),
+        ('{"features": [', "damaged within its items"),
+        ('{"features": [{"assets"', "damaged within its items"),
+        ('{"features": [{"type": "Feature"}]}', "item 1 is not as it should be"),
+        ('{"features": [{"assets": {}, "properties": {}}]}', "item 1 is not as it should be"),
+        ('{"features": []}', "names no files"),
+        ("\xff\xfe", "cannot be decoded"),
+    ],
+)
+def test_damaged_virtual_point_clouds(tmp_path, content, words):
+    (tmp_path / "a.vpc").write_bytes(content.encode("latin-1"))
+    with pytest.raises(jf.InputError, match=rf"a\.vpc.*{words}"):
+        jf.open(tmp_path / "a.vpc")
+
+
+def test_the_map_of_a_survey():
+    survey = Collection(
+        [tile("a.laz"), tile("b.laz", 100, 0, count=40), tile("c.laz", 150, 50), tile("d.laz", count=0)]
+    )
+    ax = survey.plot()
+    drawn = ax.collections[0]
+    assert len(drawn.get_paths()) == 4 and len(ax.patches) == 2  # overlaps: a with d, b with c
+    np.testing.assert_allclose(drawn.get_array()[:2], [0.001, 0.004])
+
+
+def test_the_command(folder):
+    result = run("info", folder)
+    assert (
+        result.exit_code == 0 and "4 files, 620 points" in result.stdout and "1 files hold no points" in result.stdout
+    )
+    facts = json.loads(run("info", folder / "*.laz", "--json").stdout)
+    assert facts["files"] == 3 and facts["points"] == 520 and [m["points"] for m in facts["members"]] == [120, 400, 0]
+    assert len(facts["findings"]["empty"]) == 1
+    assert run("info", folder, "--vpc", folder / "all.vpc", "--map", folder / "map.png", "--quiet").stdout == ""
+    assert (folder / "map.png").read_bytes().startswith(b"\x89PNG")
+    facts = json.loads(run("info", folder / "all.vpc", "--json").stdout)
+    assert facts["points"] == 620 and facts["crs"] is None and "reproject one" in facts["findings"]["mixed"]
+    facts = json.loads(run("info", folder / "b.laz", folder / "below", "--json").stdout)
+    assert facts["files"] == 2 and facts["crs"] == "WGS 84 / UTM zone 32N" and facts["units"] == "metre"
+    for arguments, code, words in (
+        ([folder / "absent"], 2, "no such file or folder"),
+        ([folder / "none*"], 1, "holds no .las or .laz file"),
+        ([folder, "--vpc", folder / "all.vpc"], 2, "exists"),
+        ([folder, "--vpc", folder / "all.json"], 2, "suffix"),
+    ):
+        result = run("info", *arguments)
+        assert result.exit_code == code and words in result.stderr, result.output

@@ -1,0 +1,176 @@
+"""Files behind URLs: by ranges from a web server, in and out of an object store, and what fails on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from las_files import OFFSETS, make_copc, make_deep_copc, make_las
+from servers import RangeServer
+from test_read_window import assert_is_mask, boxes_of
+
+import jaxfilter as jf
+from jaxfilter.host import storage
+from jaxfilter.host.windows import read_window
+
+pytest.importorskip("aiohttp", reason="aiohttp is not installed: https:// is not tested")
+X, Y = OFFSETS[:2]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(storage, "FIRST_WAIT", 0.001)
+
+
+@pytest.fixture
+def server(tmp_path):
+    with RangeServer(tmp_path) as server:
+        yield server
+
+
+def test_a_hundredth_of_a_copc_file_costs_three_hundredths_of_its_bytes(tmp_path, server):
+    path = tmp_path / "in.copc.laz"
+    make_deep_copc(path, 6, 500)
+    low = OFFSETS[:2] + [31.3, 62.6]
+    box = (*low, *(low + 10.0))  # of 100 x 100
+    source = jf.open(f"{server.url}/in.copc.laz")[0]
+    assert (source.format, source.count) == ("copc", 1365 * 500)
+    window = read_window(source, box)
+    assert server.sent <= 0.03 * path.stat().st_size
+    assert len(window.record) > 0.008 * source.count
+    assert_is_mask(window, path, box)
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz"])
+def test_windows_are_those_of_the_local_file(tmp_path, server, name):
+    path = tmp_path / name
+    make_copc(path) if "copc" in name else make_las(path, 7, n=3000, extra=True)
+    remote, local = jf.open(f"{server.url}/{name}")[0], jf.open(path)[0]
+    same = dataclasses.replace(remote, uri=local.uri, identity=local.identity)
+    assert same == local and remote.identity
+    for box in boxes_of(local.bounds, n=2):
+        window = read_window(remote, box, tmp_path / "index")
+        assert_is_mask(window, path, box)
+    again = jf.read(f"{server.url}/{name}", bounds=box)
+    assert again.xyz.tobytes() == window.cloud.xyz.tobytes()
+    whole = jf.read(f"{server.url}/{name}")
+    assert whole.xyz.tobytes() == jf.read(path).xyz.tobytes()
+    ground = np.arange(len(whole)) % 2 == 0
+    jf.write(tmp_path / "remote.las", whole, ground)
+    jf.write(tmp_path / "local.las", jf.read(path), ground)
+    assert (tmp_path / "remote.las").read_bytes() == (tmp_path / "local.las").read_bytes()
+
+
+@pytest.mark.parametrize("failures", [[503], [503, 502, 429], [0], [0, 503, 0]], ids=str)
+def test_what_passes_is_tried_again(tmp_path, server, failures):
+    make_copc(tmp_path / "in.copc.laz")
+    source, box = jf.open(f"{server.url}/in.copc.laz")[0], (X, Y, X + 40, Y + 40)
+    server.failures = list(failures)
+    assert_is_mask(read_window(source, box), tmp_path / "in.copc.laz", box)
+    assert server.failures == []
+
+
+@pytest.mark.parametrize(
+    "status, words, requests", [(503, "failed 5 times, the last time with", 5), (403, "cannot be reached: .*403", 1)]
+)
+def test_what_does_not_pass_is_an_error_that_names_the_uri(tmp_path, server, status, words, requests):
+    make_copc(tmp_path / "in.copc.laz")
+    source = jf.open(f"{server.url}/in.copc.laz")[0]
+    server.failures, server.requests = [status] * 100, 0
+    with pytest.raises(jf.InputError, match=f"{server.url}/in.copc.laz: {words}"):
+        read_window(source, (X, Y, X + 40, Y + 40))
+    assert server.requests == requests
+
+
+def test_missing_changed_and_without_ranges(tmp_path, server):
+    make_copc(tmp_path / "in.copc.laz")
+    make_copc(tmp_path / "large.copc.laz", n=20_000)
+    with pytest.raises(jf.InputError, match=r"absent\.laz: no such file"):
+        jf.open(f"{server.url}/absent.laz")
+    source, box = jf.open(f"{server.url}/in.copc.laz")[0], (X, Y, X + 40, Y + 40)
+    make_copc(tmp_path / "in.copc.laz", seed=1)
+    with pytest.raises(jf.InputError, match="has changed"):
+        read_window(source, box)
+    server.knows_ranges = False
+    with pytest.raises(jf.InputError, match=r"large\.copc\.laz: the server sends .* knows no ranges"):
+        jf.open(f"{server.url}/large.copc.laz")
+    with pytest.raises(jf.InputError, match="text is read from local disks only"):
+        jf.read(f"{server.url}/points.txt")
+
+
+def test_cubes_that_do_not_hold_their_points(tmp_path, server):
+    """Over the net not every node is looked into; those that are read must agree with the octree."""
+    path = tmp_path / "in.copc.laz"
+    make_copc(path)
+    content = bytearray(path.read_bytes())
+    content[375 + 54 + 24 : 375 + 54 + 32] = np.float64(20.0).tobytes()  # half the side of the cube is 50
+    path.write_bytes(content)
+    with pytest.raises(jf.InputError, match="points lie outside the cubes of its octree"):
+        read_window(jf.open(f"{server.url}/in.copc.laz")[0], (X + 40, Y + 40, X + 50, Y + 50))
+
+
+def test_a_survey_of_urls(tmp_path, server):
+    for k in range(3):
+        make_las(tmp_path / f"{k}.laz", 6, n=50 + k)
+    survey = jf.open([f"{server.url}/{k}.laz" for k in (2, 0, 1)])
+    assert [s.count for s in survey] == [52, 50, 51]
+    survey.to_vpc(tmp_path / "all.vpc")
+    assert list(jf.open(f"{server.url}/all.vpc").uris) == list(survey.uris)
+    local = jf.open([tmp_path / f"{k}.laz" for k in range(3)])
+    local.to_vpc(tmp_path / "local.vpc")
+    assert list(jf.open(f"{server.url}/local.vpc").uris) == [f"{server.url}/{k}.laz" for k in range(3)]
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    """A bucket of moto's S3 server."""
+    pytest.importorskip("s3fs", reason="s3fs is not installed: s3:// is not tested")
+    server = pytest.importorskip("moto.server", reason="moto is not installed: s3:// is not tested")
+    import s3fs
+
+    running = server.ThreadedMotoServer(port=0, verbose=False)
+    running.start()
+    with pytest.MonkeyPatch.context() as patch:
+        host, port = running.get_host_and_port()
+        for name, value in (
+            ("AWS_ENDPOINT_URL", f"http://{host}:{port}"),
+            ("AWS_ACCESS_KEY_ID", "testing"),
+            ("AWS_SECRET_ACCESS_KEY", "testing"),
+            ("AWS_DEFAULT_REGION", "us-east-1"),
+        ):
+            patch.setenv(name, value)
+        system = s3fs.S3FileSystem(skip_instance_cache=True)
+        system.mkdir("surveys")
+        yield system
+    running.stop()
+
+
+def test_in_and_out_of_an_object_store(tmp_path, bucket):
+    box = (X + 10, Y + 10, X + 60, Y + 70)
+    for k, name in enumerate(("a.laz", "b.las", "c.copc.laz")):
+        make_copc(tmp_path / name) if "copc" in name else make_las(tmp_path / name, 6, n=500, seed=k)
+        bucket.put_file(str(tmp_path / name), f"surveys/2024/{name}")
+    survey = jf.open("s3://surveys/2024/")
+    assert list(survey.uris) == [f"s3://surveys/2024/{name}" for name in ("a.laz", "b.las", "c.copc.laz")]
+    assert list(jf.open("s3://surveys/*/[ab].la*").uris) == list(survey.uris)[:2]
+    for source in survey:
+        assert_is_mask(read_window(source, box, tmp_path / "index"), tmp_path / source.place.name, box)
+    cloud = jf.read("s3://surveys/2024/a.laz")
+    ground = np.arange(500) % 2 == 0
+    jf.write("s3://surveys/out/a.laz", cloud, ground)
+    jf.write(tmp_path / "expected.laz", jf.read(tmp_path / "a.laz"), ground)
+    assert bucket.cat_file("surveys/out/a.laz") == (tmp_path / "expected.laz").read_bytes()
+    with pytest.raises(jf.OutputError, match=r"s3://surveys/out/a\.laz: the file exists"):
+        jf.write("s3://surveys/out/a.laz", cloud, ground)
+    with pytest.raises(jf.OutputError, match="output and input are one file"):
+        jf.write("s3://surveys/2024/a.laz", cloud, ground, overwrite=True)
+    with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
+        jf.write("s3://no-such-bucket/a.laz", cloud, ground)
+    jf.write("s3://surveys/out/a.laz", cloud, ~ground, overwrite=True)
+    np.testing.assert_array_equal(jf.read("s3://surveys/out/a.laz").classification[cloud.candidate & ~ground], 2)
+    jf.write("s3://surveys/2024/a.laz", cloud, ground, in_place=True)
+    assert bucket.cat_file("surveys/2024/a.laz") == (tmp_path / "expected.laz").read_bytes()
+    for missing in ("s3://surveys/2024/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
+        with pytest.raises(jf.InputError, match=missing):
+            jf.open(missing)
