@@ -22,6 +22,7 @@ from ..host.files import remove_dead
 from ..host.storage import Place, Remote, place_of
 from .collection import Collection
 from .collection import open as open_collection
+from .dask import Cluster
 from .journal import NAME, Journal
 from .outputs import target_names
 from .plan import Plan, plan_tiles
@@ -114,6 +115,7 @@ def ground(
     reset: str = "ground",
     only_ground: bool = False,
     extra: Iterable[str] = (),
+    executor: Executor | None = None,
     progress: Callable[[Standing], None] | None = None,
     setup: Callable[[Collection, dict[str, Any], Path], tuple[Filter, Whole]] | None = None,
 ) -> RunReport:
@@ -131,6 +133,7 @@ def ground(
         memory: bytes for all processes together; by default seven tenths of what is free.
         workers: processes; by default one per processor, as far as the memory goes.
         client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
+        executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
         resume: go on with the run that was begun in the folder. overwrite: begin anew; files in it are replaced.
         returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
         ground_class, other_class, reset, only_ground, extra: as in :func:`jaxfilter.write`.
@@ -167,13 +170,8 @@ def ground(
         whole = dataclasses.replace(whole, width=width, height=height)
         job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)
         journal.begin(_facts(collection, job, cut))
-        executor: Executor
-        if client is not None:
-            from .dask import Cluster
-
-            executor = Cluster(client)
-        else:
-            executor = Pool(cut.workers)
+        if executor is None:
+            executor = Pool(cut.workers) if client is None else Cluster(client)
         targets: list[Place] = [folder / name for name in names]
         report = Run(job, cut.plan, collection, targets, journal, executor, overwrite=True, progress=progress)()
     report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]

@@ -127,6 +127,7 @@ def plan_tiles(
     grid: float = 0.0,
     most_points: float = math.inf,
     side: float | None = None,
+    cuts: int = 1,
 ) -> Plan:
     """Tiles over files, nearly square, all of one size, so that a whole number of them covers the data.
 
@@ -137,6 +138,8 @@ def plan_tiles(
         grid: metres; cores end at multiples of it, by default of the lattice.
         most_points: in core and halo, as the densities of the files have it; decides the size, unless that is given.
         side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``grid``.
+
+        cuts: tiles along the longer side of the data, at least.
 
     Raises: ParameterError if a core as wide as its halo has too many points; InputError for too many tiles.
     """
@@ -157,7 +160,10 @@ def plan_tiles(
     area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
     density = float(counts[used].sum()) / max(area, 1.0)
     least = max(grid, 2 * halo)
-    guess = max(least, min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()), _LARGEST_SIDE))
+    guess = max(
+        least if cuts == 1 else grid,
+        min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()) / cuts, _LARGEST_SIDE),
+    )
     for _ in range(_ROUNDS):
         sides = unit * np.ceil(extent / np.ceil(extent / guess) / grid + 1e-6)
         plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), *units)

@@ -300,9 +300,7 @@ class Run:
 _Task = tuple[int, Callable[..., Any], Callable[[int, bool], Any]]
 
 
-def report_of(
-    plan: Plan, sources: Collection, targets: Sequence[Place], journal: Journal, seconds: float
-) -> RunReport:
+def report_of(plan: Plan, sources: Collection, targets: Sequence[Place], journal: Journal, seconds: float) -> RunReport:
     """What the journal knows."""
     report = RunReport(
         tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], points=0, candidates=0, ground=0, read=0,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import PointCloud, Whole
+from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.points import canonical_points
 from ..host.windows import read_window
@@ -39,7 +40,7 @@ class Sample:
 def sampled(collection: Collection, reading: dict[str, Any], index: Path | None = None) -> Sample:
     """Windows in the middle of files that are spread evenly over the points of a collection.
 
-    ``reading``: as in :class:`jaxfilter.tiles.task.Job`. Raises: InputError if a file is damaged.
+    ``reading``: as in :class:`jaxfilter.tiles.task.Job`. Files that cannot be read are passed over.
     """
     total = collection.counts.cumsum()
     clouds: list[PointCloud] = []
@@ -55,7 +56,10 @@ def sampled(collection: Collection, reading: dict[str, Any], index: Path | None 
         middle, half = ((x0 + x1) / 2, (y0 + y1) / 2), (share * (x1 - x0) / 2, share * (y1 - y0) / 2)
         slack = 0.001 / source.metre  # the box is half open
         box = (middle[0] - half[0], middle[1] - half[1], middle[0] + half[0] + slack, middle[1] + half[1] + slack)
-        window = read_window(source, box, index, anchor=ANCHOR, **reading)
+        try:
+            window = read_window(source, box, index, anchor=ANCHOR, **reading)
+        except InputError:  # the run names it
+            continue
         points = canonical_points(window.cloud)
         if len(points) > 1:
             clouds.append(dataclasses.replace(window.cloud, source=None))
