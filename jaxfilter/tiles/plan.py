@@ -88,12 +88,7 @@ class Plan:
 
     def window(self, number: int) -> Bounds:
         """The core and the halo around it, as far as the lattice."""
-        x0, y0, x1, y1 = self.core(number)
-        low, high = ((math.floor, -self.halo), (math.ceil, self.halo))
-        return tuple(  # type: ignore[return-value]
-            self.lattice * turn((edge + step) / self.lattice + slack)
-            for edge, (turn, step), slack in ((x0, low, 1e-6), (y0, low, 1e-6), (x1, high, -1e-6), (y1, high, -1e-6))
-        )
+        return window_around(self.core(number), self.halo, self.lattice)
 
     def cores(self) -> np.ndarray:
         """f64[t, 4]: all cores."""
@@ -115,6 +110,14 @@ class Plan:
         for array in (self.cell, self.home.start, self.home.member, self.near.start, self.near.member):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
+
+
+def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
+    """A box, ``halo`` around it, and further to multiples of ``lattice``; all in file units."""
+    x0, y0, x1, y1 = core
+    low = (math.floor((edge - halo) / lattice + 1e-6) * lattice for edge in (x0, y0))
+    high = (math.ceil((edge + halo) / lattice - 1e-6) * lattice for edge in (x1, y1))
+    return (*low, *high)  # type: ignore[return-value]
 
 
 def plan_tiles(

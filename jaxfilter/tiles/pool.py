@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
+
+RETRIES = 2
+"""Times that a task that failed is tried again before it is set aside."""
+_WAIT = 0.25  # seconds between ticks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +43,50 @@ class Executor(Protocol):
     def close(self) -> None:
         """Stop at once whatever is running."""
         ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """Something to be done for a tile or a file.
+
+    Attributes:
+        function: called elsewhere with what ``arguments`` returns; number: of the tile or file.
+        arguments: called when the task is submitted, with whether it is the last try.
+    """
+
+    function: Callable[..., Any]
+    number: int
+    arguments: Callable[[bool], tuple[Any, ...]]
+
+
+def carried_out(
+    executor: Executor, todo: Iterator[Task], now: collections.deque[Task], tick: Callable[[], None]
+) -> Iterator[tuple[Task, Outcome]]:
+    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
+
+    ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
+    """
+    running, tries = 0, collections.Counter[tuple[str, int]]()
+    while True:
+        while executor.room() > 0:
+            task = now.popleft() if now else next(todo, None)
+            if task is None:
+                break
+            last = tries[task.function.__name__, task.number] >= RETRIES
+            executor.submit(task, task.function, *task.arguments(last))
+            running += 1
+        if not running:
+            return
+        for task, outcome in executor.completed(_WAIT):
+            running -= 1
+            key = task.function.__name__, task.number
+            if outcome.reason is not None and tries[key] < RETRIES:
+                tries[key] += 1
+                now.appendleft(task)
+                continue
+            del tries[key]
+            yield task, outcome
+        tick()
 
 
 def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome:

@@ -12,7 +12,7 @@ import json
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,9 @@ from .collection import Collection
 from .journal import Journal
 from .outputs import FileReport, FileTask, write_file
 from .plan import Plan
-from .pool import Executor, Outcome
+from .pool import Executor, Outcome, Task, carried_out
 from .task import Job, Tile, TileReport, filter_tile, labels_path, survey_tile
 
-RETRIES = 2
-"""Times that a tile or a file that failed is tried again before it is set aside."""
 _WAIT = 0.25  # seconds between looks at the progress
 
 
@@ -155,9 +153,8 @@ class Run:
         if facts is None:
             standing = Standing("survey", len(self.plan), 0, 0)
             lowest: float | None = None
-            for _, outcome in self._carried_out(
-                ((number, survey_tile, self._tile) for number in range(len(self.plan))), standing
-            ):
+            todo = (Task(survey_tile, n, self._tile(n)) for n in range(len(self.plan)))
+            for _, outcome in carried_out(self.executor, todo, collections.deque(), lambda: self._show(standing)):
                 standing.tiles_done += 1
                 if outcome.value is not None:
                     lowest = outcome.value if lowest is None else min(lowest, outcome.value)
@@ -187,67 +184,36 @@ class Run:
                 self._hopeless |= dict(facts["left_out"])
         standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
         complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist()
-        todo: Iterator[_Task] = itertools.chain(
-            ((f, write_file, self._file) for f in complete if f not in self._hopeless),
-            ((n, filter_tile, self._tile) for n in np.flatnonzero(~is_done).tolist()),
+        todo = itertools.chain(
+            (self._writing(f) for f in complete if f not in self._hopeless),
+            (Task(filter_tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
         )
         for f in complete:
             if f in self._hopeless:
                 self._failed(f)
-        now: collections.deque[_Task] = collections.deque()
+        now: collections.deque[Task] = collections.deque()
         before = standing.tiles_done
-        for (number, function), outcome in self._carried_out(todo, standing, now):
-            if function is write_file:
-                self._took_file(number, outcome, standing)
+        for task, outcome in carried_out(self.executor, todo, now, lambda: self._show(standing)):
+            if task.function is write_file:
+                self._took_file(task.number, outcome, standing)
             else:
-                now += self._took_tile(number, outcome, standing)
+                now += self._took_tile(task.number, outcome, standing)
             new = standing.tiles_done - before
             if new:
                 standing.left = (len(plan) - standing.tiles_done) * (time.perf_counter() - self._start) / new
             self._show(standing)
 
-    def _carried_out(
-        self, todo: Iterator[_Task], standing: Standing, now: collections.deque[_Task] | None = None
-    ) -> Iterator[tuple[tuple[int, Callable[..., Any]], Outcome]]:
-        """Tasks with their outcomes, as they end; those in ``now`` come first. What fails is tried again."""
-        now = collections.deque() if now is None else now
-        running, ended = 0, False
-        tries: collections.Counter[tuple[int, str]] = collections.Counter()
-        while True:
-            while self.executor.room() > 0:
-                task = now.popleft() if now else next(todo, None)
-                if task is None:
-                    ended = True
-                    break
-                number, function, make = task
-                key = number, function.__name__
-                patient = tries[key] >= RETRIES
-                self.executor.submit((task, key), function, self.job, make(number, patient))
-                running += 1
-            if ended and not running and not now:
-                return
-            for (task, key), outcome in self.executor.completed(_WAIT):
-                running -= 1
-                if outcome.reason is not None:
-                    tries[key] += 1
-                    if tries[key] <= RETRIES:
-                        now.appendleft(task)
-                        continue
-                tries.pop(key, None)
-                yield (task[0], task[1]), outcome
-            self._show(standing)
-            ended = False
+    def _tile(self, number: int) -> Callable[[bool], tuple[Job, Tile]]:
+        return lambda last: (self.job, tile_of(self.plan, self.sources, number, patient=last))
 
-    def _tile(self, number: int, patient: bool) -> Tile:
-        files = tuple(int(f) for f in self.plan.near[number])
-        sources = tuple(self.sources[f] for f in files)
-        return Tile(number, self.plan.core(number), self.plan.window(number), files, sources, patient)
+    def _writing(self, number: int) -> Task:
+        def arguments(last: bool) -> tuple[Job, FileTask]:
+            tiles = tuple(self.plan.tiles_of[number].tolist())
+            return self.job, FileTask(number, self.sources[number], tiles, self.targets[number], self.overwrite)
 
-    def _file(self, number: int, patient: bool) -> FileTask:
-        tiles = tuple(int(t) for t in self.plan.tiles_of[number])
-        return FileTask(number, self.sources[number], tiles, self.targets[number], self.overwrite)
+        return Task(write_file, number, arguments)
 
-    def _took_tile(self, number: int, outcome: Outcome, standing: Standing) -> list[_Task]:
+    def _took_tile(self, number: int, outcome: Outcome, standing: Standing) -> list[Task]:
         """Record a tile; the files that are complete with it."""
         standing.tiles_done += 1
         homes = [int(f) for f in self.plan.home[number]]
@@ -267,7 +233,7 @@ class Run:
         for file in complete:
             if file in self._hopeless:
                 self._failed(file)
-        return [(file, write_file, self._file) for file in complete if file not in self._hopeless]
+        return [self._writing(file) for file in complete if file not in self._hopeless]
 
     def _took_file(self, number: int, outcome: Outcome, standing: Standing) -> None:
         if outcome.reason is not None:
@@ -297,7 +263,10 @@ class Run:
             self._progress(standing)
 
 
-_Task = tuple[int, Callable[..., Any], Callable[[int, bool], Any]]
+def tile_of(plan: Plan, sources: Collection, number: int, patient: bool = False) -> Tile:
+    """A tile of a plan as a task takes it."""
+    files = tuple(plan.near[number].tolist())
+    return Tile(number, plan.core(number), plan.window(number), files, tuple(sources[f] for f in files), patient)
 
 
 def report_of(plan: Plan, sources: Collection, targets: Sequence[Place], journal: Journal, seconds: float) -> RunReport:

@@ -186,11 +186,11 @@ def read_tile(job: Job, tile: Tile) -> Around:
         if len(window.cloud) == 0:
             continue
         cloud, record = window.cloud, window.record
-        within = _inside(cloud, tile.window)
+        within = inside(cloud, tile.window)
         if not within.all():
             cloud, record = part_of(cloud, within), record[within]
         clouds.append(cloud)
-        cores.append(_inside(cloud, tile.core))
+        cores.append(inside(cloud, tile.core))
         files.append(np.full(len(cloud), number, np.int32))
         records.append(record)
     file, record, core = (
@@ -200,7 +200,7 @@ def read_tile(job: Job, tile: Tile) -> Around:
     return Around(joined(clouds, job.whole), file, record, core, tuple(left_out))
 
 
-def _inside(cloud: PointCloud, box: Bounds) -> np.ndarray:
+def inside(cloud: PointCloud, box: Bounds) -> np.ndarray:
     """bool[n]: points in a box in file coordinates, half open, as the quantised coordinates have it. Invalid points lie at
     the corner of the cloud, and are inside where that is."""
     inside = np.ones(len(cloud), bool)
