@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 import pytest
 from click.testing import CliRunner
-from las_files import OFFSETS, make_copc, make_las
+from las_files import OFFSETS, make_copc, make_las, patch
 
 import jaxfilter as jf
 from jaxfilter.cli import main
@@ -72,7 +72,7 @@ def test_a_name_with_the_letters_of_a_pattern(tmp_path):
     "name, words",
     [
         ("absent.laz", "no such file"),
-        ("absent*.laz", "holds no .las or .laz file"),
+        ("absent*.laz", "matches no .las or .laz file"),
         ("below/none", "no such file"),
         ("notes.txt", "text cannot be a member"),
         ("nothing", r"name .*nothing/\*\*/\*.laz"),
@@ -167,6 +167,14 @@ def test_a_compound_crs_goes_with_its_horizontal_one():
     assert survey.crs == compound and survey.check().mixed is None
 
 
+def test_a_damaged_extent_is_no_member(tmp_path):
+    make_las(tmp_path / "a.laz", 6, n=30)
+    make_las(tmp_path / "b.laz", 6, n=30)
+    patch(tmp_path / "a.laz", "2d", 179, OFFSETS[0], OFFSETS[0] + 50)  # largest x below the smallest
+    survey = jf.open(tmp_path)
+    assert names(survey) == ["b.laz"] and "extent in its header is damaged" in survey.unreadable[0][1]
+
+
 def test_degrees_are_no_member(tmp_path):
     make_las(tmp_path / "angles.laz", 6, n=30, crs=4326)
     make_las(tmp_path / "metres.laz", 6, n=30)
@@ -214,7 +222,7 @@ def test_gaps_overlaps_and_doubles():
     assert set(shares) == {(f"{i}{j}.laz", "large.laz") for i in (3, 4) for j in (3, 4)}
     assert shares["33.laz", "large.laz"] == 1.0 and shares["44.laz", "large.laz"] == pytest.approx(0.09)
     text = "\n".join(found.lines())
-    assert "1 pairs have the same" in text and "4 pairs overlap" in text and "1 gaps" in text
+    assert "same bounds: 1 (" in text and "overlapping pairs: 4 (" in text and "gaps enclosed by files: 1 (" in text
     assert not Collection(tiles[:9]).check().overlaps  # tiles that touch do not overlap
 
 
@@ -246,7 +254,8 @@ def test_items_are_those_of_stac(folder, monkeypatch):
     """The fields that PDAL wrench and QGIS read: type, stac_version, first asset, geometry and bbox in degrees, and
     pc:count, proj:wkt2, proj:bbox, proj:geometry, pc:schemas."""
     monkeypatch.chdir(folder)
-    survey = jf.open(["b.laz", "below/d.laz"])
+    survey = jf.open(["b.laz", "below/../below/d.laz"])
+    assert list(survey.uris) == [str(folder / "b.laz"), str(folder / "below" / "d.laz")]
     survey.to_vpc("all.vpc")
     content = json.loads((folder / "all.vpc").read_text())
     assert content["type"] == "FeatureCollection" and len(content["features"]) == 2
@@ -331,6 +340,9 @@ def test_other_writers(tmp_path):
         ('{"features": [{"assets"', "damaged within its items"),
         ('{"features": [{"type": "Feature"}]}', "item 1 is not as it should be"),
         ('{"features": [{"assets": {}, "properties": {}}]}', "item 1 is not as it should be"),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": -1})) + "]}", "item 1 is not as it should be.*-1 points"),
+        ('{"features": [' + json.dumps(an_item(**{"proj:bbox": [4, 0, 1, 1]})) + "]}", "item 1 is not as it should be"),
+        ('{"features": [' + json.dumps(an_item(**{"proj:wkt2": "EPSG:0"})) + "]}", "item 1 is not as it should be"),
         ('{"features": []}', "names no files"),
         ("\xff\xfe", "cannot be decoded"),
     ],
@@ -349,12 +361,16 @@ def test_the_map_of_a_survey():
     drawn = ax.collections[0]
     assert len(drawn.get_paths()) == 4 and len(ax.patches) == 2  # overlaps: a with d, b with c
     np.testing.assert_allclose(drawn.get_array()[:2], [0.001, 0.004])
+    ax.figure.canvas.draw()
+    np.testing.assert_allclose(drawn.get_facecolor()[1], drawn.cmap(1.0))
 
 
 def test_the_command(folder):
     result = run("info", folder)
     assert (
-        result.exit_code == 0 and "4 files, 620 points" in result.stdout and "1 files hold no points" in result.stdout
+        result.exit_code == 0
+        and "4 files, 620 points" in result.stdout
+        and "files without points: 1 (" in result.stdout
     )
     facts = json.loads(run("info", folder / "*.laz", "--json").stdout)
     assert facts["files"] == 3 and facts["points"] == 520 and [m["points"] for m in facts["members"]] == [120, 400, 0]
@@ -367,7 +383,7 @@ def test_the_command(folder):
     assert facts["files"] == 2 and facts["crs"] == "WGS 84 / UTM zone 32N" and facts["units"] == "metre"
     for arguments, code, words in (
         ([folder / "absent"], 2, "no such file or folder"),
-        ([folder / "none*"], 1, "holds no .las or .laz file"),
+        ([folder / "none*"], 1, "matches no .las or .laz file"),
         ([folder, "--vpc", folder / "all.vpc"], 2, "exists"),
         ([folder, "--vpc", folder / "all.json"], 2, "suffix"),
     ):

@@ -175,6 +175,6 @@ def test_what_cannot_be_is_said(tmp_path):
         jf.write(tmp_path / "out.las", cloud, None, heights=np.full(600, 1e9), replace_z=True)
     with pytest.raises(jf.ParameterError, match="pass heights="):
         jf.write(tmp_path / "out.las", cloud, None, replace_z=True)
-    with pytest.raises(jf.OutputError, match=r"need .las or .laz"):
+    with pytest.raises(jf.OutputError, match=r"needs .las or .laz"):
         jf.write(tmp_path / "out.txt", cloud, None, heights=np.zeros(600))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.las", "none.las"]

@@ -46,14 +46,13 @@ def info(
 
     with Session(quiet=quiet, debug=debug) as session:
         check_reading(units, "last,only")
+        _check_names(names)
         for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
             if target is not None:
                 if target.suffix.lower() not in suffixes:
                     raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
                 check_target(target, overwrite)
-        one = _checked(names)
-        if vpc is not None or picture is not None:
-            one = None
+        one = None if vpc is not None or picture is not None else _one_file(names)
         if one is not None:
             facts = las.info(one, units=units)
         else:
@@ -69,17 +68,24 @@ def info(
 info.params += session_options()
 
 
-def _checked(names: tuple[str, ...]) -> Path | None:
-    """The one file that is named, to be read as a whole; None for a survey. Raises BadUsage for names of nothing."""
+def _check_names(names: tuple[str, ...]) -> None:
+    """Raises BadUsage for local names of nothing."""
     from ..host.storage import place_of
 
-    places = [place_of(name) for name in names]
-    for name, place in zip(names, places, strict=True):
+    for name in names:
+        place = place_of(name)
         if isinstance(place, Path) and not place.exists() and not any(c in name for c in "*?["):
             raise BadUsage(f"{name}: no such file or folder")
-    one = places[0]
-    whole = len(places) == 1 and isinstance(one, Path) and one.is_file() and one.suffix.lower() != ".vpc"
-    return one if whole and isinstance(one, Path) else None
+
+
+def _one_file(names: tuple[str, ...]) -> Path | None:
+    """The one local file of points that is named, to be read as a whole; None for a survey."""
+    from ..host.storage import place_of
+
+    place = place_of(names[0])
+    if len(names) > 1 or not isinstance(place, Path) or not place.is_file() or place.suffix.lower() == ".vpc":
+        return None
+    return place
 
 
 def _survey(

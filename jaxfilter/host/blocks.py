@@ -15,13 +15,12 @@ from typing import BinaryIO
 import lazrs
 import numpy as np
 
-from ..core.errors import InputError
 from ..core.forks import need_threads
 from .files import Bounds, new_file
 from .header import Header
 from .storage import read_ranges
 
-RUN = 4096
+RUN = 16384
 """Records of LAS in a run."""
 
 _MOST = 1_000_000  # points that are read at a time
@@ -55,6 +54,10 @@ class Blocks:
         low, high = self.low, self.high
         return self[(low[:, 0] < box[2]) & (high[:, 0] >= box[0]) & (low[:, 1] < box[3]) & (high[:, 1] >= box[1])]
 
+    def everywhere(self) -> Blocks:
+        """The same runs, of which it is not known where they lie."""
+        return dataclasses.replace(self, low=np.full_like(self.low, -np.inf), high=np.full_like(self.high, np.inf))
+
     def records(self) -> np.ndarray:
         """i64[n]: the numbers of the records, run after run."""
         ends = np.cumsum(self.points)
@@ -74,7 +77,7 @@ class Blocks:
         """Keep them for the file that has this fingerprint. Raises OutputError."""
         columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         with new_file(path, overwrite=True) as part, open(part, "wb") as file:
-            np.savez(file, fingerprint=np.array(fingerprint), **columns)
+            np.savez_compressed(file, fingerprint=np.array(fingerprint), **columns)
 
     @classmethod
     def load(cls, path: Path, fingerprint: str) -> Blocks | None:
@@ -107,8 +110,9 @@ def runs(header: Header, file: BinaryIO) -> Blocks:
         points[-1] = header.count - RUN * (len(points) - 1)
         size = points * header.record_length
         begin = len(header.head)
-    wide = np.full((len(points), 2), np.inf)
-    return Blocks(begin + np.cumsum(size) - size, size, np.cumsum(points) - points, points, -wide, wide)
+    unknown = np.zeros((len(points), 2))
+    start, first = begin + np.cumsum(size) - size, np.cumsum(points) - points
+    return Blocks(start, size, first, points, unknown, unknown).everywhere()
 
 
 def measured(header: Header) -> Blocks:
@@ -118,11 +122,9 @@ def measured(header: Header) -> Blocks:
         found = runs(header, file)
         found = found[found.points > 0]
         for group in found.groups():
-            ticks = read_blocks(header, file, group, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)[:, :8].view("<i4")
-            at = group.first - group.first[0]
-            scale, offset = header.scales[:2], header.offsets[:2]
-            low.append(np.minimum.reduceat(ticks, at) * scale + offset)
-            high.append(np.maximum.reduceat(ticks, at) * scale + offset)
+            records = read_blocks(header, file, group, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+            for areas, edge in zip((low, high), _areas(header, group, records), strict=True):
+                areas.append(edge)
     return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high))
 
 
@@ -133,7 +135,7 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
     """
     packed = b"".join(read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist()))
     if not header.compressed:
-        return np.frombuffer(bytearray(packed), np.uint8).reshape(-1, header.record_length)
+        return np.frombuffer(packed, np.uint8).reshape(-1, header.record_length)
     records = np.zeros((int(blocks.points.sum()), header.record_length), np.uint8)
     need_threads()
     table = list(zip(blocks.points.tolist(), blocks.size.tolist(), strict=True))
@@ -142,12 +144,15 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
     return records
 
 
-def check_inside(header: Header, blocks: Blocks, records: np.ndarray) -> None:
-    """Raises InputError if points of a run lie outside the area that it is said to cover, by more than rounding."""
-    xy = records[:, :8].view("<i4") * header.scales[:2] + header.offsets[:2]
-    low, high = (np.repeat(edge, blocks.points, axis=0) for edge in (blocks.low, blocks.high))
-    if not ((xy >= low) & (xy <= high)).all():
-        raise InputError(
-            f"{header.path}: points lie outside the cubes of its octree, so that points within bounds cannot be found by "
-            "it; read the file without bounds, or from a local disk"
-        )
+def hold(header: Header, blocks: Blocks, records: np.ndarray) -> bool:
+    """Whether the records of some runs, u8[n, record_length], lie in the areas that these are said to cover."""
+    low, high = _areas(header, blocks, records)
+    return bool(((low >= blocks.low) & (high <= blocks.high)).all())
+
+
+def _areas(header: Header, blocks: Blocks, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[k, 2] each, file coordinates: lowest and highest x and y of the points of each run."""
+    ticks, at = records[:, :8].view("<i4"), np.cumsum(blocks.points) - blocks.points
+    scale, offset = header.scales[:2], header.offsets[:2]
+    low, high = (bound.reduceat(ticks, at) * scale + offset for bound in (np.minimum, np.maximum))
+    return low, high

@@ -12,7 +12,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, warn
-from .blocks import Blocks
+from .blocks import Blocks, hold
 from .header import Header
 from .storage import Remote, read_ranges
 
@@ -40,16 +40,24 @@ def nodes(header: Header, file: BinaryIO) -> Blocks:
         edge = 2 * half / 2.0 ** key[:, :1]
         low = np.array(centre) - half + key[:, 1:] * edge - header.scales  # cubes are rounded by some writers
         high = np.array(centre) - half + (key[:, 1:] + 1) * edge + header.scales
+    found = Blocks(start, length, np.cumsum(points) - points, points, low[:, :2], high[:, :2])
     if not isinstance(header.path, Remote):
         at_first = np.frombuffer(b"".join(read_ranges(header.path, file, start.tolist(), [12] * len(start))), "<i4")
         first = at_first.reshape(-1, 3) * header.scales + header.offsets
         if not ((first >= low) & (first <= high)).all():
-            warn(
-                f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within "
-                "bounds"
-            )
-            low, high = np.full_like(low, -np.inf), np.full_like(high, np.inf)
-    return Blocks(start, length, np.cumsum(points) - points, points, low[:, :2], high[:, :2])
+            return _unknown(header, found)
+    return found
+
+
+def sound(header: Header, found: Blocks, group: Blocks, records: np.ndarray) -> Blocks | None:
+    """None if the records of a group of nodes lie in their cubes; otherwise all nodes ``found``, to be read without a look
+    at the cubes, with a warning: other nodes may hold points of anywhere, too."""
+    return None if hold(header, group, records) else _unknown(header, found)
+
+
+def _unknown(header: Header, found: Blocks) -> Blocks:
+    warn(f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds")
+    return found.everywhere()
 
 
 def _entries(header: Header, file: BinaryIO, page: int, size: int) -> np.ndarray:
@@ -73,14 +81,14 @@ def _entries(header: Header, file: BinaryIO, page: int, size: int) -> np.ndarray
 def _check_chunks(header: Header, file: BinaryIO, start: np.ndarray, size: np.ndarray, points: np.ndarray) -> None:
     """Raises InputError unless the nodes are the chunks of the file; of remote files only their total is known."""
     if isinstance(header.path, Remote):
-        sound = points.sum() == header.count and (start[1:] >= start[:-1] + size[:-1]).all()
+        complete = points.sum() == header.count and (start[1:] >= start[:-1] + size[:-1]).all()
     else:
         file.seek(len(header.head))
         table = np.array(lazrs.read_chunk_table(file, lazrs.LazVlr(header.decoder)), np.int64).reshape(-1, 2)
         begins = len(header.head) + 8 + np.cumsum(table[:, 1]) - table[:, 1]
         chunks, named = np.column_stack([begins, table[:, 1], table[:, 0]]), np.column_stack([start, size, points])
-        sound = np.array_equal(chunks[chunks[:, 2] > 0], named)
-    if not sound:
+        complete = np.array_equal(chunks[chunks[:, 2] > 0], named)
+    if not complete:
         raise InputError(
             f"{header.path}: the octree does not name the chunks that are in the table of chunks; it is damaged: read the "
             "file without bounds"

@@ -22,7 +22,7 @@ class Source:
     """A LAS, LAZ or COPC file.
 
     Attributes:
-        uri: path or URI.
+        uri: absolute path, or URI.
         format: ``"las"``, ``"laz"`` or ``"copc"``.
         bounds: xmin, ymin, xmax, ymax that the header states, file coordinates, **closed** on all sides; NaN for a file
             without points.

@@ -103,11 +103,6 @@ class Remote:
 
         return _persistent(self.uri, fetch)
 
-    def read(self) -> bytes:
-        """All of it. Raises InputError."""
-        system, path = self._system()
-        return _persistent(self.uri, lambda: bytes(system.cat_file(path)))
-
     def listed(self, suffixes: tuple[str, ...]) -> list[str]:
         """URIs of the files in this folder, or that match it as a pattern, that end so (in any case), sorted."""
         system, path = self._system()

@@ -59,10 +59,12 @@ def read_window(source: Source, box: Bounds, index: Path | None = None, **chosen
     """
     cut, place = check_bounds(box), source.place
     with reading(place):
-        opened = _opened(place, Identity.of(place))
-    if source.identity and opened.header.fingerprint != source.identity:
-        raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
-    return _window(opened, blocks_of(source, index), cut, source, chosen)
+        identity = Identity.of(place)
+        opened = _opened(place, identity)
+        if source.identity and opened.header.fingerprint != source.identity:
+            raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
+        blocks = _blocks(place, identity, index)
+    return _window(opened, blocks, cut, source, chosen)
 
 
 def blocks_of(source: Source, index: Path | None = None) -> Blocks:
@@ -71,7 +73,7 @@ def blocks_of(source: Source, index: Path | None = None) -> Blocks:
     Raises: InputError if the file is damaged.
     """
     with reading(source.place):
-        return _blocks(source.place, Identity.of(source.place), None if index is None else Path(index))
+        return _blocks(source.place, Identity.of(source.place), index)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,11 +96,12 @@ def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
             return copc.nodes(header, file)
     if index is None:
         return measured(open_las(place)[0])
-    index.mkdir(parents=True, exist_ok=True)
-    path = index / f"{hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]}.npz"
+    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
+    path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
     kept = Blocks.load(path, header.fingerprint)
     if kept is None:
         kept = measured(open_las(place)[0])
+        path.parent.mkdir(parents=True, exist_ok=True)
         kept.save(path, header.fingerprint)
     return kept
 

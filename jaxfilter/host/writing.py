@@ -89,7 +89,7 @@ def write(
         if source.points != len(cloud):
             raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
     if kind in text.SUFFIXES and (names or heights is not None):
-        raise OutputError(f"{path}: text holds labels only; extra={names!r} and heights need .las or .laz")
+        raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Replay(None)) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as replay:

@@ -21,6 +21,7 @@ from ..core.errors import InputError
 from ..core.units import Reference, Units, not_metric, parse_units
 from ..host.files import Bounds
 from ..host.footprints import Footprints
+from ..host.header import Header
 from ..host.las import open_las
 from ..host.sources import Source, described
 from ..host.storage import place_of
@@ -251,7 +252,7 @@ def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
     """The source, or the name and why there is none."""
     try:
         header, reference = open_las(place_of(uri), tables=False)
-        reason = None if asked is not None else reference.problem or _odd(header.extent, header.count, reference)
+        reason = _odd(header, None if asked is not None else reference)
         if reason is not None:
             raise InputError(f"{uri}: {reason}")
         return described(uri, header, reference, asked or reference.units or Units())
@@ -259,7 +260,13 @@ def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
         return uri, str(error)
 
 
-def _odd(extent: tuple[np.ndarray, np.ndarray], count: int, reference: Reference) -> str | None:
-    """Why the extent in a header cannot be of lengths, or None."""
-    corners = np.stack(extent)
-    return not_metric(corners, count, reference.units is not None) if np.isfinite(corners).all() else None
+def _odd(header: Header, reference: Reference | None) -> str | None:
+    """Why a file cannot be a member, by its header and, unless units are asked for, its CRS; or None."""
+    low, high = header.extent
+    if header.count and not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
+        return (
+            f"the extent in its header is damaged: {low.tolist()} to {high.tolist()}; write the file anew to correct it"
+        )
+    if reference is None or reference.problem is not None or not header.count:
+        return None if reference is None else reference.problem
+    return not_metric(np.stack(header.extent), header.count, reference.units is not None)

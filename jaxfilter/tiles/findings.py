@@ -50,19 +50,19 @@ class Findings:
         told = [] if self.mixed is None else [self.mixed]
         told += [reason for _, reason in self.unreadable[:most]]
         if len(self.unreadable) > most:
-            told.append(f"{len(self.unreadable)} files cannot be read in all")
+            told.append(f"files that cannot be read: {len(self.unreadable)} in all")
         kinds: tuple[tuple[Sequence[Any], str, Callable[[Any], str]], ...] = (
-            (self.repeated, "named more than once, count once", str),
-            (self.doubles, "pairs have the same number of points in the same bounds", " and ".join),
-            (self.overlaps, "pairs overlap", lambda o: f"{o[0]} and {o[1]} ({100 * o[2]:.3g} % of the smaller)"),
-            (self.gaps, "gaps are enclosed by files", lambda b: ", ".join(f"{v:.10g}" for v in b)),
-            (self.empty, "files hold no points", str),
-            (self.no_crs, "files state no CRS", str),
+            (self.repeated, "named more than once, counted once", str),
+            (self.doubles, "pairs with the same number of points in the same bounds", " and ".join),
+            (self.overlaps, "overlapping pairs", lambda o: f"{o[0]} and {o[1]} ({100 * o[2]:.3g} % of the smaller)"),
+            (self.gaps, "gaps enclosed by files", lambda b: ", ".join(f"{v:.10g}" for v in b)),
+            (self.empty, "files without points", str),
+            (self.no_crs, "files without a CRS", str),
         )
         for found, words, show in kinds:
             if found:
                 examples = "; ".join(show(one) for one in found[:most])
-                told.append(f"{len(found)} {words}: {examples}{'; ...' if len(found) > most else ''}")
+                told.append(f"{words}: {len(found)} ({examples}{'; ...' if len(found) > most else ''})")
         return told
 
     def as_dict(self) -> dict[str, Any]:

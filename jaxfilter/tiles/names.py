@@ -41,6 +41,7 @@ def _expanded(name: str, asked: Units | None) -> Iterable[Entry]:
             return [name]
         _refuse_text(name, suffix)
         return _some(name, place.listed(LAS_SUFFIXES))
+    place = Path(os.path.abspath(place))  # which other processes understand as well
     if place.is_dir():
         return _some(name, sorted(str(p) for p in place.iterdir() if _is_member(p)))
     if not place.exists() and any(c in name for c in "*?["):
@@ -54,6 +55,8 @@ def _is_member(path: Path) -> bool:
 
 
 def _some(name: str, found: list[str]) -> list[str]:
+    if not found and any(c in name for c in "*?["):
+        raise InputError(f"{name}: matches no .las or .laz file")
     if not found:
         raise InputError(
             f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"

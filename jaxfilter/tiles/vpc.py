@@ -7,6 +7,7 @@ A ``.vpc`` is a GeoJSON FeatureCollection of STAC 1.0.0 items with the extension
 from __future__ import annotations
 
 import json
+import math
 import os
 import posixpath
 from collections.abc import Iterable, Iterator
@@ -22,18 +23,20 @@ from ..core.units import WKT, Reference, Units, reference_of
 from ..host.files import new_file
 from ..host.header import opened
 from ..host.records import reading
-from ..host.sources import Source
+from ..host.sources import NO_BOUNDS, Source
 from ..host.storage import Place, Remote
 
 if TYPE_CHECKING:
     from .collection import Collection
 
 _PIECE = 1 << 22  # characters that are read at a time
+_LONGEST = 1 << 20  # of a text within an item
 _EXTENSIONS = [
     "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
     "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
 ]
 _NOT_DATED = "1970-01-01"  # STAC wants a day
+_ODD = (KeyError, TypeError, ValueError, AttributeError, StopIteration, pyproj.exceptions.CRSError)
 _FLAGS = ("Synthetic", "KeyPoint", "Withheld", "Overlap")
 _SCHEMA = (  # name, bytes, type, of the dimensions that PDAL makes of every point format
     *((name, 8, "floating") for name in "XYZ"),
@@ -61,7 +64,7 @@ def read_vpc(place: Place, asked: Units | None) -> Iterator[str | Source]:
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
                 yield _member(item, base, isinstance(place, Remote), known, asked, str(place))
-            except (KeyError, TypeError, ValueError, AttributeError, StopIteration) as error:
+            except _ODD as error:
                 if isinstance(error, InputError):
                     raise
                 raise InputError(
@@ -95,7 +98,7 @@ def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
         try:
             item, at = decoder.raw_decode(text, at)
         except json.JSONDecodeError as error:
-            if not more():
+            if error.pos < len(text) - _LONGEST or not more():
                 raise InputError(f"{name}: ends or is damaged within its items: {error.msg}") from error
             continue
         yield item
@@ -129,12 +132,15 @@ def _member(
     if asked is None and reference.problem is not None:
         raise InputError(f"{uri}: {reference.problem}")
     half = len(box) // 2
+    x0, y0, x1, y1 = (float(box[k]) for k in (0, 1, half, half + 1))
+    if count < 0 or not (-math.inf < x0 <= x1 < math.inf and -math.inf < y0 <= y1 < math.inf):
+        raise ValueError(f"{count} points in {box}")
     return Source(
         uri,
         kind,
-        (float(box[0]), float(box[1]), float(box[half]), float(box[half + 1])),
+        (x0, y0, x1, y1) if count else NO_BOUNDS,
         int(count),
-        (float(box[2]), float(box[5])) if half == 3 else (float("nan"), float("nan")),
+        (float(box[2]), float(box[5])) if half == 3 else (math.nan, math.nan),
         wkt,
         asked or reference.units or Units(),
         date=str(facts["datetime"])[:10] if facts.get("datetime") else None,
