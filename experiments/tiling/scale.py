@@ -18,7 +18,6 @@ import psutil
 
 import jaxfilter as jf
 from experiments.report import Column, Row
-from jaxfilter.tiles.plan import plan_tiles
 
 COMMAND = [sys.executable, "-c", "from jaxfilter.cli import main; main(prog_name='jaxfilter')", "ground"]
 
@@ -111,7 +110,7 @@ def planning(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]
         million(path, 1000)
     code = (
         "import sys, time, resource, jaxfilter as jf; from jaxfilter.tiles.ground import layout; t = time.perf_counter()\n"
-        "c = jf.open(sys.argv[1]); a = time.perf_counter(); p = layout(c, jf.SMRF(), memory=8e9, workers=2).plan\n"
+        "c = jf.open(sys.argv[1]); a = time.perf_counter(); p = layout(c, halo=90, lattice=1, memory=8e9, workers=2).plan\n"
         "print(len(c), len(p), a - t, time.perf_counter() - a, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     found = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)

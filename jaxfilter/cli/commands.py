@@ -104,7 +104,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
         if is_collection(paths):
             ground_collection(ctx, method, changes, paths, **{"preset": None, **arguments})
             return
-        source, target = _file_names(ctx, paths)
+        source, target = file_names(ctx, paths)
         for name in ("halo", "tile", "memory", "scheduler", "resume"):
             if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
                 raise BadUsage(f"--{name} is for a collection: name a folder as OUT")
@@ -194,7 +194,7 @@ def _preset(method: type[Filter]) -> click.Option:
     return click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters.")
 
 
-def _file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path | None]:
+def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path | None]:
     """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
     from ..filters import FILTERS
 

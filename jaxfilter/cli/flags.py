@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
+from .session import BadUsage
 
 _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
@@ -99,3 +100,17 @@ def words_for(name: str, value: Any) -> list[str]:
     if isinstance(value, bool):
         return [flag if value else f"--no-{flag[2:]}"]
     return [flag, "none" if value is None else str(value)]
+
+
+def pairs(option: str, texts: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Field and value of FIELD=VALUE; a field with dashes is the one with underscores."""
+    pairs: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not name:
+            raise BadUsage(f"{option} {text!r}: write it as FIELD=...")
+        if name in pairs:
+            raise BadUsage(f"{option} {name}: given twice")
+        pairs[name] = value.strip()
+    return list(pairs.items())

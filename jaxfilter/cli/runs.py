@@ -47,16 +47,23 @@ def options() -> list[click.Parameter]:
     positive = click.FloatRange(0, min_open=True)
     return [
         click.Option(
-            ["--halo"], type=click.FloatRange(0), help=_of("width read around each tile", "by METHOD"), **metres
+            ["--halo"],
+            type=click.FloatRange(0),
+            help=of_collections("width read around each tile", "by METHOD"),
+            **metres,
         ),
-        click.Option(["--tile"], type=positive, help=_of("side of the tiles", "by the memory"), **metres),
-        click.Option(["--memory"], type=Bytes(), help=_of("for all processes, such as 4GB", "70 % of what is free")),
-        click.Option(["--scheduler"], metavar="ADDRESS", help=_of("a Dask scheduler that has the work done")),
-        click.Option(["--resume"], is_flag=True, help=_of("go on with the run that was begun in OUT")),
+        click.Option(["--tile"], type=positive, help=of_collections("side of the tiles", "by the memory"), **metres),
+        click.Option(
+            ["--memory"], type=Bytes(), help=of_collections("for all processes, such as 4GB", "70 % of what is free")
+        ),
+        click.Option(
+            ["--scheduler"], metavar="ADDRESS", help=of_collections("a Dask scheduler that has the work done")
+        ),
+        click.Option(["--resume"], is_flag=True, help=of_collections("go on with the run that was begun in OUT")),
     ]
 
 
-def _of(words: str, default: str = "") -> str:
+def of_collections(words: str, default: str = "") -> str:
     """Help on an option that only collections take."""
     return f"Of a collection: {words}." + (f"  [default: {default}]" if default else "")
 
@@ -92,7 +99,7 @@ def ground_collection(
                 f"--{name.replace('_', '-')} is for a single file, and {', '.join(paths[:-1])} is a collection"
             )
     *inputs, out = paths
-    _check_named(inputs, method is None)
+    check_named(inputs, method is None)
     reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     kept = ("halo", "tile", "memory", "workers", "resume", "overwrite", "ground_class", "other_class", "reset")
@@ -132,7 +139,7 @@ def ground_collection(
                 client=options["scheduler"],
                 only_ground=options["only_ground"],
                 extra=options["extra"],
-                progress=_shown(session, quiet),
+                progress=shown(session, quiet),
                 **{name: options[name] for name in kept},
                 **reading,
             )
@@ -150,7 +157,7 @@ def ground_collection(
         ctx.exit(1)
 
 
-def _check_named(inputs: Sequence[str], bare: bool) -> None:
+def check_named(inputs: Sequence[str], bare: bool = False) -> None:
     """Raises BadUsage for a name that stands for nothing; ``bare``: the first of them might be meant as a method."""
     from ..filters import FILTERS
 
@@ -163,7 +170,7 @@ def _check_named(inputs: Sequence[str], bare: bool) -> None:
         raise BadUsage(f"{name}: no such file or folder{words}")
 
 
-def _shown(session: Session, quiet: bool) -> Any:
+def shown(session: Session, quiet: bool) -> Any:
     """The callback that shows how far a run is."""
     last = time.monotonic()
 

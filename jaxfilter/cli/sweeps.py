@@ -134,7 +134,9 @@ def sweep(
 
     with Session(quiet=quiet, debug=debug, remaining=True) as session:
         build = _builder(method, fixed, preset, largest_building)
-        ranges = {name: _axis(build.method, name, text, design) for name, text in _pairs("--axis", axes)}
+        from .flags import pairs
+
+        ranges = {name: _axis(build.method, name, text, design) for name, text in pairs("--axis", axes)}
         make_design(build.alone(), ranges, design, size, seed)
         check_reading(units, "last,only")
         _check_directory(directory, resume)
@@ -289,7 +291,9 @@ def calibrate(
 
     with Session(quiet=quiet, debug=debug, remaining=True) as session:
         build = _builder(method, fixed, preset, largest_building)
-        ranges = {name: _range(build.method, name, text) for name, text in _pairs("--axis", axes)} or None
+        from .flags import pairs
+
+        ranges = {name: _range(build.method, name, text) for name, text in pairs("--axis", axes)} or None
         if ranges is not None:
             make_design(build.alone(), ranges, "random", 1)  # checks fields and limits
         check_reading(units, "last,only")
@@ -357,22 +361,8 @@ def _builder(method: str, fixed: tuple[str, ...], preset: str | None, largest_bu
     cls = FILTERS[method]
     if preset is not None and preset not in cls.PRESETS:
         raise BadUsage(f"--preset {preset!r}: {cls.__name__} has {', '.join(cls.PRESETS)}")
-    values = {name: flags.value_of(cls, name, text, "--set") for name, text in _pairs("--set", fixed)}
+    values = {name: flags.value_of(cls, name, text, "--set") for name, text in flags.pairs("--set", fixed)}
     return _Builder(cls, preset, values, largest_building)
-
-
-def _pairs(option: str, texts: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Field and value of FIELD=VALUE; a field with dashes is the one with underscores."""
-    pairs: dict[str, str] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name:
-            raise BadUsage(f"{option} {text!r}: write it as FIELD=...")
-        if name in pairs:
-            raise BadUsage(f"{option} {name}: given twice")
-        pairs[name] = value.strip()
-    return list(pairs.items())
 
 
 def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:

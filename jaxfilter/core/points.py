@@ -46,6 +46,11 @@ class Points:
         """Local corner of the grid with cells of this size, metres."""
         return self.cloud.grid_offset(cell)
 
+    def anchored(self) -> np.ndarray | None:
+        """f64[2], metres from the anchor of the cloud to the zero of its local coordinates; None without an anchor."""
+        cloud = self.cloud
+        return None if cloud.anchor is None else (cloud.origin[:2] - cloud.anchor) * cloud.units.xy
+
     def has_area(self) -> bool:
         """Whether there are three positions that do not lie on one line (to the quantum of the coordinates)."""
         if len(self.xyz) < 3:
@@ -127,11 +132,14 @@ def _spread_across(xy: np.ndarray) -> float:
     return float(np.abs(x * y[far] - y * x[far]).max()) / length if length > 0 else 0.0
 
 
-def morton(xy: np.ndarray) -> np.ndarray:
-    """u64[n] Z-order code of local points [n, >=2]; neighbours in the plane are mostly neighbours in this order."""
+def morton(xy: np.ndarray, moved: tuple[int, int] = (0, 0)) -> np.ndarray:
+    """u64[n] Z-order code of local points [n, >=2], moved by whole metres; neighbours in the plane are mostly neighbours in
+    this order. Codes repeat after 4,194 km."""
     code = np.zeros(len(xy), np.uint64)
     for axis in range(2):
         v = (xy[:, axis].astype(np.float64) / QUANTUM).astype(np.uint64)
+        if moved[axis]:
+            v = (v + np.uint64(round(moved[axis] / QUANTUM) % 2**32)) & np.uint64(2**32 - 1)
         for shift, mask in (
             (16, 0x0000FFFF0000FFFF),
             (8, 0x00FF00FF00FF00FF),
@@ -152,10 +160,16 @@ def plain_points(cloud: PointCloud) -> Points:
 
 
 def canonical_points(cloud: PointCloud) -> Points:
-    """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays."""
+    """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays.
+
+    Codes count from the corner of the cloud, or from its anchor, so that clouds with one anchor sort points alike.
+    """
     index = np.flatnonzero(cloud.candidate)
     xyz = cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
-    code = morton(xyz)
+    shift = (0, 0)
+    if cloud.anchor is not None:
+        shift = tuple(round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
+    code = morton(xyz, shift)
     order = np.argsort(code)  # equal ones are ordered below
     code, z = code[order], xyz[order, 2]
     tied = np.zeros(len(code), bool)

@@ -122,10 +122,6 @@ class IPTD(Mirroring):
         planes = self.cell * math.sqrt(self.k)
         return 2 * self.reach * self.cell + planes + facet_reach(self.window)
 
-    def tile_halo(self) -> float:
-        """Two windows: seeds stand in every cell that is no object, so growth comes from nearby."""
-        return 2.0 * self.window
-
     def lattice(self) -> float:
         """The cells of the openings."""
         return self.cell

@@ -142,10 +142,6 @@ class SPF(Mirroring):
         ]
         return [min(rise, self.max_height) for rise in rises]
 
-    def tile_halo(self) -> float:
-        """Two windows: seeds stand in every cell that is no object, so growth comes from nearby."""
-        return 2.0 * self.window
-
     def lattice(self) -> float:
         """The cells of the openings."""
         return self.cell

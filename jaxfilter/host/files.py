@@ -232,7 +232,7 @@ def new_file(
         if status is not None and not mine and not overwrite:
             raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
         remove_dead(final.parent)
-        with _workplace(final.parent) as folder:
+        with workplace(final.parent) as folder:
             part = folder / "part"
             yield part
             _sync(part)
@@ -300,7 +300,7 @@ _FOREIGN_AGE = 86_400.0  # seconds
 
 
 @contextlib.contextmanager
-def _workplace(parent: Path) -> Iterator[Path]:
+def workplace(parent: Path) -> Iterator[Path]:
     """A new folder that is locked as long as this process lives, and removed with all that is in it."""
     while True:
         folder = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}"

@@ -56,7 +56,9 @@ class Linear:
     def __init__(self, xyz: np.ndarray, workers: int | None) -> None:
         """``xyz``: f32[m, 3], the ground points."""
         self._threads = workers or os.cpu_count() or 1
-        self._code = morton(xyz)
+        code = morton(xyz)
+        self._order = np.argsort(code, kind="stable")  # points of a cloud with an anchor are in another order
+        self._code = code[self._order]
         with ThreadPoolExecutor(self._threads) as pool:
             self._tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, self._threads)
         self._inside = inside_hull(xyz)
@@ -91,7 +93,8 @@ class Linear:
         """i64[q, 3], the corners of the triangles at f64[q, 2], and the numbers of positions outside the hull."""
         start = np.searchsorted(self._code, morton(np.maximum(at, 0.0)))
         with ThreadPoolExecutor(self._threads) as self._tin.pool:
-            tri = self._tin.walk(at, self._tin.where[np.minimum(start, len(self._xy) - 1)])
+            near = self._order[np.minimum(start, len(self._xy) - 1)]
+            tri = self._tin.walk(at, self._tin.where[near])
             beyond = np.flatnonzero(tri < 0)
             tri[beyond] = -1 - tri[beyond]
             nodes = self._tin.corners(tri)

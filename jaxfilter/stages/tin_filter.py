@@ -185,7 +185,8 @@ class TinFilter(Filter):
 
         ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
         """
-        return one_network(points, seeds, border_positions(*points.extent, spacing), barred, late, **more)
+        border = border_positions(*points.extent, spacing, points.anchored())
+        return one_network(points, seeds, border, barred, late, **more)
 
     def rule(self, **limits: float) -> Rule:
         """The thresholds of a test, with the noise floor of the method."""

@@ -56,9 +56,9 @@ class Layout:
 
 def layout(
     collection: Collection,
-    filter_: Filter,
     *,
-    halo: float | None = None,
+    halo: float,
+    lattice: float,
     tile: float | None = None,
     memory: float | None = None,
     workers: int | None = None,
@@ -68,11 +68,10 @@ def layout(
 
     Raises: ParameterError, InputError.
     """
-    if halo is not None and not 0 <= halo < math.inf:
+    if not 0 <= halo < math.inf:
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     if memory is not None and not memory > 0:
         raise ParameterError(f"memory={memory!r}: must be > 0 bytes")
-    around = filter_.tile_halo() if halo is None else halo
     budget = _SHARE * psutil.virtual_memory().available if memory is None else memory
     most = max(1, int(budget // (2 * _BASE)))
     count = min(os.cpu_count() or 1, most) if workers is None else workers
@@ -85,8 +84,8 @@ def layout(
         collection.footprints,
         collection.counts,
         metre=collection.metre,
-        halo=around,
-        lattice=filter_.lattice(),
+        halo=halo,
+        lattice=lattice,
         most_points=most_points or math.inf,
         side=tile,
     )
@@ -165,7 +164,15 @@ def ground(
             sample = sampled(collection, reading, index)
             filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
         most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
-        cut = layout(collection, filter_, halo=halo, tile=tile, memory=memory, workers=workers, most_points=most)
+        cut = layout(
+            collection,
+            halo=filter_.tile_halo() if halo is None else halo,
+            lattice=filter_.lattice(),
+            tile=tile,
+            memory=memory,
+            workers=workers,
+            most_points=most,
+        )
         width, height = (side * metre for side in cut.plan.largest())
         whole = dataclasses.replace(whole, width=width, height=height)
         job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)

@@ -59,6 +59,9 @@ class Journal:
         with contextlib.suppress(sqlite3.Error):
             self.commit()
         self._base.close()
+        Path(f"{self.path}-journal").unlink(
+            missing_ok=True
+        )  # of a run that was killed; it was rolled back when this began
 
     def begin(self, facts: dict[str, Any]) -> None:
         """Start, or go on with, the run that the facts describe. Raises: InputError if another one is recorded."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +20,17 @@ _LARGEST_SIDE = 100_000.0  # metres
 _ROUNDS = 12
 _ROUNDED = 0.01
 """Units, and metres, by which bounds in headers may be off."""
+
+
+class Footprinted(Protocol):
+    """Bounds f64[n, 4], file units, and counts i64[n] of files, and metres per unit: a collection."""
+
+    @property
+    def footprints(self) -> np.ndarray: ...
+    @property
+    def counts(self) -> np.ndarray: ...
+    @property
+    def metre(self) -> float: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +122,13 @@ class Plan:
         for array in (self.cell, self.home.start, self.home.member, self.near.start, self.near.member):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
+
+
+def plan_with_halo(plan: Plan, files: Footprinted, halo: float) -> Plan:
+    """The same cores with another halo, metres."""
+    used = np.flatnonzero(files.counts > 0)
+    sides = (plan.width, plan.height)
+    return _tiles(files.footprints, files.counts, used, plan.origin, sides, halo / files.metre, plan.lattice)
 
 
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
