@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from .sweeps.sweep import sweep
     from .terrain import dtm, dtm_rmse, height_above_ground
     from .tiles.collection import Collection, open
+    from .tiles.ground import ground
+    from .tiles.terrain import terrain_model
 
 _HOMES = {
     "citing": ("citation",),
@@ -32,20 +34,7 @@ _HOMES = {
     "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
     "filters": (
-        "AGPTD",
-        "ATIN",
-        "CSF",
-        "FILTERS",
-        "FPTD",
-        "IPTD",
-        "MSF",
-        "PMF",
-        "PPDF",
-        "PTD",
-        "PTDF",
-        "SMRF",
-        "SPF",
-        "STIN",
+        "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
@@ -55,15 +44,17 @@ _HOMES = {
     "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
-}
+    "tiles.ground": ("ground",),
+    "tiles.terrain": ("terrain_model",),
+}  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Collection", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter", "InputError",
     "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores", "Status", "Study",
-    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "height_above_ground", "info", "open", "plots",
-    "read", "scenes", "soft_labels", "sweep", "write",
+    "calibrate", "citation", "class_changes", "dtm", "dtm_rmse", "evaluate", "ground", "height_above_ground", "info", "open",
+    "plots", "read", "scenes", "soft_labels", "sweep", "terrain_model", "write",
 ]  # fmt: skip
 
 

@@ -176,5 +176,7 @@ def test_what_cannot_be_is_said(tmp_path):
     with pytest.raises(jf.ParameterError, match="pass heights="):
         jf.write(tmp_path / "out.las", cloud, None, replace_z=True)
     with pytest.raises(jf.OutputError, match=r"needs .las or .laz"):
-        jf.write(tmp_path / "out.txt", cloud, None, heights=np.zeros(600))
+        jf.write(tmp_path / "out.txt", cloud, np.zeros(600, bool), heights=np.zeros(600))
+    with pytest.raises(jf.OutputError, match="there are none; pass result="):
+        jf.write(tmp_path / "out.txt", cloud, None)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["in.las", "none.las"]

@@ -171,6 +171,15 @@ def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     assert len(passes) == 6 and len(list(index.rglob("*"))) == 2
 
 
+def test_points_that_the_header_denies(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 6, n=500)
+    patch(path, "2d", 179, X + 50, X)  # largest and smallest x
+    with pytest.warns(jf.JaxfilterWarning, match="points lie outside the extent that its header states"):
+        window = read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
+    assert len(window.record) == 500
+
+
 def test_a_file_that_changes_is_refused(tmp_path):
     path = tmp_path / "in.laz"
     make_las(path, 6, n=500)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 
@@ -10,12 +11,15 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
 from jaxfilter.tiles.ground import SCRATCH, ground
 from jaxfilter.tiles.pool import Outcome, Pool, attempt
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
-PMF = jf.PMF(max_window=10.0, low_clusters=False)
+PMF_FIELDS = {"max_window": 10.0, "low_clusters": False}
+PMF = jf.PMF(**PMF_FIELDS)
+LEFT = ["jaxfilter-run.json", "jaxfilter-run.png", "jaxfilter-run.sqlite"]
 HOW = {"tile": 25.0, "halo": 20.0, "workers": 1}
 
 
@@ -38,8 +42,8 @@ class Here:
         if self.stop_after is not None and len(self.calls) >= self.stop_after:
             raise KeyboardInterrupt
         tag, function, arguments = self.waiting.pop(int(self.rng.integers(len(self.waiting))))
-        self.calls.append((function.__name__, arguments[1].number))
-        reason = self.fail(function, arguments[1])
+        self.calls.append((function.__name__, arguments[-1].number))
+        reason = self.fail(function, arguments[-1])
         return [(tag, Outcome(reason=reason) if reason else attempt(function, arguments))]
 
     def close(self):
@@ -102,10 +106,7 @@ def test_files_are_those_that_the_labels_of_the_whole_make(files, done, tmp_path
     pairs, number = np.unique(np.stack([before, after]), axis=1, return_counts=True)
     assert report.classes == {tuple(pair): n for pair, n in zip(pairs.T.tolist(), number.tolist(), strict=True)}
     assert (9, 9) in report.classes
-    assert sorted(p.name for p in out.iterdir() if not p.suffix == ".laz") == [
-        "jaxfilter-run.json",
-        "jaxfilter-run.sqlite",
-    ]
+    assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
 
 def test_clouds_that_are_joined_are_those_of_all_coordinates(files):
@@ -207,7 +208,7 @@ def test_inputs_that_have_changed_are_noticed(files, tmp_path):
 
 
 def test_folders_that_hold_something_are_refused(files, done, tmp_path):
-    with pytest.raises(jf.OutputError, match=r"is not empty, it holds 00\.laz and 5 more"):
+    with pytest.raises(jf.OutputError, match=r"is not empty, it holds 00\.laz and 6 more"):
         run(files, done[0])
     with pytest.raises(jf.OutputError, match="is an input"):
         run(files, files, overwrite=True)
@@ -265,3 +266,71 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
     ):
         report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
+
+
+def test_a_report_and_a_map_lie_beside_the_files(done):
+    out, report = done
+    facts = json.loads((out / "jaxfilter-run.json").read_text())
+    assert facts["complete"] and facts["points"] == report.points and len(facts["files"]) == 4
+    assert sum(row["points"] for row in facts["classes"]) == report.points
+    image = pytest.importorskip("matplotlib.image").imread(out / "jaxfilter-run.png")
+    assert min(image.shape[:2]) > 200 and len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 20
+
+
+def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    out, _ = done
+    report = jf.terrain_model(jf.open(str(out)), tmp_path / "dtm.tif", cell=0.5, tile=25.0, executor=Here(width=5))
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(out.glob("*.laz"))])
+    expected = jf.dtm(whole, whole.classification == 2, cell=0.5)
+    with rasterio.open(tmp_path / "dtm.tif") as file:
+        values = file.read(1, masked=True).filled(np.nan)
+        assert tuple(file.transform)[:6] == expected.transform == report.transform
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+    inner = np.s_[40:-40, 40:-40]  # along the edge triangles of the hull may differ
+    assert values.shape == expected.values.shape and np.isfinite(values[inner]).all()
+    assert np.array_equal(values[inner], expected.values[inner])
+    assert report.empty == np.isnan(values).sum() and report.tiles > 12
+    assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
+
+
+def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
+    pytest.importorskip("rasterio")
+    how = {"cell": 1.0, "tile": 40.0}
+    found = jf.terrain_model(jf.open(str(files)), tmp_path / "a.tif", jf.PMF, PMF_FIELDS, executor=Here(), **how)
+    made = jf.terrain_model(jf.open(str(done[0])), tmp_path / "b.tif", executor=Here(), **how)
+    a, b = (jf.Raster.read(tmp_path / name).values for name in ("a.tif", "b.tif"))
+    assert found.ground == made.ground and np.array_equal(a, b, equal_nan=True)
+    with pytest.raises(jf.InputError, match="no point is ground"):
+        jf.terrain_model(jf.open(str(files)), tmp_path / "c.tif", executor=Here(), **how)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.tif", "b.tif"]
+
+
+def test_methods_on_triangulations_label_tiles_as_the_whole(files):
+    """Seeds, order and border points follow the anchor: where windows hold all that a tile needs, labels are the same."""
+    ptd = jf.PTD(seed_cell=12.0, low_clusters=False)
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    whole = joined(clouds)
+    labels = ptd(whole).ground
+    xy = whole.coordinates()[:, :2]
+    middle = np.floor(xy.mean(axis=0) / 12.0) * 12.0
+    differ = 0
+    for east in (False, True):
+        own = (xy[:, 0] >= middle[0]) == east
+        near = (xy[:, 0] >= middle[0] - 36.0) if east else (xy[:, 0] < middle[0] + 36.0)
+        part = jf.PointCloud.from_arrays(whole.coordinates()[near], anchor=ANCHOR)
+        part = part.__class__(**{**vars(part), "candidate": whole.candidate[near]})
+        differ += int((ptd(part).ground[own[near]] != labels[near][own[near]]).sum())
+    assert differ <= len(whole) // 1000
+
+
+def test_candidates_of_clouds_with_one_anchor_are_in_one_order(files):
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))])
+    xyz = whole.coordinates()
+    part = xyz[(xyz[:, 0] > xyz[:, 0].mean()) & (xyz[:, 1] > xyz[:, 1].mean())]
+    all_points, some = (canonical_points(jf.PointCloud.from_arrays(c, anchor=ANCHOR)) for c in (xyz, part))
+    absolute = [np.rint((p.xyz + np.float64(p.cloud.origin)) * 1024).astype(np.int64) for p in (all_points, some)]
+    kept = {tuple(row) for row in absolute[1].tolist()}
+    assert [tuple(row) for row in absolute[0].tolist() if tuple(row) in kept] == [
+        tuple(r) for r in absolute[1].tolist()
+    ]

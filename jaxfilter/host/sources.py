@@ -64,12 +64,6 @@ class Source:
         """Metres per unit of X and Y."""
         return self.units.xy
 
-    @property
-    def area(self) -> float:
-        """Of the bounds, square metres; 0 without points."""
-        x0, y0, x1, y1 = self.bounds
-        return 0.0 if self.count == 0 else (x1 - x0) * (y1 - y0) * self.metre**2
-
 
 @functools.lru_cache(maxsize=256)
 def _crs_of(wkt: str) -> pyproj.CRS:

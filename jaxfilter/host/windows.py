@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.units import Reference
 from . import copc
 from .blocks import Blocks, measured
@@ -95,15 +95,27 @@ def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
         with header.open() as file:
             return copc.nodes(header, file)
     if index is None:
-        return measured(open_las(place)[0])
+        return _measured(place)
     name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
     path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
     kept = Blocks.load(path, header.fingerprint)
     if kept is None:
-        kept = measured(open_las(place)[0])
+        kept = _measured(place)
         path.parent.mkdir(parents=True, exist_ok=True)
         kept.save(path, header.fingerprint)
     return kept
+
+
+def _measured(place: Place) -> Blocks:
+    """By a pass over the file; warns of points that its header denies, since surveys are planned by headers."""
+    header = open_las(place)[0]
+    found = measured(header)
+    if len(found):
+        (low, high), slack = header.extent, header.scales[:2]
+        beyond = ((found.low < low[:2] - slack) | (found.high > high[:2] + slack)).any(axis=1)
+        if beyond.any():
+            warn(f"{place}: points lie outside the extent that its header states; write the file anew to correct that")
+    return found
 
 
 def _window(opened: _Opened, blocks: Blocks, box: Bounds, source: Source, chosen: dict[str, Any]) -> Window:

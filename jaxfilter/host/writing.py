@@ -88,6 +88,8 @@ def write(
         source.check_unchanged()
         if source.points != len(cloud):
             raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
+    if kind in text.SUFFIXES and result is None:
+        raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
     if kind in text.SUFFIXES and (names or heights is not None):
         raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
     origin = None if source is None else source.path

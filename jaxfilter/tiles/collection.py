@@ -121,11 +121,22 @@ class Collection:
         return int(self.counts.sum())
 
     @property
+    def areas(self) -> np.ndarray:
+        """f64[n], square metres, of the bounds of each file; 0 for files without points."""
+        sides = self.footprints[:, 2:] - self.footprints[:, :2]
+        metre = np.array([units.xy for units in self._columns["units"]], np.float64)
+        return np.nan_to_num(sides.prod(axis=1) * metre**2)
+
+    @property
     def area(self) -> float:
-        """Sum of the areas of the bounds of the files, square metres; what two files cover counts twice."""
-        b = self.footprints[self.counts > 0]
-        metre = np.array([u.xy for u, n in zip(self._columns["units"], self.counts, strict=True) if n > 0])
-        return float(((b[:, 2] - b[:, 0]) * (b[:, 3] - b[:, 1]) * metre**2).sum())
+        """Sum of ``areas``; what two files cover counts twice."""
+        return float(self.areas.sum())
+
+    @property
+    def densities(self) -> np.ndarray:
+        """f64[n], points per square metre of each file's bounds; NaN without area."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.areas > 0, self.counts / self.areas, np.nan)
 
     @property
     def density(self) -> float:
@@ -169,16 +180,13 @@ class Collection:
 
         c = self._columns
         crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
-        metre = np.array([u.xy for u in c["units"]], np.float64)
-        b, z = c["bounds"], c["z"]
-        area = (b[:, 2] - b[:, 0]) * (b[:, 3] - b[:, 1]) * metre**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            density = np.where(area > 0, self.counts / area, np.nan)
-        names = dict(zip(("xmin", "ymin", "xmax", "ymax"), b.T, strict=True))
+        edges = np.column_stack([c["bounds"], c["z"]])
         return pd.DataFrame(
-            {"uri": c["uri"], "format": c["format"], "points": self.counts, **names, "zmin": z[:, 0], "zmax": z[:, 1]}
-            | {"area": area, "density": density, "crs": [crs[w] for w in c["wkt"]], "metre": metre}
-            | {"point_format": pd.array(c["point_format"], "Int64"), "date": c["date"]}
+            {"uri": c["uri"], "format": c["format"], "points": self.counts}
+            | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
+            | {"area": self.areas, "density": self.densities, "crs": [crs[w] for w in c["wkt"]]}
+            | {"metre": [units.xy for units in c["units"]], "point_format": pd.array(c["point_format"], "Int64")}
+            | {"date": c["date"]}
         )
 
     def plot(self, ax: Any = None) -> Any:
@@ -186,9 +194,8 @@ class Collection:
         from ..plots import footprints
 
         pairs, _ = self._index.overlaps(OVERLAP)
-        density = self.table()["density"].to_numpy()
-        gaps = self._index.holes()
-        return footprints(self.footprints, density, label="points per m2", overlaps=pairs, gaps=gaps, ax=ax)
+        gaps, label = self._index.holes(), "points per m2"
+        return footprints(self.footprints, self.densities, label=label, overlaps=pairs, gaps=gaps, ax=ax)
 
     def to_vpc(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write a virtual point cloud, see ``vpc.py``; files without points are left out.

@@ -33,7 +33,7 @@ from .task import Job
 
 SCRATCH = ".jaxfilter-run"
 """Folder beside the output that holds labels until their files are complete; removed with the last of them."""
-REPORT = "jaxfilter-run.json"
+REPORT, MAP = "jaxfilter-run.json", "jaxfilter-run.png"
 
 _BASE = 350e6
 """Bytes of a worker before it has read a point."""
@@ -227,7 +227,7 @@ def prepare_folder(folder: Path, collection: Collection, names: list[str], *, re
         pass
     (folder / NAME).unlink()
     shutil.rmtree(folder / SCRATCH, ignore_errors=True)
-    for name in (*names, REPORT):
+    for name in (*names, REPORT, MAP):
         (folder / name).unlink(missing_ok=True)
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import OutputError
 from ..core.filter import Filter
+from ..host.files import new_file
 from ..host.storage import Place
 from .collection import Collection
 from .journal import Journal
@@ -29,6 +29,7 @@ from .pool import Executor, Outcome, Task, carried_out
 from .task import Job, Tile, TileReport, filter_tile, labels_path, survey_tile
 
 _WAIT = 0.25  # seconds between looks at the progress
+_MOST_DRAWN = 100_000  # tiles
 
 
 @dataclasses.dataclass
@@ -312,8 +313,19 @@ def _facts_of(report: TileReport) -> dict[str, Any]:
 
 
 def write_report(report: RunReport, path: Path) -> None:
-    """Put a report beside the output, as JSON."""
+    """Put a report beside the output, as JSON and, if matplotlib is there, as a map: share of ground of each tile, those set
+    aside with dashes. Raises: OutputError."""
+    with new_file(path, overwrite=True) as part:
+        part.write_text(json.dumps(report.as_dict(), indent=1) + "\n")
+    if not 0 < len(report.cores) <= _MOST_DRAWN:
+        return
     try:
-        path.write_text(json.dumps(report.as_dict(), indent=1) + "\n")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        from ..plots import footprints
+
+        shares = np.where(report.state >= 0, 100 * report.state, np.nan)
+        aside = [tuple(core) for core in report.cores[report.state < 0].tolist()]
+        figure = footprints(report.cores, shares, label="ground, % of the points", gaps=aside).figure
+    except ImportError:
+        return
+    with new_file(path.with_suffix(".png"), overwrite=True) as part:
+        figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
