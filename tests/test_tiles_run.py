@@ -334,3 +334,13 @@ def test_candidates_of_clouds_with_one_anchor_are_in_one_order(files):
     assert [tuple(row) for row in absolute[0].tolist() if tuple(row) in kept] == [
         tuple(r) for r in absolute[1].tolist()
     ]
+
+
+def test_a_run_that_is_refused_leaves_nothing_behind(files, tmp_path):
+    with pytest.raises(jf.ParameterError, match="do not suffice"):
+        run(files, tmp_path / "out", memory=1e6)
+    assert not list((tmp_path / "out").iterdir())
+    (tmp_path / "out" / "01.laz").write_bytes(b"mine")
+    with pytest.raises(jf.OutputError, match="no run was begun"):
+        run(files, tmp_path / "out", resume=True)
+    assert (tmp_path / "out" / "01.laz").read_bytes() == b"mine"

@@ -72,9 +72,9 @@ def layout(
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     if memory is not None and not memory > 0:
         raise ParameterError(f"memory={memory!r}: must be > 0 bytes")
-    budget = _SHARE * psutil.virtual_memory().available if memory is None else memory
+    budget = _SHARE * free_memory() if memory is None else memory
     most = max(1, int(budget // (2 * _BASE)))
-    count = min(os.cpu_count() or 1, most) if workers is None else workers
+    count = min(processors(), most) if workers is None else workers
     room = (budget - _BASE) / count - _BASE
     if room <= 0:
         raise ParameterError(f"memory={budget:.3g} bytes do not suffice for {count} workers of {_BASE:.3g} each")
@@ -157,28 +157,33 @@ def ground(
     prepare_folder(folder, collection, names, resume=resume, overwrite=overwrite)
     scratch = folder / SCRATCH
     index = scratch / "index"
-    with Journal(folder / NAME) as journal, _taken_back(scratch):
-        if setup is not None:
-            filter_, whole = setup(collection, reading, index)
-        else:
-            sample = sampled(collection, reading, index)
-            filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
-        most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
-        cut = layout(
-            collection,
-            halo=filter_.tile_halo() if halo is None else halo,
-            lattice=filter_.lattice(),
-            tile=tile,
-            memory=memory,
-            workers=workers,
-            most_points=most,
-        )
-        width, height = (side * metre for side in cut.plan.largest())
-        whole = dataclasses.replace(whole, width=width, height=height)
-        job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)
-        journal.begin(_facts(collection, job, cut))
-        if executor is None:
-            executor = Pool(cut.workers) if client is None else Cluster(client)
+    with Journal(folder / NAME) as journal:
+        with _taken_back(folder, journal):
+            if setup is not None:
+                filter_, whole = setup(collection, reading, index)
+            else:
+                sample = sampled(collection, reading, index)
+                filter_, whole = filter_ or filter_for(sample, None, {}), sample.whole
+            most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
+            cut = layout(
+                collection,
+                halo=filter_.tile_halo() if halo is None else halo,
+                lattice=filter_.lattice(),
+                tile=tile,
+                memory=memory,
+                workers=workers,
+                most_points=most,
+            )
+            width, height = (side * metre for side in cut.plan.largest())
+            whole = dataclasses.replace(whole, width=width, height=height)
+            job = Job(filter_, reading, classes, tuple(extra), whole, scratch, index)
+            if executor is None:
+                executor = Pool(cut.workers) if client is None else Cluster(client)
+            try:
+                journal.begin(_facts(collection, job, cut))
+            except JaxfilterError:
+                executor.close()
+                raise
         targets: list[Place] = [folder / name for name in names]
         report = Run(job, cut.plan, collection, targets, journal, executor, overwrite=True, progress=progress)()
     report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
@@ -188,15 +193,38 @@ def ground(
 
 
 @contextlib.contextmanager
-def _taken_back(scratch: Path) -> Iterator[None]:
-    """A block whose scratch folder goes, if it made it, where it is refused."""
-    existed = scratch.exists()
+def _taken_back(folder: Path, journal: Journal) -> Iterator[None]:
+    """A block that sets a run up; what it has made goes if the run is refused."""
+    scratch = (folder / SCRATCH).exists()
     try:
         yield
     except JaxfilterError:
-        if not existed:
-            shutil.rmtree(scratch, ignore_errors=True)
+        if not scratch:
+            shutil.rmtree(folder / SCRATCH, ignore_errors=True)
+        if journal.fact("version") is None:
+            journal.close()
+            journal.path.unlink()
         raise
+
+
+def free_memory() -> float:
+    """Bytes that are free to this process, by the system and by the limit of its control group (Slurm, Kubernetes)."""
+    free = float(psutil.virtual_memory().available)
+    group = Path("/sys/fs/cgroup")
+    for limit, used in (
+        ("memory.max", "memory.current"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
+    ):
+        with contextlib.suppress(OSError, ValueError):  # no such group, or "max"
+            free = min(free, float((group / limit).read_text()) - float((group / used).read_text()))
+    return free
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def prepare_folder(folder: Path, collection: Collection, names: list[str], *, resume: bool, overwrite: bool) -> None:
@@ -215,7 +243,12 @@ def prepare_folder(folder: Path, collection: Collection, names: list[str], *, re
     mine = [name for name in names if os.path.realpath(folder / name) in inputs]
     if mine:
         raise OutputError(f"{folder / mine[0]}: is an input; name another folder")
-    if not held or resume:
+    if not held or (resume and (folder / NAME).exists()):
+        return
+    there = [name for name in names if name in held]
+    if resume:
+        if there:
+            raise OutputError(f"{folder / there[0]}: exists, and no run was begun in this folder: name another folder")
         return
     if not overwrite:
         more = f" and {len(held) - 1} more" if len(held) > 1 else ""
