@@ -20,7 +20,7 @@ from experiments.report import Column, Row
 from experiments.tiling import scale
 
 FLAGS = ["--tile", "150", "--halo", "40", "--quiet"]
-_KILL_EVERY = 8.0  # seconds
+_KILL_EVERY = 20.0  # seconds
 
 
 def kills(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
