@@ -12,6 +12,7 @@ import pytest
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
+from jaxfilter.tiles import task
 from jaxfilter.tiles.ground import SCRATCH, ground
 from jaxfilter.tiles.pool import Outcome, Pool, attempt
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
@@ -150,13 +151,13 @@ def test_labels_that_are_lost_are_made_again(files, done, tmp_path):
 def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, done, tmp_path):
     tried = []
 
-    def fail(function, task):
-        if function is filter_tile and task.number == 0:
-            tried.append(task.patient)
+    def fail(function, tile):
+        if function is filter_tile and tile.number == 0:
+            tried.append(tile.patient)
             return "no luck"
         return (
             "once"
-            if len(tried) == 1 and function is filter_tile and task.number == 5 and not tried.append(None)
+            if len(tried) == 1 and function is filter_tile and tile.number == 5 and not tried.append(None)
             else None
         )
 
@@ -344,3 +345,20 @@ def test_a_run_that_is_refused_leaves_nothing_behind(files, tmp_path):
     with pytest.raises(jf.OutputError, match="no run was begun"):
         run(files, tmp_path / "out", resume=True)
     assert (tmp_path / "out" / "01.laz").read_bytes() == b"mine"
+
+
+def test_files_that_could_not_be_reached_are_tried_again(files, done, tmp_path, monkeypatch):
+    reach = task.read_window
+
+    def broken(source, *arguments, **options):
+        if source.uri.endswith("10.laz"):
+            raise jf.InputError("no connection")
+        return reach(source, *arguments, **options)
+
+    monkeypatch.setattr(task, "read_window", broken)
+    report = run(files, tmp_path / "out")
+    assert [one["reason"] for one in report.failed] == ["no connection"] and len(report.files) == 3
+    assert contents(tmp_path / "out") != {n: b for n, b in contents(done[0]).items() if n != "10.laz"}, "no halo there"
+    monkeypatch.undo()
+    assert run(files, tmp_path / "out", resume=True).complete
+    assert contents(tmp_path / "out") == contents(done[0])

@@ -164,8 +164,16 @@ class Run:
             self.journal.keep("lowest", facts)
         self.job = dataclasses.replace(self.job, whole=dataclasses.replace(self.job.whole, lowest=facts[0]))
 
+    def _try_again(self) -> None:
+        """Forget tiles that had to do without a file, and the files that have their labels."""
+        poor = [n for n, done, facts in self.journal.reports("tiles") if done and facts["left_out"]]
+        if poor:
+            self.journal.forget("files", np.unique(np.concatenate([self.plan.home[n] for n in poor])).tolist())
+            self.journal.forget("tiles", poor)
+
     def _filter(self) -> None:
         plan, journal = self.plan, self.journal
+        self._try_again()
         written = journal.done("files")
         for file in written:
             self._needs_no_more(file)
@@ -180,18 +188,12 @@ class Run:
             self._missing[plan.home[number]] -= 1
         is_written = np.zeros(len(self._missing), bool)
         is_written[written] = True
-        for tile, finished, facts in journal.reports("tiles"):
-            if finished and is_done[tile]:
-                self._hopeless |= dict(facts["left_out"])
         standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
         complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist()
         todo = itertools.chain(
-            (self._writing(f) for f in complete if f not in self._hopeless),
+            (self._writing(f) for f in complete),
             (Task(filter_tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
         )
-        for f in complete:
-            if f in self._hopeless:
-                self._failed(f)
         now: collections.deque[Task] = collections.deque()
         before = standing.tiles_done
         for task, outcome in carried_out(self.executor, todo, now, lambda: self._show(standing)):
