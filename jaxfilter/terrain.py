@@ -165,13 +165,18 @@ def height_above_ground(
         raise InputError("height_above_ground: no point is ground: classify the cloud first, or pass result=")
     xyz = _lowest(points.xyz)
     surface = interpolator("tin", xyz, workers=workers) if points.has_area() else None
-    nearest = nearest_point(xyz, workers)
+    nearest, low, high = nearest_point(xyz, workers), xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     heights = np.zeros(len(cloud))
     for start in range(0, len(cloud), _CELLS):
         report(start / len(cloud), "heights")
         rows = slice(start, start + _CELLS)
         at = cloud.xyz[rows, :2].astype(np.float64)
-        z = np.full(len(at), np.nan) if surface is None else surface(at)
+        z = np.full(len(at), np.nan)
+        if surface is not None:
+            among = ((at >= low) & (at <= high)).all(
+                axis=1
+            )  # stray points may be farther than the lattice of triangles
+            z[among] = surface(at[among])
         beyond = np.flatnonzero(np.isnan(z))
         z[beyond] = xyz[nearest(at[beyond])[1], 2]
         heights[rows] = (cloud.xyz[rows, 2] - z) / cloud.units.z

@@ -63,6 +63,13 @@ def test_units_of_z_and_points_without_coordinates():
     np.testing.assert_allclose(heights, [0, 0, 0, 15, 0, 2.5], atol=2 * QUANTUM / 0.3048)
 
 
+def test_stray_points_far_off():
+    xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [5e6, 10, 12], [10, 4e6, 13]])
+    ground = np.arange(6) < 3
+    heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz), ground)
+    np.testing.assert_allclose(heights, [0, 0, 0, 15, 2, 3])
+
+
 @pytest.mark.parametrize("ground, expected", [([0], [0, 4, 7]), ([0, 1], [0, 0, 3])])
 def test_too_few_ground_points_for_a_triangle(ground, expected):
     """The height at the nearest of them."""

@@ -235,9 +235,8 @@ def _persistent(uri: str, act: Callable[[], _T]) -> _T:
         except InputError:
             raise
         except Exception as error:
-            cause = (
-                error.__cause__ if isinstance(error.__cause__, Exception) else error
-            )  # fsspec calls much "not found"
+            known = error.__cause__  # fsspec calls much "not found" that has another cause
+            cause = known if isinstance(known, Exception) else error
             status = _status(cause)
             if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
                 raise InputError(f"{uri}: no such file") from error
