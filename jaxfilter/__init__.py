@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from .sweeps.sweep import sweep
     from .terrain import dtm, dtm_rmse, height_above_ground
     from .tiles.collection import Collection, open
+    from .tiles.ground import ground
+    from .tiles.terrain import terrain_model
 
 _HOMES = {
     "citing": ("citation",),
@@ -46,6 +48,8 @@ _HOMES = {
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
     "reports": ("report",),
+    "tiles.ground": ("ground",),
+    "tiles.terrain": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -53,8 +57,9 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
-    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "dtm", "dtm_rmse", "evaluate",
-    "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep", "write",
+    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "dtm", "dtm_rmse", "evaluate", "ground",
+    "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep", "terrain_model",
+    "write",
 ]  # fmt: skip
 
 

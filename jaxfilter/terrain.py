@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from .core.grid import MAX_CELLS
 from .core.points import canonical_points, check_extent
 from .core.result import FilterResult, Progress
 from .host.files import check_bounds
-from .host.interpolation import METHODS, inside_hull, interpolator, nearest_point
+from .host.interpolation import METHODS, Heights, inside_hull, interpolator, nearest_point
 from .host.raster import Raster
 
 _CELLS = 1 << 18  # that are interpolated at a time
@@ -69,6 +69,30 @@ def dtm(
     check_settings(cell, method, max_gap, neighbours, power)
     cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
+    settings: dict[str, Any] = {"max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
+    return interpolated(cloud, ground, cell, method, bounds, progress=progress, workers=workers, **settings)
+
+
+def interpolated(
+    cloud: PointCloud,
+    ground: np.ndarray,
+    cell: float,
+    method: str,
+    bounds: Iterable[float] | None,
+    *,
+    max_gap: float | None,
+    fill: bool,
+    neighbours: int,
+    power: float,
+    workers: int | None,
+    progress: Progress | None = None,
+    look: Callable[[slice, np.ndarray, Heights], None] | None = None,
+) -> Raster:
+    """The raster of :func:`dtm` with checked settings; ``ground``: bool[n].
+
+    ``look`` is called with some rows of the raster, from the top, the centres of their cells f64[q, 2], local metres, and
+    the surface that gives their heights.
+    """
     corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
@@ -94,6 +118,8 @@ def dtm(
         rows = y[::-1][top : top + step]
         at = np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
         z = surface(at)
+        if look is not None:
+            look(slice(top, top + len(rows)), at, surface)
         if inside is not None:
             z[~inside(at)] = np.nan
         if nearest is not None:

@@ -17,9 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 from rich.console import Console
 
 from ..core.errors import JaxfilterError
+from . import runs
+from .runs import ground_collection, is_collection
 from .session import BadUsage, Session, session_options, stoppable
 
 if TYPE_CHECKING:
@@ -46,8 +49,19 @@ def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
 
 
+_DEFAULT = "default"
+
+
 class Methods(click.Group):
-    """A subcommand per registered filter."""
+    """A subcommand per registered filter, and one without a name: what is no filter is IN already."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the name of the default command where none is given."""
+        from ..filters import FILTERS
+
+        if args and args[0] not in FILTERS and args[0] not in ctx.help_option_names:
+            args = [_DEFAULT, *args]
+        return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the filters."""
@@ -59,12 +73,18 @@ class Methods(click.Group):
         """The command of one filter, with a flag per parameter."""
         from ..filters import FILTERS
 
+        if cmd_name == _DEFAULT:
+            return _ground_command(None)
         return _ground_command(FILTERS[cmd_name]) if cmd_name in FILTERS else None
 
 
-@main.group(cls=Methods, subcommand_metavar="METHOD IN OUT [OPTIONS]")
+@main.group(cls=Methods, subcommand_metavar="[METHOD] IN... OUT [OPTIONS]")
 def ground() -> None:
-    """Classify the ground points of a file.
+    """Classify the ground points of a file, or of a collection of files into a folder.
+
+    IN is a LAS, LAZ or text file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc)
+    or URLs, and OUT is a folder. A collection is filtered in tiles that see their surroundings, across files, by several
+    processes. Without METHOD the default is taken, set up for the data.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
@@ -72,21 +92,29 @@ def ground() -> None:
     """
 
 
-def _ground_command(method: type[Filter]) -> click.Command:
+def _ground_command(method: type[Filter] | None) -> click.Command:
+    """The command of a method, or of the default."""
     from ..core.cloud import KEPT_CLASSES
     from ..host import writing
     from . import flags
 
     @click.pass_context
-    def run(ctx: click.Context, **arguments: Any) -> None:
-        _ground(method, flags.given(method, ctx), **arguments)
+    def run(ctx: click.Context, paths: tuple[str, ...], **arguments: Any) -> None:
+        changes = {} if method is None else flags.given(method, ctx)
+        if is_collection(paths):
+            ground_collection(ctx, method, changes, paths, **{"preset": None, **arguments})
+            return
+        source, target = file_names(ctx, paths)
+        for name in ("halo", "tile", "memory", "scheduler", "resume"):
+            if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+                raise BadUsage(f"--{name} is for a collection: name a folder as OUT")
+            del arguments[name]
+        _ground(method, changes, source=source, target=target, **{"preset": None, **arguments})
 
-    path = click.Path(dir_okay=False, path_type=Path)
     parameters: list[click.Parameter] = [
-        click.Argument(["source"], metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
-        click.Argument(["target"], metavar="[OUT]", type=path, required=False),
-        *flags.options(method),
-        click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters."),
+        click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True),
+        *([] if method is None else flags.options(method)),
+        *([] if method is None else [_preset(method)]),
         click.Option(["--for-cloud"], is_flag=True, help="Set what depends on point spacing from the cloud."),
         click.Option(
             ["--largest-building"],
@@ -144,16 +172,48 @@ def _ground_command(method: type[Filter]) -> click.Command:
             type=click.Choice(writing.EXTRAS),
             help="Also write this quantity of each point; may be repeated.",
         ),
-        click.Option(["--workers"], type=click.IntRange(1), help="Threads for triangulation.  [default: one per core]"),
-        click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists."),
+        click.Option(
+            ["--workers"],
+            type=click.IntRange(1),
+            help="Threads for triangulation; of a collection, processes.  [default: one per core]",
+        ),
+        *runs.options(),
+        click.Option(
+            ["--overwrite"], is_flag=True, help="Replace OUT if it exists; of a collection, begin anew in OUT."
+        ),
         click.Option(["--in-place"], is_flag=True, help="Replace IN."),
         *session_options(),
     ]
+    if method is None:
+        words = "The default method, set up for the data."
+        return click.Command(_DEFAULT, params=parameters, callback=run, help=words, hidden=True)
     return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
 
 
+def _preset(method: type[Filter]) -> click.Option:
+    return click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters.")
+
+
+def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path | None]:
+    """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
+    from ..filters import FILTERS
+
+    words = dict(zip(("IN", "OUT"), paths, strict=False))
+    found = []
+    for name, word in words.items():
+        kind = click.Path(exists=name == "IN", dir_okay=False, path_type=Path)
+        try:
+            found.append(kind.convert(word, None, ctx))
+        except click.BadParameter as error:
+            message = error.message
+            if name == "IN" and ctx.info_name == _DEFAULT and "." not in word:
+                message = f"{error.message} It is no method either: choose one of {', '.join(FILTERS)}."
+            raise click.BadParameter(message, ctx, param_hint=repr(name)) from error
+    return found[0], found[1] if len(found) > 1 else None
+
+
 def _ground(
-    method: type[Filter],
+    method: type[Filter] | None,
     changes: dict[str, Any],
     *,
     source: Path,
@@ -175,12 +235,17 @@ def _ground(
         k: options[k] for k in ("overwrite", "in_place", "ground_class", "other_class", "reset", "only_ground", "extra")
     }
     with Session(quiet=quiet, debug=debug) as session:
-        filter_ = method.preset(preset, **changes) if preset else method(**changes)
+        if method is not None:
+            filter_ = method.preset(preset, **changes) if preset else method(**changes)
         target = checked_target(source, target, options["overwrite"], options["in_place"])
         check_reading(reading["units"], reading["returns"])
         with session.step("read"):
             cloud = read(source, **reading)
-        if for_cloud or largest_building is not None:
+        if method is None:
+            from ..tiles.setup import default_filter
+
+            filter_ = default_filter(cloud, largest_building)
+        elif for_cloud or largest_building is not None:
             filter_ = method.for_cloud(cloud, largest_building, preset=preset, **changes)
         with session.step("filter"):
             result = filter_(cloud, workers=workers, progress=session.progress)
@@ -290,10 +355,10 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     )
     if report.get("classes"):
-        _print_classes(report["classes"])
+        print_classes(report["classes"])
 
 
-def _print_classes(changes: list[dict[str, int]]) -> None:
+def print_classes(changes: list[dict[str, int]]) -> None:
     """A table of old and new classes."""
     from rich.table import Table
 

@@ -163,13 +163,18 @@ class Session:
         self._next("")
         self.seconds[name] = time.perf_counter() - start
 
-    def progress(self, fraction: float, step: str) -> None:
-        """The callback for a filter: shows the fraction done and adds up seconds by step."""
+    @property
+    def is_terminal(self) -> bool:
+        """Whether there is one to show progress on."""
+        return self._console.is_terminal
+
+    def progress(self, fraction: float, step: str, note: str = "") -> None:
+        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step."""
         self._next(step)
         if not self._begun:  # what a resumed sweep had done before does not count as speed
             self._bar.reset(self._task)
             fraction, self._begun = max(fraction, 1e-9), True
-        self._bar.update(self._task, description=step, completed=fraction)
+        self._bar.update(self._task, description=f"{step} {note}".rstrip(), completed=fraction)
 
     def _next(self, step: str) -> None:
         if Session.stopped_by is not None:  # see __exit__

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .commands import check_reading, check_target, checked_target, main, print_json
+from . import building
+from .commands import check_reading, check_target, checked_target, file_names, main, print_json
+from .runs import Bytes, check_named, is_collection, of_collections, shown
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:
@@ -41,6 +44,13 @@ def _ground_options(command: Callable[..., None]) -> Callable[..., None]:
             help="With --filter: set what depends on point spacing and on this width from the cloud.",
         ),
         click.option(
+            "--set",
+            "fields",
+            metavar="NAME=VALUE",
+            multiple=True,
+            help="With --filter: a parameter of the filter; may be repeated.",
+        ),
+        click.option(
             "--filter",
             "filter_name",
             metavar="METHOD",
@@ -51,12 +61,21 @@ def _ground_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def _check_filter(filter_name: str | None) -> None:
-    """Raises BadUsage if there is no such filter."""
+def _check_filter(filter_name: str | None, fields: tuple[str, ...]) -> dict[str, Any]:
+    """The fields that are set, as numbers and words. Raises BadUsage if there is no such filter, ParameterError for a field."""
     from ..filters import FILTERS
+    from . import flags
 
-    if filter_name is not None and filter_name not in FILTERS:
+    if filter_name is None:
+        if fields:
+            raise BadUsage("--set is for a filter: name one with --filter")
+        return {}
+    if filter_name not in FILTERS:
         raise BadUsage(f"no filter {filter_name!r}: choose one of {', '.join(FILTERS)}")
+    method = FILTERS[filter_name]
+    changes = {name: flags.value_of(method, name, text, "--set") for name, text in building.pairs("--set", fields)}
+    method(**changes)
+    return changes
 
 
 def _found(
@@ -64,6 +83,7 @@ def _found(
     source: Path,
     cloud: PointCloud,
     filter_name: str | None,
+    changes: dict[str, Any],
     largest_building: float | None,
     ground_classes: tuple[int, ...],
     workers: int | None,
@@ -76,7 +96,9 @@ def _found(
 
     if filter_name is not None:
         method = FILTERS[filter_name]
-        filter_ = method() if largest_building is None else method.for_cloud(cloud, largest_building)
+        filter_ = (
+            method(**changes) if largest_building is None else method.for_cloud(cloud, largest_building, **changes)
+        )
         with session.step("filter"):
             result = filter_(cloud, workers=workers, progress=session.progress)
         ground = result.ground
@@ -96,8 +118,7 @@ def _found(
 
 
 @main.command()
-@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("target", metavar="OUT", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
 @click.option("--cell", type=float, default=1.0, show_default=True, help="Side of a cell, file units.")
 @click.option("--method", default="tin", show_default=True, help="Interpolation: tin, natural, idw or kriging.")
 @_ground_options
@@ -114,11 +135,18 @@ def _found(
     metavar="XMIN YMIN XMAX YMAX",
     help="Of the raster, file units.  [default: the extent of IN]",
 )
+@click.option(
+    "--tile", type=click.FloatRange(0, min_open=True), metavar="METRES", help=of_collections("side of the tiles")
+)
+@click.option("--memory", type=Bytes(), help=of_collections("for all processes, such as 4GB", "70 % of what is free"))
+@click.option("--scheduler", metavar="ADDRESS", help=of_collections("a Dask scheduler that has the work done"))
 @click.option("--overwrite", is_flag=True, help="Replace OUT if it exists.")
+@click.pass_context
 def dtm(
-    source: Path,
-    target: Path,
+    ctx: click.Context,
+    names: tuple[str, ...],
     filter_name: str | None,
+    fields: tuple[str, ...],
     largest_building: float | None,
     ground_classes: tuple[int, ...],
     units: str | None,
@@ -129,24 +157,40 @@ def dtm(
     debug: bool,
     **settings: Any,
 ) -> None:
-    """Make a terrain model, a GeoTIFF of ground heights.
+    """Make a terrain model, a GeoTIFF of ground heights, of a file or of a collection.
 
-    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned
-    to multiples of --cell, in the coordinate system and units of IN.
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs; then the model is made
+    in tiles that see the ground around them, and is one Cloud Optimized GeoTIFF.
+
+    The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to
+    multiples of --cell, in the coordinate system and units of IN.
     """
     from ..core.result import FilterResult
     from ..host.las import read
     from ..terrain import check_settings
     from ..terrain import dtm as make
 
+    if is_collection(names):
+        dtm_collection(
+            ctx, names, filter_name, fields, largest_building, ground_classes, units, workers, overwrite, settings,
+            quiet=quiet, as_json=as_json, debug=debug,
+        )  # fmt: skip
+        return
+    source, given = file_names(ctx, names)
+    if given is None:
+        raise click.MissingParameter(ctx=ctx, param_hint="'OUT'", param_type="argument")
+    target = given
+    for name in ("tile", "memory", "scheduler"):
+        if settings.pop(name) is not None:
+            raise BadUsage(f"--{name} is for a collection, and {source} is one file")
     with Session(quiet=quiet, debug=debug) as session:
         check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
         _check_target(target, overwrite)
         check_reading(units, "last,only")
-        _check_filter(filter_name)
+        changes = _check_filter(filter_name, fields)
         with session.step("read"):
             cloud = read(source, units=units)
-        found = _found(session, source, cloud, filter_name, largest_building, ground_classes, workers)
+        found = _found(session, source, cloud, filter_name, changes, largest_building, ground_classes, workers)
         ground = found.ground if isinstance(found, FilterResult) else found
         with session.step("interpolate"):
             raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
@@ -169,6 +213,72 @@ def dtm(
 dtm.params += session_options()
 
 
+def dtm_collection(
+    ctx: click.Context,
+    names: tuple[str, ...],
+    filter_name: str | None,
+    fields: tuple[str, ...],
+    largest_building: float | None,
+    ground_classes: tuple[int, ...],
+    units: str | None,
+    workers: int | None,
+    overwrite: bool,
+    settings: dict[str, Any],
+    *,
+    quiet: bool,
+    as_json: bool,
+    debug: bool,
+) -> None:
+    """``dtm`` of a collection. Exit code 1 if a tile could not be done."""
+    from ..terrain import check_settings
+
+    *inputs, out = names
+    target = Path(out)
+    tile, memory, scheduler = (settings.pop(name) for name in ("tile", "memory", "scheduler"))
+    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+        check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
+        _check_target(target, overwrite)
+        check_named(inputs)
+        changes = _check_filter(filter_name, fields)
+        from ..filters import FILTERS
+        from ..tiles.collection import open as open_collection
+        from ..tiles.terrain import terrain_model
+
+        with session.step("headers"):
+            collection = open_collection(inputs, units=units)
+        with session.step("tiles"):
+            report = terrain_model(
+                collection,
+                target,
+                None if filter_name is None else FILTERS[filter_name],
+                changes,
+                largest_building=largest_building,
+                ground_classes=ground_classes,
+                tile=tile,
+                memory=memory,
+                workers=workers,
+                client=scheduler,
+                overwrite=overwrite,
+                progress=shown(session, quiet),
+                **settings,
+            )
+    if as_json:
+        print_json({"inputs": inputs, "output": out} | dataclasses.asdict(report) | session.as_dict())
+    elif not quiet:
+        click.echo(
+            f"{out}: {report.rows:,} x {report.columns:,} cells of {settings['cell']:g} through {report.ground:,} ground "
+            f"points, {report.empty:,} cells without height\n{report.tiles:,} tiles in {report.seconds:.1f} s"
+        )
+        if report.uncertain:
+            click.echo(
+                f"warning: {report.uncertain:,} cells over voids so wide that neighbouring tiles may differ", err=True
+            )
+        for one in [*report.set_aside, *report.left_out]:
+            click.echo(f"not done: {one}", err=True)
+    if report.set_aside or report.left_out:
+        ctx.exit(1)
+
+
 @main.command()
 @click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.argument("target", metavar="[OUT]", required=False, type=click.Path(dir_okay=False, path_type=Path))
@@ -180,6 +290,7 @@ def height(
     source: Path,
     target: Path | None,
     filter_name: str | None,
+    fields: tuple[str, ...],
     largest_building: float | None,
     ground_classes: tuple[int, ...],
     units: str | None,
@@ -205,10 +316,10 @@ def height(
     with Session(quiet=quiet, debug=debug) as session:
         target = checked_target(source, target, overwrite, in_place, text=False)
         check_reading(units, "last,only")
-        _check_filter(filter_name)
+        changes = _check_filter(filter_name, fields)
         with session.step("read"):
             cloud = read(source, units=units)
-        found = _found(session, source, cloud, filter_name, largest_building, ground_classes, workers)
+        found = _found(session, source, cloud, filter_name, changes, largest_building, ground_classes, workers)
         with session.step("heights"):
             heights = height_above_ground(cloud, found, workers=workers, progress=session.progress)
         classified = found if isinstance(found, FilterResult) else None

@@ -47,6 +47,23 @@ SCALES = (1e-12, 100.0)
 """Scale factors of LAS files that are believed: above the first, up to the second."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Whole:
+    """What methods ask of the whole scene, for a cloud that is a part of it: all parts are then filtered alike.
+
+    Attributes:
+        spacing: mean point spacing of the candidates, metres; None = each part has its own.
+        lowest: elevation of the lowest point that a method lets count (``Filter.lowest``), file units; None likewise.
+        width, height: of the largest part, metres: arrays of all parts get the shape that this one needs, so that they share
+            compilations; 0 = each has its own.
+    """
+
+    spacing: float | None = None
+    lowest: float | None = None
+    width: float = 0.0
+    height: float = 0.0
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PointCloud:
     """Points in a local metric frame, with what lidar files say about them. All arrays have length n, in input order.
@@ -64,6 +81,7 @@ class PointCloud:
         units: metres per file unit.
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
         source: a handle to the file (see ``jaxfilter.host.files``), used by lossless writing; None for plain arrays.
+        whole: the scene that the cloud is a part of; None = it is a scene of its own.
     """
 
     origin: np.ndarray
@@ -79,6 +97,7 @@ class PointCloud:
     units: Units = UNITS["m"]
     anchor: np.ndarray | None = None
     source: Any = None
+    whole: Whole | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crs", parse_crs(self.crs))
@@ -253,7 +272,7 @@ class PointCloud:
         **attributes: Any,
     ) -> PointCloud:
         for key, value in attributes.items():
-            if key in ("crs", "source") or value is None:
+            if key in ("crs", "source", "whole") or value is None:
                 continue
             if len(value) != len(local):
                 raise InputError(f"{name}: {key} has {len(value)} entries for {len(local)} points")

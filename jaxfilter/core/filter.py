@@ -112,6 +112,18 @@ class Filter:
         """Metres beyond a region that can change labels inside it."""
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
+    def tile_halo(self) -> float:
+        """Metres around a tile that are filtered with it by default: ``halo()``, or less where more changes next to nothing."""
+        return self.halo()
+
+    def lattice(self) -> float:
+        """Side of the squares that the method begins with, metres: tiles that end at multiples of it cut none of them."""
+        return 1.0
+
+    def lowest(self, points: Points) -> np.ndarray | None:
+        """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does."""
+        return None
+
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 
 from .cloud import QUANTUM, PointCloud
 from .errors import InputError
+from .grid import lattice_over
 
 EXTENT = 2.0**17
 """Metres in x and y from the corner of a cloud up to which its points are filtered; there float32 resolves 8 mm."""
@@ -44,6 +46,11 @@ class Points:
         """Local corner of the grid with cells of this size, metres."""
         return self.cloud.grid_offset(cell)
 
+    def anchored(self) -> np.ndarray | None:
+        """f64[2], metres from the anchor of the cloud to the zero of its local coordinates; None without an anchor."""
+        cloud = self.cloud
+        return None if cloud.anchor is None else (cloud.origin[:2] - cloud.anchor) * cloud.units.xy
+
     def has_area(self) -> bool:
         """Whether there are three positions that do not lie on one line (to the quantum of the coordinates)."""
         if len(self.xyz) < 3:
@@ -54,9 +61,23 @@ class Points:
     def spacing(self) -> float:
         """Mean point spacing in metres: square root of occupied area per point.
 
-        The occupied area is counted in cells that hold about eight points each, so that voids do not count.
+        The occupied area is counted in cells that hold about eight points each, so that voids do not count. A cloud that
+        is a part of a scene has the spacing of the whole.
         """
-        return self._spacing
+        whole = self.cloud.whole
+        return self._spacing if whole is None or whole.spacing is None else whole.spacing
+
+    def least_shape(self, cell: float, margin: int = 0) -> tuple[int, int]:
+        """Rows and columns of cells that arrays over the largest part of the whole scene have; (1, 1) for a scene of its own."""
+        whole = self.cloud.whole
+        if whole is None:
+            return 1, 1
+        return tuple(math.ceil(side / cell) + 1 + margin for side in (whole.height, whole.width))  # type: ignore[return-value]
+
+    def lattice_corner(self, cell: float) -> tuple[float, float]:
+        """The node of the anchored lattice of cells of this size at or south-west of all points, local metres."""
+        grid = lattice_over(self.xyz, cell, self.offset(cell))
+        return grid.x0, grid.y0
 
     @functools.cached_property
     def _spacing(self) -> float:
@@ -111,11 +132,14 @@ def _spread_across(xy: np.ndarray) -> float:
     return float(np.abs(x * y[far] - y * x[far]).max()) / length if length > 0 else 0.0
 
 
-def morton(xy: np.ndarray) -> np.ndarray:
-    """u64[n] Z-order code of local points [n, >=2]; neighbours in the plane are mostly neighbours in this order."""
+def morton(xy: np.ndarray, moved: tuple[int, int] = (0, 0)) -> np.ndarray:
+    """u64[n] Z-order code of local points [n, >=2], moved by whole metres; neighbours in the plane are mostly neighbours in
+    this order. Codes repeat after 4,194 km."""
     code = np.zeros(len(xy), np.uint64)
     for axis in range(2):
         v = (xy[:, axis].astype(np.float64) / QUANTUM).astype(np.uint64)
+        if moved[axis]:
+            v = (v + np.uint64(round(moved[axis] / QUANTUM) % 2**32)) & np.uint64(2**32 - 1)
         for shift, mask in (
             (16, 0x0000FFFF0000FFFF),
             (8, 0x00FF00FF00FF00FF),
@@ -136,10 +160,16 @@ def plain_points(cloud: PointCloud) -> Points:
 
 
 def canonical_points(cloud: PointCloud) -> Points:
-    """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays."""
+    """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays.
+
+    Codes count from the corner of the cloud, or from its anchor, so that clouds with one anchor sort points alike.
+    """
     index = np.flatnonzero(cloud.candidate)
     xyz = cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
-    code = morton(xyz)
+    shift = (0, 0)
+    if cloud.anchor is not None:
+        shift = tuple(round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
+    code = morton(xyz, shift)
     order = np.argsort(code)  # equal ones are ordered below
     code, z = code[order], xyz[order, 2]
     tied = np.zeros(len(code), bool)

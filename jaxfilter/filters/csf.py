@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.cloud import QUANTUM
 from ..core.compilation import bucket
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
@@ -130,6 +131,29 @@ class CSF(Filter):
         """
         return self.resolution * (_HOLE + MARGIN)
 
+    def tile_halo(self) -> float:
+        """Twice the width that the cloth bridges, so that what holds it there hangs as in the whole."""
+        return 2.0 * self.halo()
+
+    def lattice(self) -> float:
+        """The distance between particles."""
+        return self.resolution
+
+    def lowest(self, points: Points) -> np.ndarray:
+        """The points that carry the cloth, which begins to fall above all of them."""
+        return ~self._barred(points, None)
+
+    def _barred(self, points: Points, workers: int | None) -> np.ndarray:
+        """bool[m]: points that carry no cloth, but for a cloud in which none would."""
+        barred, _ = bar_outliers(
+            points,
+            radius=self.radius,
+            min_neighbours=self.min_neighbours,
+            clusters=self.low_clusters,
+            workers=workers,
+        )
+        return np.zeros_like(barred) if barred.all() else barred
+
     def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the threshold share the cloth."""
         assert labels.height is not None
@@ -176,18 +200,10 @@ class CSF(Filter):
         first = (grid.x0 - MARGIN * cell, grid.y0 - MARGIN * cell)
         high = points.xyz[:, :2].max(axis=0)
         columns, rows = (int((float(h) - o) / cell + 1e-6) + MARGIN for h, o in zip(high, first, strict=True))
-        extent, shape = (rows, columns), padded_shape((rows, columns))
+        extent, shape = (rows, columns), padded_shape((rows, columns), points.least_shape(cell, 2 * MARGIN))
 
         progress(0.0, "outliers")
-        barred, _ = bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            workers=workers,
-        )
-        if barred.all():
-            barred = np.zeros_like(barred)
+        barred = self._barred(points, workers)
         size = bucket(len(points))
         xyz = np.pad(points.xyz, ((0, size - len(points)), (0, 0)))
         carries = np.pad(~barred, (0, size - len(points)))
@@ -195,7 +211,7 @@ class CSF(Filter):
 
         progress(0.1, "cloth")
         lowest, carried = lowest_below(xyz, carries, frame, true, shape, self.surface == "nearest")
-        top = np.float32(points.xyz[~barred, 2].min() - np.float32(START))
+        top = np.float32(_lowest(points, barred) - np.float32(START))
         limit = top - np.asarray(fill_along_lines(lowest, carried, inside(shape, jnp.asarray(true))))[:rows, :columns]
         cloth = drape(limit, *self._motion(), REST, int(self.iterations), workers)
         height, pinned = cloth.height, cloth.pinned
@@ -220,6 +236,14 @@ class CSF(Filter):
             barred=barred,
             info=info,
         )
+
+
+def _lowest(points: Points, barred: np.ndarray) -> np.float32:
+    """The elevation above which the cloth begins to fall, local metres: that of the lowest point, or of the whole scene."""
+    cloud = points.cloud
+    if cloud.whole is None or cloud.whole.lowest is None:
+        return points.xyz[~barred, 2].min()
+    return np.float32(np.rint((cloud.whole.lowest - cloud.origin[2]) * cloud.units.z / QUANTUM) * QUANTUM)
 
 
 @jax.jit

@@ -97,6 +97,10 @@ class FPTD(TinFilter):
         stride = math.ceil(largest_building / 0.6 - 1e-9) / 10.0  # a sixth of the window, which so is a multiple of it
         return fixed | {"window": round(6 * stride, 1), "stride": stride}
 
+    def lattice(self) -> float:
+        """The step of the windows."""
+        return self.stride
+
     def schedule(self, network: Network, **changes: Any) -> Growth:
         return super().schedule(network, **{"border": Border(True, self.border_in_tests), **changes})
 
@@ -106,7 +110,7 @@ class FPTD(TinFilter):
         progress(0.0, "seeds")
         seeds = lowest_per_window(points, self.window, self.stride, barred)
         if self.blocks == "independent":
-            border = border_positions(*points.extent, self.window)
+            border = border_positions(*points.extent, self.window, points.anchored())
             return block_networks(
                 points, seeds, border, barred, late, size=self.window, overlap=self.overlap, reach=self.halo()
             )

@@ -122,9 +122,20 @@ class IPTD(Mirroring):
         planes = self.cell * math.sqrt(self.k)
         return 2 * self.reach * self.cell + planes + facet_reach(self.window)
 
+    def lattice(self) -> float:
+        """The cells of the openings."""
+        return self.cell
+
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that the opening keeps. ``barred``: bool[m]."""
-        cells = lowest_cells(points.xyz, self.cell, points.offset(self.cell), name="IPTD(cell)", barred=barred)
+        cells = lowest_cells(
+            points.xyz,
+            self.cell,
+            points.offset(self.cell),
+            name="IPTD(cell)",
+            barred=barred,
+            least=points.least_shape(self.cell),
+        )
         everywhere = np.int32(sum(cells.lowest.shape))
         surface, _ = fill_from_neighbours(cells.lowest, cells.seen, cells.valid, everywhere)
         opened = opening(surface, self.reach, self.reach, "square", cells.valid)

@@ -187,6 +187,10 @@ class PMF(GridFilter):
         """
         return self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 15.0 * self.low_clusters
 
+    def tile_halo(self) -> float:
+        """One and a half of the largest window: openings that follow each other hardly ever add up to ``halo()``."""
+        return min(self.halo(), 1.5 * self.max_window)
+
     def prepare(self, cells: Cells) -> tuple[Cells, jax.Array]:
         """Step 1. Pure. Raises: ParameterError if ``reading`` is "points", which takes no grid."""
         if self.reading == "points":

@@ -149,6 +149,14 @@ class PPDF(Filter):
         disks = math.ceil(self.window / self.canopy_cell - 1e-6)
         return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
 
+    def tile_halo(self) -> float:
+        """The farthest reference, seen twice, and four of the first cells: openings hardly ever add up to ``halo()``."""
+        return min(self.halo(), 2.0 * min(self.reach, 30.0) + 4.0 * self.cell)
+
+    def lattice(self) -> float:
+        """The first cells of the planes."""
+        return self.cell
+
     def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the distance to the local plane share the references."""
         assert labels.settled is not None and labels.elevation is not None
@@ -195,7 +203,8 @@ class PPDF(Filter):
             over.distance[seed], over.height[seed], over.slope[seed] = 0, 0, 0
         if self.window > 0 and (found or self.seeds == "lowest"):
             lowest = self._lowest(points, seed, ~barred, self.canopy_cell)
-            seed &= ~_raised(xyz, lowest, grid, self.window, self.slope, self.max_step)
+            least = points.least_shape(self.canopy_cell)
+            seed &= ~_raised(xyz, lowest, grid, self.window, self.slope, self.max_step, least)
         if self.reference_cell > 0:
             may_be, side = self._lowest(points, seed, ~barred, self.reference_cell), self.reference_cell
         else:
@@ -256,7 +265,13 @@ class PPDF(Filter):
 
 
 def _raised(
-    xyz: np.ndarray, lowest: np.ndarray, grid: Grid, window: float, slope: float, max_step: float
+    xyz: np.ndarray,
+    lowest: np.ndarray,
+    grid: Grid,
+    window: float,
+    slope: float,
+    max_step: float,
+    least: tuple[int, int],
 ) -> np.ndarray:
     """bool[m]: points in cells whose ``lowest`` point, bool[m], stands on an object, or ``max_step`` above that point.
 
@@ -267,9 +282,10 @@ def _raised(
     at = grid.flat(xyz)
     z = np.full(grid.nx * grid.ny, np.inf, np.float32)
     z[at[lowest]] = xyz[lowest, 2]
-    padded = np.full(padded_shape(grid.shape), np.inf, np.float32)
+    shape = padded_shape(grid.shape, least)
+    padded = np.full(shape, np.inf, np.float32)
     padded[: grid.ny, : grid.nx] = z.reshape(grid.shape)
-    known, valid = padded < np.inf, inside(padded_shape(grid.shape), np.asarray(grid.shape, np.int32))
+    known, valid = padded < np.inf, inside(shape, np.asarray(grid.shape, np.int32))
     surface = fill_membrane(np.where(known, padded, 0), known, valid).z
     radii = np.arange(1, math.ceil(window / grid.cell - 1e-6) + 1)
     rises = np.minimum(np.float32(slope * grid.cell) * radii.astype(np.float32), np.float32(max_step))

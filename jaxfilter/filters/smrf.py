@@ -134,6 +134,10 @@ class SMRF(GridFilter):
         openings = self.reach * (self.reach + 1) + 8 * self.mesh
         return self.cell * (openings + 3)
 
+    def tile_halo(self) -> float:
+        """Five radii of the largest disk: openings that follow each other hardly ever add up to ``halo()``."""
+        return min(self.halo(), 5.0 * self.window + 8.0 * self.cut)
+
     def corner(self, points: Points) -> tuple[float, float]:
         """Cells are centred on the nodes of the lattice."""
         x, y = points.offset(self.cell)

@@ -142,9 +142,20 @@ class SPF(Mirroring):
         ]
         return [min(rise, self.max_height) for rise in rises]
 
+    def lattice(self) -> float:
+        """The cells of the openings."""
+        return self.cell
+
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that no opening marked. ``barred``: bool[m]."""
-        cells = lowest_cells(points.xyz, self.cell, points.offset(self.cell), name="SPF(cell)", barred=barred)
+        cells = lowest_cells(
+            points.xyz,
+            self.cell,
+            points.offset(self.cell),
+            name="SPF(cell)",
+            barred=barred,
+            least=points.least_shape(self.cell),
+        )
         literal = self.fill == "zero"
         zero = -points.cloud.origin[2] * points.cloud.units.z if literal else 0.0
         surface, _ = fill_from_neighbours(

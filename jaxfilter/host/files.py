@@ -106,7 +106,7 @@ class Handle:
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
         identity: of the file when it was read.
         checksum: of the coordinates of the points, see :class:`Tally`: labels can so never get to other points, even if
-            a file is changed and its time set back.
+            a file is changed and its time set back. None where the points were read in windows, and only their number is known.
     """
 
     path: Place
@@ -115,7 +115,7 @@ class Handle:
     points: int
     bounds: Bounds | None
     identity: Identity
-    checksum: int
+    checksum: int | None
 
     @property
     def table(self) -> Path:
@@ -159,7 +159,9 @@ class Replay(Tally):
 
     def finish(self) -> None:
         """All points were added."""
-        if self.source is not None and (self.points, self.checksum) != (self.source.points, self.source.checksum):
+        if self.source is None:
+            return
+        if self.points != self.source.points or self.source.checksum not in (None, self.checksum):
             raise InputError(f"{self.source.path}: {CHANGED_SINCE}")
 
 
@@ -230,7 +232,7 @@ def new_file(
         if status is not None and not mine and not overwrite:
             raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
         remove_dead(final.parent)
-        with _workplace(final.parent) as folder:
+        with workplace(final.parent) as folder:
             part = folder / "part"
             yield part
             _sync(part)
@@ -298,7 +300,7 @@ _FOREIGN_AGE = 86_400.0  # seconds
 
 
 @contextlib.contextmanager
-def _workplace(parent: Path) -> Iterator[Path]:
+def workplace(parent: Path) -> Iterator[Path]:
     """A new folder that is locked as long as this process lives, and removed with all that is in it."""
     while True:
         folder = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}"

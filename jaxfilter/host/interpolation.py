@@ -38,7 +38,7 @@ def interpolator(
     Raises: ImportError, naming the extra, if ``"natural"`` is asked for without startinpy.
     """
     if method == "tin":
-        return _linear(xyz, workers)
+        return Linear(xyz, workers)
     if method == "idw":
         return _inverse_distance(xyz, neighbours, power, workers)
     if method == "natural":
@@ -46,37 +46,59 @@ def interpolator(
     return _kriging(xyz, neighbours)
 
 
-def _linear(xyz: np.ndarray, workers: int | None) -> Heights:
+class Linear:
     """Linear on the triangles of the Delaunay triangulation; NaN outside the convex hull.
 
     Positions are located to a quantum. One that is inside the hull and by that just outside its triangles belongs to the
     triangle behind the nearest edge, as does one that is on the hull.
     """
-    threads = workers or os.cpu_count() or 1
-    code = morton(xyz)
-    with ThreadPoolExecutor(threads) as pool:
-        tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, threads)
-    inside, xy, z = inside_hull(xyz), xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 
-    def heights(at: np.ndarray) -> np.ndarray:
-        start = np.searchsorted(code, morton(np.maximum(at, 0.0)))
-        with ThreadPoolExecutor(threads) as tin.pool:
-            tri = tin.walk(at, tin.where[np.minimum(start, len(xyz) - 1)])
-            beyond = np.flatnonzero(tri < 0)
-            tri[beyond] = -1 - tri[beyond]
-            nodes = tin.corners(tri)
-        within = inside(at[beyond])
-        corner, level = np.take(xy, nodes, axis=0), z[nodes]
+    def __init__(self, xyz: np.ndarray, workers: int | None) -> None:
+        """``xyz``: f32[m, 3], the ground points."""
+        self._threads = workers or os.cpu_count() or 1
+        code = morton(xyz)
+        self._order = np.argsort(code, kind="stable")  # points of a cloud with an anchor are in another order
+        self._code = code[self._order]
+        with ThreadPoolExecutor(self._threads) as pool:
+            self._tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, self._threads)
+        self._inside = inside_hull(xyz)
+        self._xy, self._z = xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
+
+    def __call__(self, at: np.ndarray) -> np.ndarray:
+        """f64[q]: the heights at f64[q, 2]."""
+        nodes, outside = self._corners(at)
+        corner, level = np.take(self._xy, nodes, axis=0), self._z[nodes]
         (x1, y1), (x2, y2), (x, y) = (
             d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], at - corner[:, 0])
         )
         area = x1 * y2 - x2 * y1
         second, third = (x * y2 - x2 * y) / area, (x1 * y - x * y1) / area
         out = level[:, 0] + second * (level[:, 1] - level[:, 0]) + third * (level[:, 2] - level[:, 0])
-        out[beyond[~within]] = np.nan
+        out[outside] = np.nan
         return np.clip(out, level.min(axis=1), level.max(axis=1))
 
-    return heights
+    def circles(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centres f64[q, 2] and radii f64[q] of the circles through the corners of the triangles at f64[q, 2]: further ground
+        points change heights only from inside of these. Infinite radii outside the convex hull."""
+        nodes, outside = self._corners(at)
+        corner = np.take(self._xy, nodes, axis=0)
+        (x1, y1), (x2, y2) = (d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+        one, two, area = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2, 2 * (x1 * y2 - x2 * y1)
+        middle = np.column_stack([(y2 * one - y1 * two) / area, (x1 * two - x2 * one) / area])
+        radius = np.hypot(middle[:, 0], middle[:, 1])
+        radius[outside] = np.inf
+        return middle + corner[:, 0], radius
+
+    def _corners(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """i64[q, 3], the corners of the triangles at f64[q, 2], and the numbers of positions outside the hull."""
+        start = np.searchsorted(self._code, morton(np.maximum(at, 0.0)))
+        with ThreadPoolExecutor(self._threads) as self._tin.pool:
+            near = self._order[np.minimum(start, len(self._xy) - 1)]
+            tri = self._tin.walk(at, self._tin.where[near])
+            beyond = np.flatnonzero(tri < 0)
+            tri[beyond] = -1 - tri[beyond]
+            nodes = self._tin.corners(tri)
+        return nodes, beyond[~self._inside(at[beyond])]
 
 
 def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:

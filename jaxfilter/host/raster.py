@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,59 @@ class Raster:
                 f"{path}: only north-up rasters with square cells are understood, not transform {transform}"
             )
         return cls(values, transform, crs, NODATA if nodata is None else nodata)
+
+
+def write_mosaic(
+    path: Path,
+    shape: tuple[int, int],
+    transform: tuple[float, float, float, float, float, float],
+    crs: Any,
+    parts: Callable[[], Iterable[tuple[int, int, np.ndarray]]],
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write a Cloud Optimized GeoTIFF out of parts, none of which is held longer than needed: overviews, deflated, BigTIFF
+    where it has to be.
+
+    Args:
+        shape, transform, crs: as of a :class:`Raster` of all of it.
+        parts: gives, each time it is called, first row, first column and values f32[r, c] of parts that do not overlap. What
+            no part covers has no height.
+
+    Raises: OutputError (exists and not ``overwrite``, disk; the file is read back); ImportError if rasterio is missing.
+    """
+    rasterio = _rasterio()
+    from rasterio.shutil import copy
+    from rasterio.windows import Window
+
+    profile = {
+        "driver": "GTiff", "dtype": "float32", "count": 1, "height": shape[0], "width": shape[1],
+        "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
+        "nodata": NODATA, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
+    }  # fmt: skip
+    with new_file(path, overwrite=overwrite) as temporary:
+        plain = temporary.with_name("plain.tif")
+        try:
+            with rasterio.open(plain, "w", **profile) as file:
+                for row, column, values in parts():
+                    window = Window(column, row, values.shape[1], values.shape[0])
+                    file.write(np.where(np.isnan(values), np.float32(NODATA), values), 1, window=window)
+            copy(
+                plain, temporary, driver="COG", compress="deflate", predictor="yes", overviews="ignore_existing",
+                resampling="average", bigtiff="if_safer",
+            )  # fmt: skip
+            plain.unlink()
+            with rasterio.open(temporary) as file:  # GDAL does not always tell that a disk refused
+                for row, column, values in parts():
+                    window = Window(column, row, values.shape[1], values.shape[0])
+                    stored = file.read(1, window=window, masked=True).filled(np.nan)
+                    if not np.array_equal(stored, values, equal_nan=True):
+                        raise OutputError(
+                            f"{path}: cannot be written: what was written reads back otherwise; is the disk full?"
+                        )
+        except rasterio.errors.RasterioError as error:
+            raise OutputError(f"{path}: cannot be written: {error}") from error
+    return path
 
 
 def check_library() -> None:

@@ -19,9 +19,9 @@ def padded_length(n: int) -> int:
     return -(-max(n, 1) // step) * step
 
 
-def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """:func:`padded_length` of rows and columns."""
-    return padded_length(shape[0]), padded_length(shape[1])
+def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
+    """:func:`padded_length` of rows and columns, or of ``least`` where that is more."""
+    return padded_length(max(shape[0], least[0])), padded_length(max(shape[1], least[1]))
 
 
 def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:

@@ -84,7 +84,7 @@ def lowest_per_adaptive_cell(
     found, divided, steepest = [], [], 0.0
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
-        shape = padded_shape(extent)
+        shape = padded_shape(extent, points.least_shape(cell / 2**level))
         index = cell_index(
             device,
             jnp.asarray(corner, jnp.float32),

@@ -84,6 +84,10 @@ class GridFilter(Filter):
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
 
+    def lattice(self) -> float:
+        """The cells."""
+        return float(self.cell)  # type: ignore[attr-defined]
+
     def barred(self, points: Points, workers: int | None) -> np.ndarray:
         """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on."""
         clusters = getattr(self, "low_clusters", False)
@@ -93,7 +97,8 @@ class GridFilter(Filter):
         """The lowest elevation per ``cell``, without the points ``barred``, bool[m]. Raises InputError for too many cells."""
         cell: float = self.cell  # type: ignore[attr-defined]
         name = f"{type(self).__name__}(cell)"
-        return lowest_cells(points.xyz, cell, self.corner(points), name=name, barred=barred)
+        least = points.least_shape(cell)
+        return lowest_cells(points.xyz, cell, self.corner(points), name=name, barred=barred, least=least)
 
     def corner(self, points: Points) -> tuple[float, float]:
         """A corner of the lattice of cells, local metres."""

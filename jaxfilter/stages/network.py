@@ -26,23 +26,32 @@ def block_count(extent: np.ndarray, size: float) -> tuple[int, int]:
     return max(1, int(extent[0] // size)), max(1, int(extent[1] // size))
 
 
-def border_positions(low: np.ndarray, high: np.ndarray, size: float) -> np.ndarray:
+def border_positions(low: np.ndarray, high: np.ndarray, size: float, corner: np.ndarray | None = None) -> np.ndarray:
     """f32[2 (nx + ny), 2]: the nodes of the block grid on the perimeter of the extent (Li et al. 2021, Sec. II-D).
 
     They stand :data:`PAD` outside the extent, and the sides bulge by a few centimetres, so that no three are collinear
-    and every point lies inside their hull.
+    and every point lies inside their hull. Blocks begin at the lower corner of the extent, or at multiples of their size
+    from the anchor, when ``corner``, f64[2], metres, says how far the zero of local coordinates is from it.
     """
     nx, ny = block_count(high - low, size)
     sides = []
     for axis, n in ((0, nx), (1, ny)):
-        along = low[axis] + size * np.arange(n + 1)
-        along[-1] = high[axis]
-        t = (along - low[axis]) / max(float(high[axis] - low[axis]), 1e-9)
-        bulge = PAD + _BULGE * 4.0 * t * (1.0 - t)
+        if corner is None:
+            along = low[axis] + size * np.arange(n + 1)
+            along[-1] = high[axis]
+            t = (along - low[axis]) / max(float(high[axis] - low[axis]), 1e-9)
+            bulge = PAD + _BULGE * 4.0 * t * (1.0 - t)
+        else:
+            first, last = (
+                int(turn((end[axis] + corner[axis]) / size)) for turn, end in ((np.floor, low), (np.ceil, high))
+            )
+            number = np.arange(first, last + 1)
+            bulge = PAD + _BULGE * np.array([0.0, 0.4, 1.0])[number % 3]
+            along = np.clip(number * size - corner[axis], low[axis], high[axis])
         along[0] -= PAD
         along[-1] += PAD
         for edge, sign in ((low, -1.0), (high, 1.0)):
-            side = np.empty((n + 1, 2))
+            side = np.empty((len(along), 2))
             side[:, axis] = along
             side[:, 1 - axis] = edge[1 - axis] + sign * bulge
             sides.append(side if axis == 0 else side[1:-1])  # the corners belong to the first two sides

@@ -137,7 +137,9 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
     reach = max(reach, 8.0 * spacing)
     grid = lattice_over(points.xyz, cell, points.offset(cell))
     occupied, at = Cells.of(*grid.places(points.xyz), grid.shape)
-    z = points.xyz[:, 2] - low_trend(points.xyz, grid.x0, grid.y0, max(15.0, 4.0 * cell))
+    coarse = max(15.0, 4.0 * cell)
+    corner = (grid.x0, grid.y0) if points.cloud.anchor is None else points.lattice_corner(coarse)
+    z = points.xyz[:, 2] - low_trend(points.xyz, *corner, coarse)
     cells = occupied.grown()
     at = cells.find(occupied.row, occupied.column)[at]
     around = cells.around()

@@ -50,7 +50,7 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
         np.float32(layout.block),
         blocks,
         counts,
-        shape=padded_shape(layout.blocks),
+        shape=padded_shape(layout.blocks, points.least_shape(layout.block)),
         width=layout.width,
         stride=layout.stride,
     )

@@ -81,15 +81,22 @@ def cell_for(spacing: float, spacings: float = 1.0) -> float:
 
 
 def lowest_cells(
-    xyz: np.ndarray, cell: float, offset: tuple[float, float], *, name: str, barred: np.ndarray | None = None
+    xyz: np.ndarray,
+    cell: float,
+    offset: tuple[float, float],
+    *,
+    name: str,
+    barred: np.ndarray | None = None,
+    least: tuple[int, int] = (1, 1),
 ) -> Cells:
     """The lowest of the points f32[n, 3] in each square of ``cell`` metres, those that are ``barred`` (bool[n]) left out.
 
-    ``offset`` is a corner of the lattice, local metres; ``name`` is what an error calls the cell.
+    ``offset`` is a corner of the lattice, local metres; ``name`` is what an error calls the cell; ``least``: rows and columns
+    that the padded shape has room for at least.
     Raises: InputError if there would be too many cells.
     """
     grid = grid_over(xyz, cell, offset, name=name, limit=MAX_CELLS)
-    shape = padded_shape(grid.shape)
+    shape = padded_shape(grid.shape, least)
     extent = np.asarray(grid.shape, np.int32)
     frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
     if barred is not None and barred.any():

@@ -80,6 +80,14 @@ class TinFilter(Filter):
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
         return facet_reach(getattr(self, self.WINDOW))
 
+    def tile_halo(self) -> float:
+        """Four windows: growth goes on from facet to facet, so ``halo()``, which one facet spans, is too little."""
+        return 4.0 * getattr(self, self.WINDOW)
+
+    def lattice(self) -> float:
+        """The cells that seeds are the lowest points of."""
+        return float(getattr(self, self.WINDOW))
+
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         """Outliers, seeds and network. ``trace``: keep the labels of rounds, if there are any already."""
         raise TypeError(f"{type(self).__name__} does not define start()")
@@ -177,7 +185,8 @@ class TinFilter(Filter):
 
         ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
         """
-        return one_network(points, seeds, border_positions(*points.extent, spacing), barred, late, **more)
+        border = border_positions(*points.extent, spacing, points.anchored())
+        return one_network(points, seeds, border, barred, late, **more)
 
     def rule(self, **limits: float) -> Rule:
         """The thresholds of a test, with the noise floor of the method."""

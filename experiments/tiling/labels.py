@@ -1,0 +1,112 @@
+"""Labels of tiles against those of the whole: how many differ, by method and halo."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import jaxfilter as jf
+from experiments.report import Row
+from jaxfilter.core.cloud import Whole
+from jaxfilter.tiles.collection import Collection
+from jaxfilter.tiles.plan import Plan, plan_tiles
+from jaxfilter.tiles.task import ANCHOR, Job, Tile, read_tile, survey_tile
+
+READING = {"returns": "all", "ignore_classes": (7, 18), "keep_withheld": False, "drop_invalid": False}
+"""What producers set apart is filtered like the rest."""
+LEFT_OUT = (0, 7, 9, 12, 18, 26, 65, 66, 67)
+"""Classes that are not scored, as in ``experiments/tiles``."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Survey:
+    """A collection in one cloud: n points in the order of the files, and bool[n], truth and points that are scored."""
+
+    name: str
+    collection: Collection
+    cloud: jf.PointCloud
+    truth: np.ndarray
+    scored: np.ndarray
+    first: np.ndarray
+
+
+def survey(name: str, paths: Sequence[Path]) -> Survey:
+    """Open files, and read them whole."""
+    collection = jf.open([str(path) for path in paths], units="m")
+    clouds = [jf.read(path, units="m", anchor=ANCHOR, **READING) for path in paths]
+    coordinates = np.concatenate([cloud.coordinates() for cloud in clouds])
+    classes = np.concatenate([cloud.classification for cloud in clouds])  # type: ignore[arg-type]
+    candidate = np.concatenate([cloud.candidate for cloud in clouds])
+    cloud = dataclasses.replace(jf.PointCloud.from_arrays(coordinates, anchor=ANCHOR), candidate=candidate)
+    first = np.cumsum([0, *(len(one) for one in clouds)])
+    return Survey(name, collection, cloud, classes == 2, ~np.isin(classes, LEFT_OUT), first)
+
+
+def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float | None], folder: Path) -> Iterator[Row]:
+    """A row for every method and halo (None = the default); ``cuts``: tiles along each side."""
+    for name in methods:
+        filter_ = jf.FILTERS[name].for_cloud(one.cloud)
+        whole = filter_(one.cloud, workers=1).ground
+        total = jf.evaluate(whole, one.truth, ignore=~one.scored).total
+        for asked in halos:
+            halo = filter_.tile_halo() if asked is None else asked
+            start = time.process_time()
+            ground, plan = tiled(one, filter_, cuts, halo, folder)
+            differ = int((ground != whole).sum())
+            scores = jf.evaluate(ground, one.truth, ignore=~one.scored)
+            row = {
+                "survey": one.name, "method": name, "points": len(whole), "tiles": len(plan), "halo": halo,
+                "default": asked is None, "differ": differ, "share": differ / len(whole), "total": total,
+                "moved": scores.total - total, "cpu": time.process_time() - start,
+            }  # fmt: skip
+            print(
+                f"{one.name:28} {name:6} halo {halo:5.0f} m {len(plan):3} tiles: {differ:6} labels differ, "
+                f"{100 * differ / len(whole):.4f} %, total error {total:.3f} % {scores.total - total:+.3f}",
+                file=sys.stderr,
+                flush=True,
+            )
+            yield row
+
+
+def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path) -> tuple[np.ndarray, Plan]:
+    """bool[n]: labels of the tiles of a run, and its plan."""
+    files = one.collection
+    plan = plan_tiles(
+        files.footprints,
+        files.counts,
+        metre=files.metre,
+        halo=halo,
+        lattice=filter_.lattice(),
+        cuts=cuts,
+    )
+    width, height = plan.largest()
+    spacing = filter_.points_of(one.cloud).spacing()
+    whole = Whole(spacing, width=width * files.metre, height=height * files.metre)
+    job = Job(filter_, READING, {}, (), whole, folder, folder / "index")
+    tiles = [_tile(plan, files, number) for number in range(len(plan))]
+    if type(filter_).lowest is not jf.Filter.lowest:
+        lows = [low for tile in tiles if (low := survey_tile(job, tile)) is not None]
+        job = dataclasses.replace(job, whole=dataclasses.replace(whole, lowest=min(lows)))
+    ground = np.zeros(len(one.cloud), bool)
+    seen = np.zeros(len(one.cloud), np.int8)
+    for tile in tiles:
+        around = read_tile(job, tile)
+        if not around.core.any():
+            continue
+        found = filter_(around.cloud, workers=1).ground[around.core]
+        at = one.first[around.file[around.core]] + around.record[around.core]
+        ground[at] = found
+        seen[at] += 1
+    if not (seen == 1).all():
+        raise AssertionError(f"{int((seen != 1).sum())} points have not exactly one label")
+    return ground, plan
+
+
+def _tile(plan: Plan, files: Collection, number: int) -> Tile:
+    near = tuple(plan.near[number].tolist())
+    return Tile(number, plan.core(number), plan.window(number), near, tuple(files[n] for n in near))

@@ -1,0 +1,117 @@
+"""Collections in tiles: labels against the whole, memory and time, kills, a cluster, and a million tiles. See README.md."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+import warnings
+from pathlib import Path
+
+import laspy
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import jaxfilter as jf
+from experiments.isprs import samples
+from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.tiles.run import TILES
+from experiments.tiling import labels, robustness, scale
+from jaxfilter.core.compilation import use_persistent_cache
+
+HERE = Path(__file__).parent
+PARTS = ("labels", "halos", "scale", "kills", "cluster", "planning")
+HALOS = (0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the parts asked for and write their tables."""
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
+    options.out.mkdir(parents=True, exist_ok=True)
+    options.work.mkdir(parents=True, exist_ok=True)
+    use_persistent_cache()
+    warnings.simplefilter("ignore", jf.JaxfilterWarning)
+    command = shlex.join(["python", "experiments/tiling/run.py", *given])
+    for part in options.parts:
+        rows, columns, text = _WAYS[part](options)
+        write_csv(options.out / f"{part}.csv", rows)
+        page = [f"# {text}", "", f"`{command}` on {machine()}.", "", markdown(columns, rows), ""]
+        (options.out / f"{part}.md").write_text("\n".join(page))
+    print(f"results are in {options.out}")
+
+
+def generated(folder: Path, side: int, files: int, density: float) -> list[Path]:
+    """``files`` times ``files`` LAZ files of a simulated scene of ``side`` metres, with the truth as classes."""
+    name = folder / f"mixed-{side}-{files}-{density:g}"
+    paths = [name / f"{i}-{j}.laz" for i in range(files) for j in range(files)]
+    if all(path.exists() for path in paths):
+        return paths
+    name.mkdir(parents=True, exist_ok=True)
+    scene = jf.scenes.make("mixed", size=float(side), density=density, seed=7)
+    xyz, cloud = scene.cloud.coordinates(), scene.cloud
+    cell = np.minimum((xyz[:, :2] - scene.cloud.origin[:2]) // (side / files), files - 1).astype(int)
+    for path, number in zip(paths, np.ndindex(files, files), strict=True):
+        rows = np.flatnonzero((cell == number).all(axis=1))
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.scales, las.header.offsets = np.full(3, 0.01), np.floor(xyz.min(axis=0))
+        las.x, las.y, las.z = xyz[rows].T
+        las.return_number, las.number_of_returns = cloud.return_number[rows], cloud.number_of_returns[rows]
+        las.classification = scene.classes[rows]
+        las.write(path)
+    return paths
+
+
+def _labels(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
+    rows: list[Row] = []
+    folder = samples.data_folder(options.data) / "tiles"
+    for name in TILES:
+        one = labels.survey(name, [next(folder.glob(f"{name}.la[sz]"))])
+        rows += labels.rows(one, options.methods, 2, [None], options.work)
+    one = labels.survey("generated, 16 files", generated(options.work, options.side, 4, 1.0))
+    rows += labels.rows(one, options.methods, 4, [None], options.work)
+    return rows, _LABELS, "Labels of tiles and of the whole, default halo"
+
+
+def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
+    one = labels.survey("generated, 16 files", generated(options.work, options.side, 4, 1.0))
+    return (
+        list(labels.rows(one, options.methods, 4, HALOS, options.work)),
+        _LABELS,
+        "Labels of tiles and of the whole, by halo",
+    )
+
+
+_LABELS: list[Column] = [
+    ("survey", "survey", ""), ("method", "method", ""), ("points", "points", ",d"), ("tiles", "tiles", "d"),
+    ("halo", "halo, m", ".0f"), ("differ", "labels that differ", ",d"), ("share", "share", ".5%"),
+    ("total", "total error of the whole, %", ".3f"), ("moved", "moved by, points", "+.3f"),
+]  # fmt: skip
+_WAYS = {
+    "labels": _labels,
+    "halos": _halos,
+    "scale": scale.table,
+    "kills": robustness.kills,
+    "cluster": robustness.cluster,
+    "planning": scale.planning,
+}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", default=PARTS, help=f"of {', '.join(PARTS)}")
+    parser.add_argument("--data", type=Path, help="folder with tiles/ [JAXFILTER_DATA]")
+    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
+    parser.add_argument("--work", type=Path, default=HERE / "work", help="folder for what is generated [%(default)s]")
+    parser.add_argument("--methods", nargs="+", default=list(jf.FILTERS), choices=list(jf.FILTERS), metavar="METHOD")
+    parser.add_argument("--side", type=int, default=1000, help="of the generated survey, metres [%(default)s]")
+    parser.add_argument(
+        "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
+    )
+    parser.add_argument("--trials", type=int, default=30, help="kills [%(default)s]")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

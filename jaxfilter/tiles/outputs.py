@@ -1,0 +1,122 @@
+"""From labels of tiles to files: each input file is written once all its tiles are done, with nothing but classes changed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import PointCloud
+from ..core.errors import InputError, OutputError
+from ..core.result import Decision, FilterResult, Status
+from ..host.files import Handle, Identity
+from ..host.las import open_las
+from ..host.sources import Source
+from ..host.storage import Place
+from ..host.writing import write
+from .task import CANDIDATE, GROUND, Job, _heard, load_labels
+
+_STORED = 0x80
+
+
+@dataclasses.dataclass(frozen=True)
+class FileTask:
+    """A file to be written: its number, the tiles that label it, and where it goes."""
+
+    number: int
+    source: Source
+    tiles: tuple[int, ...]
+    target: Place
+    overwrite: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class FileReport:
+    """What became of a file: numbers of its points and of those that are ground, and what was warned of."""
+
+    number: int
+    points: int
+    ground: int
+    remarks: tuple[str, ...] = ()
+
+
+def target_names(uris: list[str]) -> list[str]:
+    """The name of the output for each input: the input's, but plain LAZ for COPC.
+
+    Raises: OutputError if two outputs would have one name.
+    """
+    names = []
+    seen: dict[str, str] = {}
+    for uri in uris:
+        name = uri.replace("\\\\", "/").rsplit("/", 1)[-1]
+        if name.lower().endswith(".copc.laz"):
+            name = name[: -len(".copc.laz")] + ".laz"
+        if name in seen:
+            raise OutputError(f"{seen[name]} and {uri} would both be written as {name}: filter them into two folders")
+        seen[name] = uri
+        names.append(name)
+    return names
+
+
+def write_file(job: Job, task: FileTask) -> FileReport:
+    """Write a file with the labels of its tiles.
+
+    Raises: InputError if a point has no label, or the file has changed; OutputError.
+    """
+    source = task.source
+    label = np.zeros(source.count, np.uint8)
+    extra = {name: np.full(source.count, np.nan, np.float32) for name in job.extra}
+    for number in task.tiles:
+        stored = load_labels(job.folder, number, task.number, job.extra)
+        if stored is None:
+            continue
+        record, value, *quantities = stored
+        label[record] = value | _STORED
+        for array, values in zip(extra.values(), quantities, strict=True):
+            array[record] = values
+    missing = int(np.count_nonzero(label == 0))
+    if missing:
+        raise InputError(
+            f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile holds "
+            "them: correct the header"
+        )
+    with _heard() as remarks:
+        cloud = _handle_of(source, (label & CANDIDATE) > 0)
+        ground = (label & GROUND) > 0
+        result = _result(ground, extra) if extra else ground
+        write(task.target, cloud, result, overwrite=task.overwrite, extra=job.extra, **job.classes)
+    return FileReport(task.number, source.count, int(ground.sum()), tuple(remarks))
+
+
+def _handle_of(source: Source, candidate: np.ndarray) -> PointCloud:
+    """The cloud of a file, without its coordinates, which stay in the file. Raises: InputError if the file has changed."""
+    place = source.place
+    identity = Identity.of(place)
+    if source.identity and open_las(place, tables=False)[0].fingerprint != source.identity:
+        raise InputError(f"{source.uri}: the file has changed since the run began; begin anew")
+    n = len(candidate)
+    handle = Handle(place.absolute(), "las", source.format, n, None, identity, None)
+    return PointCloud(
+        origin=np.zeros(3),
+        xyz=np.broadcast_to(np.zeros(3, np.float32), (n, 3)),
+        candidate=candidate,
+        units=source.units,
+        source=handle,
+    )
+
+
+def _result(ground: np.ndarray, extra: dict[str, np.ndarray]) -> FilterResult:
+    """A result of labels and the quantities that are written along."""
+    n = len(ground)
+    empty: Any = np.broadcast_to(np.float32(np.nan), n)
+    quantities = {name: extra.get(name, empty) for name in ("height", "slope", "angle", "elevation", "margin")}
+    return FilterResult(
+        ground=ground,
+        decision=np.broadcast_to(np.uint8(Decision.SET_ASIDE), n),
+        barred=np.broadcast_to(np.bool_(False), n),
+        status=Status.CONVERGED,
+        info={},
+        trace=[],
+        **quantities,
+    )

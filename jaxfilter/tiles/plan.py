@@ -1,0 +1,276 @@
+"""Tiles of a collection: which squares are filtered, and which files each of them reads and labels.
+
+Everything is arrays over all tiles, so that a survey of a million files is planned in seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from typing import Protocol
+
+import numpy as np
+
+from ..core.errors import InputError, ParameterError
+from ..host.files import Bounds
+
+MOST_TILES = 20_000_000
+_LARGEST_SIDE = 100_000.0  # metres
+_ROUNDS = 12
+_ROUNDED = 0.01
+"""Units, and metres, by which bounds in headers may be off."""
+
+
+class Footprinted(Protocol):
+    """Bounds f64[n, 4], file units, and counts i64[n] of files, and metres per unit: a collection."""
+
+    @property
+    def footprints(self) -> np.ndarray: ...
+    @property
+    def counts(self) -> np.ndarray: ...
+    @property
+    def metre(self) -> float: ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Lists:
+    """A list of file numbers for each of ``len(start) - 1`` tiles, or of tile numbers for each file.
+
+    Attributes:
+        start: i64[k + 1]; member: i32[start[-1]], ascending within each list.
+    """
+
+    start: np.ndarray
+    member: np.ndarray
+
+    def __getitem__(self, number: int) -> np.ndarray:
+        return self.member[self.start[number] : self.start[number + 1]]
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+    @classmethod
+    def of(cls, owner: np.ndarray, member: np.ndarray, count: int) -> Lists:
+        """From pairs i64[p], i32[p] of owner and member."""
+        order = np.lexsort((member, owner))
+        start = np.zeros(count + 1, np.int64)
+        np.cumsum(np.bincount(owner, minlength=count), out=start[1:])
+        return cls(start, member[order].astype(np.int32))
+
+    def turned(self, count: int) -> Lists:
+        """Owners by member, for ``count`` members."""
+        owner = np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.start))
+        return Lists.of(self.member.astype(np.int64), owner, count)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """Tiles, numbered from the south-west, row by row.
+
+    Attributes:
+        origin: x and y, file units; a multiple of ``lattice``. width, height: of the cores, file units. The core with the
+            whole numbers i and j is [x + i width, x + (i + 1) width) by [y + j height, y + (j + 1) height).
+        halo: file units around a core that are read as well. lattice: file units; windows end at multiples of it.
+        cell: i64[t, 2], the numbers i and j of every tile.
+        points: f64[t], expected in core and halo, by the densities of the files.
+        near: per tile, the files that core and halo may meet; home: those that the core may meet.
+        tiles_of: per file, the tiles that label it.
+    """
+
+    origin: tuple[float, float]
+    width: float
+    height: float
+    halo: float
+    lattice: float
+    cell: np.ndarray
+    points: np.ndarray
+    near: Lists
+    home: Lists
+    tiles_of: Lists
+
+    def __len__(self) -> int:
+        return len(self.cell)
+
+    def core(self, number: int) -> Bounds:
+        """(xmin, ymin, xmax, ymax) of a tile, file units. Cores that adjoin have the same number for their common edge."""
+        i, j = (int(v) for v in self.cell[number])
+        (x, y), w, h = self.origin, self.width, self.height
+        return x + i * w, y + j * h, x + (i + 1) * w, y + (j + 1) * h
+
+    def window(self, number: int) -> Bounds:
+        """The core and the halo around it, as far as the lattice."""
+        return window_around(self.core(number), self.halo, self.lattice)
+
+    def cores(self) -> np.ndarray:
+        """f64[t, 4]: all cores."""
+        low = np.array(self.origin) + self.cell * [self.width, self.height]
+        return np.concatenate([low, np.array(self.origin) + (self.cell + 1) * [self.width, self.height]], axis=1)
+
+    def largest(self) -> tuple[float, float]:
+        """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
+        if not len(self):
+            return 0.0, 0.0
+        many = np.ptp(self.cell, axis=0) > 0
+        more = 2 * (self.halo + self.lattice)
+        return self.width + more * bool(many[0]), self.height + more * bool(many[1])
+
+    def digest(self) -> str:
+        """Tells this plan from others."""
+        numbers = (self.origin, self.width, self.height, self.halo, self.lattice, len(self))
+        found = hashlib.sha256(repr(numbers).encode())
+        for array in (self.cell, self.home.start, self.home.member, self.near.start, self.near.member):
+            found.update(np.ascontiguousarray(array).data)
+        return found.hexdigest()
+
+
+def plan_with_halo(plan: Plan, files: Footprinted, halo: float) -> Plan:
+    """The same cores with another halo, metres."""
+    used = np.flatnonzero(files.counts > 0)
+    sides = (plan.width, plan.height)
+    return _tiles(files.footprints, files.counts, used, plan.origin, sides, halo / files.metre, plan.lattice)
+
+
+def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
+    """A box, ``halo`` around it, and further to multiples of ``lattice``; all in file units."""
+    x0, y0, x1, y1 = core
+    low = (math.floor((edge - halo) / lattice + 1e-6) * lattice for edge in (x0, y0))
+    high = (math.ceil((edge + halo) / lattice - 1e-6) * lattice for edge in (x1, y1))
+    return (*low, *high)  # type: ignore[return-value]
+
+
+def plan_tiles(
+    bounds: np.ndarray,
+    counts: np.ndarray,
+    *,
+    metre: float,
+    halo: float,
+    lattice: float = 1.0,
+    grid: float = 0.0,
+    most_points: float = math.inf,
+    side: float | None = None,
+    cuts: int = 1,
+) -> Plan:
+    """Tiles over files, nearly square, all of one size, so that a whole number of them covers the data.
+
+    Args:
+        bounds: f64[n, 4] of files: xmin, ymin, xmax, ymax, file units, all closed; counts: i64[n], points in each.
+        metre: metres per file unit in x and y.
+        halo: metres. lattice: metres; windows end at multiples of it.
+        grid: metres; cores end at multiples of it, by default of the lattice.
+        most_points: in core and halo, as the densities of the files have it; decides the size, unless that is given.
+        side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``grid``.
+
+        cuts: tiles along the longer side of the data, at least.
+
+    Raises: ParameterError if a core as wide as its halo has too many points; InputError for too many tiles.
+    """
+    used = np.flatnonzero(counts > 0)
+    grid = grid or lattice
+    units = (halo / metre, lattice / metre)
+    if not len(used):
+        return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), *units)
+    low, high = (pick(bounds[used][:, axes], axis=0) for pick, axes in ((np.min, [0, 1]), (np.max, [2, 3])))
+    if side is not None:
+        if not side > 0:
+            raise ParameterError(f"tile={side!r}: must be > 0 metres")
+        step = grid * math.ceil(side / grid - 1e-9) / metre
+        return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), *units)
+    unit = grid / metre
+    origin = unit * np.floor((low - _ROUNDED / metre) / unit)
+    extent = (high - origin) * metre + _ROUNDED
+    area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
+    density = float(counts[used].sum()) / max(area, 1.0)
+    least = max(grid, 2 * halo)
+    guess = max(
+        least if cuts == 1 else grid,
+        min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()) / cuts, _LARGEST_SIDE),
+    )
+    for _ in range(_ROUNDS):
+        sides = unit * np.ceil(extent / np.ceil(extent / guess) / grid + 1e-6)
+        plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), *units)
+        most = float(plan.points.max(initial=0.0))
+        if most <= most_points:
+            return plan
+        if guess <= least:
+            break
+        guess = max(least, 0.95 * ((guess + 2 * halo) * math.sqrt(most_points / most) - 2 * halo))
+    raise ParameterError(
+        f"a tile of {plan.width * metre:g} x {plan.height * metre:g} m with a halo of {halo:g} m holds about {most:,.0f} "
+        f"points, more than the {most_points:,.0f} that the memory is good for: pass halo= with less, memory= with more, or "
+        "workers= with fewer"
+    )
+
+
+def _tiles(
+    bounds: np.ndarray,
+    counts: np.ndarray,
+    used: np.ndarray,
+    origin: tuple[float, ...],
+    sides: tuple[float, ...],
+    halo: float,
+    lattice: float,
+) -> Plan:
+    """The plan of cores of such sides; all lengths in file units. ``used``: i64[k], the files with points."""
+    start, size = np.tile(np.array(origin), 2), np.array(sides)
+    slack = min(1e-6 * size.min(), _ROUNDED / 2)
+    box = bounds[used] - start + [-slack, -slack, slack, slack]
+    key, file, frame = _covered(box, used, size)
+    tiles = np.unique(key)
+    home = Lists.of(np.searchsorted(tiles, key), file, len(tiles))
+    cell = np.stack([tiles % frame.columns + frame.west, tiles // frame.columns + frame.south], axis=1)
+    wide = halo + lattice
+    key, file, _ = _covered(box + [-wide, -wide, wide, wide], used, size, frame)
+    at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
+    kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
+    near = Lists.of(at[kept], file[kept], len(tiles))
+    tile = np.repeat(np.arange(len(tiles)), np.diff(near.start))
+    shares = np.ones(len(tile))
+    for axis in range(2):
+        low, high = bounds[near.member, axis], bounds[near.member, axis + 2]
+        west = start[axis] + cell[tile, axis] * size[axis] - halo
+        overlap = np.minimum(high, west + size[axis] + 2 * halo) - np.maximum(low, west)
+        shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12)
+    points = np.bincount(tile, np.minimum(shares, 1.0) * counts[near.member], minlength=len(tiles))
+    plain = tuple(float(v) for v in origin)
+    return Plan(
+        (plain[0], plain[1]), float(size[0]), float(size[1]), halo, lattice, cell, points, near, home,
+        home.turned(len(bounds)),
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    """The cells that the keys of tiles count: ``columns`` to a row, from (``west``, ``south``)."""
+
+    west: int
+    south: int
+    columns: int
+
+
+def _covered(
+    box: np.ndarray, used: np.ndarray, size: np.ndarray, frame: _Frame | None = None
+) -> tuple[np.ndarray, np.ndarray, _Frame]:
+    """i64[p], i32[p]: all pairs of a cell of f64[2] sides and a file whose box, f64[k, 4], it meets; ``used``: its number.
+
+    Raises: InputError for too many pairs.
+    """
+    low, high = (np.floor(box[:, ends] / size).astype(np.int64) for ends in ([0, 1], [2, 3]))
+    if frame is None:
+        west, south = low.min(axis=0) if len(low) else (0, 0)
+        east = high[:, 0].max() if len(high) else 0
+        frame = _Frame(int(west) - 1, int(south) - 1, int(east - west) + 3)
+    first, last = frame.west, frame.west + frame.columns - 1
+    low[:, 0], high[:, 0] = np.clip(low[:, 0], first, last), np.clip(high[:, 0], first, last)
+    wide, tall = (high - low + 1).T
+    pairs = wide * tall
+    if len(pairs) and pairs.sum() > 2 * MOST_TILES:
+        raise InputError(
+            f"tiles of {size[0]:g} x {size[1]:g} units make {int(pairs.sum()):,} of them, and one file alone covers "
+            f"{int(pairs.max()):,}: pass tile= with more, or remove stray points far from the rest"
+        )
+    owner = np.repeat(np.arange(len(used)), pairs)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    row, column = np.divmod(step, wide[owner])
+    key = (low[owner, 1] + row - frame.south) * frame.columns + low[owner, 0] + column - frame.west
+    return key, used[owner].astype(np.int32), frame

@@ -1,0 +1,184 @@
+"""Who does the work of a run: processes on this machine, one task each at a time."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection, wait
+from typing import Any, Protocol
+
+RETRIES = 2
+"""Times that a task that failed is tried again before it is set aside."""
+_WAIT = 0.25  # seconds between ticks
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What became of a task: its value, or why there is none."""
+
+    value: Any = None
+    reason: str | None = None
+
+
+class Executor(Protocol):
+    """Runs functions of picklable arguments elsewhere, some at a time."""
+
+    def room(self) -> int:
+        """How many further tasks may be submitted now."""
+        ...
+
+    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Begin a task, which is known by its tag; only while there is room."""
+        ...
+
+    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
+        """Tasks that have ended; waits so long for the first of them. A worker that died is an outcome."""
+        ...
+
+    def close(self) -> None:
+        """Stop at once whatever is running."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """Something to be done for a tile or a file.
+
+    Attributes:
+        function: called elsewhere with what ``arguments`` returns; number: of the tile or file.
+        arguments: called when the task is submitted, with whether it is the last try.
+    """
+
+    function: Callable[..., Any]
+    number: int
+    arguments: Callable[[bool], tuple[Any, ...]]
+
+
+def carried_out(
+    executor: Executor, todo: Iterator[Task], now: collections.deque[Task], tick: Callable[[], None]
+) -> Iterator[tuple[Task, Outcome]]:
+    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
+
+    ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
+    """
+    running, tries = 0, collections.Counter[tuple[str, int]]()
+    while True:
+        while executor.room() > 0:
+            task = now.popleft() if now else next(todo, None)
+            if task is None:
+                break
+            last = tries[task.function.__name__, task.number] >= RETRIES
+            executor.submit(task, task.function, *task.arguments(last))
+            running += 1
+        if not running:
+            return
+        for task, outcome in executor.completed(_WAIT):
+            running -= 1
+            key = task.function.__name__, task.number
+            if outcome.reason is not None and tries[key] < RETRIES:
+                tries[key] += 1
+                now.appendleft(task)
+                continue
+            del tries[key]
+            yield task, outcome
+        tick()
+
+
+def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome:
+    """Call a function; what it raises becomes a reason."""
+    try:
+        return Outcome(function(*arguments))
+    except MemoryError:
+        return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
+    except Exception as error:
+        own = type(error).__module__.startswith("jaxfilter")
+        return Outcome(reason=" ".join((str(error) if own else f"{type(error).__name__}: {error}").split()))
+
+
+class Pool:
+    """Processes of this machine. They are spawned, since JAX must not be forked, and die with their parent."""
+
+    def __init__(self, workers: int) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._size = workers
+        self._idle: list[_Worker] = []
+        self._busy: dict[Connection, tuple[_Worker, Any]] = {}
+
+    def room(self) -> int:
+        """Workers without a task."""
+        return self._size - len(self._busy)
+
+    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Give a task to an idle worker, or to a new one."""
+        worker = self._idle.pop() if self._idle else _Worker(self._context)
+        self._busy[worker.connection] = worker, tag
+        worker.connection.send((function, arguments))
+
+    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
+        """Tasks that have ended, see :class:`Executor`."""
+        found = []
+        for ready in wait(list(self._busy), seconds):
+            assert isinstance(ready, Connection)
+            worker, tag = self._busy.pop(ready)
+            try:
+                outcome = ready.recv()
+                self._idle.append(worker)
+            except (EOFError, OSError):
+                code = worker.stopped()
+                how = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+                outcome = Outcome(reason=f"the worker died ({how}); where the memory was short, pass a smaller tile=")
+            found.append((tag, outcome))
+        return found
+
+    def close(self) -> None:
+        """End all processes."""
+        workers = [*self._idle, *(worker for worker, _ in self._busy.values())]
+        self._idle, self._busy = [], {}
+        for worker in workers:
+            worker.process.kill()
+        for worker in workers:
+            worker.stopped()
+
+
+class _Worker:
+    """A process that does one task after the other."""
+
+    def __init__(self, context: Any) -> None:
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+
+    def stopped(self) -> int | None:
+        """Wait for its end; the exit code."""
+        self.process.join()
+        self.connection.close()
+        return self.process.exitcode
+
+
+def _serve(connection: Connection) -> None:
+    """The life of a worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    os.environ.setdefault("RAYON_NUM_THREADS", "1")  # of the LAZ codec: one processor a worker
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    from ..core.compilation import use_persistent_cache
+
+    use_persistent_cache()
+    while True:
+        try:
+            function, arguments = connection.recv()
+        except EOFError:
+            return
+        connection.send(attempt(function, arguments))
+
+
+def _die_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)

@@ -1,0 +1,307 @@
+"""One tile: its points are read across files, filtered together with their surroundings, and the labels put on disk.
+
+Everything here is a function of paths and numbers, so that it can be run in any process that sees the same files, again
+and again, with the same outcome.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import time
+import uuid
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import QUANTUM, PointCloud, Whole
+from ..core.errors import InputError, JaxfilterWarning
+from ..core.filter import Filter
+from ..core.result import FilterResult, Status
+from ..host.files import Bounds
+from ..host.sources import Source
+from ..host.windows import read_window
+from ..host.writing import class_changes
+
+ANCHOR = (0.0, 0.0)
+"""File coordinates that all grids of a run are aligned to: the same tile gets the same labels in any collection."""
+
+CANDIDATE, GROUND = 1, 2
+"""Bits of a stored label."""
+
+_PER_FOLDER = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What all tiles of a run have in common.
+
+    Attributes:
+        filter: set up for the whole collection.
+        reading: ``returns``, ``ignore_classes``, ``keep_withheld``, ``drop_invalid`` of :func:`jaxfilter.read`.
+        classes: ``ground_class``, ``other_class``, ``reset``, ``only_ground`` of :func:`jaxfilter.write`.
+        extra: quantities of the result that are written along.
+        whole: of the collection.
+        folder: where labels are kept until a file is complete; all processes see it.
+        index: where :func:`jaxfilter.host.windows.read_window` keeps what it finds out about files.
+    """
+
+    filter: Filter
+    reading: dict[str, Any]
+    classes: dict[str, Any]
+    extra: tuple[str, ...]
+    whole: Whole
+    folder: Path
+    index: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """A tile to be filtered.
+
+    Attributes:
+        number: in the plan.
+        core, window: without and with the halo, file coordinates, half open.
+        files: numbers of the files that the window meets; sources: the same files.
+        patient: leave out a file that cannot be read, and go on without its points.
+    """
+
+    number: int
+    core: Bounds
+    window: Bounds
+    files: tuple[int, ...]
+    sources: tuple[Source, ...]
+    patient: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class TileReport:
+    """What became of a tile.
+
+    Attributes:
+        points, candidates, ground: of its core.
+        read: points of core and halo.
+        seconds: that it took.
+        classes: points of the core by (old class, new class).
+        status: name of the filter's :class:`jaxfilter.Status`.
+        remarks: what was warned of.
+        left_out: numbers of files that could not be read, with the reason.
+    """
+
+    number: int
+    points: int
+    candidates: int
+    ground: int
+    read: int
+    seconds: float
+    classes: dict[tuple[int, int], int]
+    status: str
+    remarks: tuple[str, ...] = ()
+    left_out: tuple[tuple[int, str], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Around:
+    """The points of a tile and its halo.
+
+    Attributes:
+        cloud: n points, files one after the other.
+        file: i32[n], the number of the file; record: i64[n], the record in it.
+        core: bool[n], points that the tile labels.
+        left_out: as in :class:`TileReport`.
+    """
+
+    cloud: PointCloud
+    file: np.ndarray
+    record: np.ndarray
+    core: np.ndarray
+    left_out: tuple[tuple[int, str], ...]
+
+
+def filter_tile(job: Job, tile: Tile) -> TileReport:
+    """Label the points of the core of a tile and put the labels into the folder of the job.
+
+    Raises: InputError, if a file cannot be read and the tile is not ``patient``; ParameterError.
+    """
+    start = time.perf_counter()
+    with _heard() as remarks:
+        around = read_tile(job, tile)
+        result = job.filter(around.cloud, workers=1)
+        own = np.flatnonzero(around.core)
+        cloud, labels = part_of(around.cloud, own), result.ground[own]
+        _store(job, tile.number, around, own, result)
+        changes = class_changes(cloud, labels, **job.classes)
+    return TileReport(
+        tile.number,
+        len(own),
+        int(cloud.candidate.sum()),
+        int(labels.sum()),
+        len(around.cloud),
+        time.perf_counter() - start,
+        changes,
+        Status(result.status).name,
+        tuple(remarks),
+        around.left_out,
+    )
+
+
+def survey_tile(job: Job, tile: Tile) -> float | None:
+    """Elevation of the lowest point of the core that the filter lets count (``Filter.lowest``), file units; None without any.
+
+    Raises: as :func:`filter_tile`.
+    """
+    with _heard():
+        around = read_tile(job, tile)
+        points = job.filter.points_of(around.cloud)
+        if len(points) == 0 or not points.has_area():
+            return None
+        counts = job.filter.lowest(points)
+    assert counts is not None
+    member = around.core[points.index]
+    low = points.xyz[points.member[member & counts[points.member]], 2]
+    cloud = around.cloud
+    return float(cloud.origin[2] + float(low.min()) / cloud.units.z) if len(low) else None
+
+
+def read_tile(job: Job, tile: Tile) -> Around:
+    """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
+
+    What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile.
+    """
+    clouds, files, records, cores, left_out = [], [], [], [], []
+    for number, source in zip(tile.files, tile.sources, strict=True):
+        slack = 4 * QUANTUM / source.metre
+        wide = tuple(v + step for v, step in zip(tile.window, (-slack, -slack, slack, slack), strict=True))
+        try:
+            window = read_window(source, wide, job.index, anchor=ANCHOR, **job.reading)  # type: ignore[arg-type]
+        except InputError as error:
+            if not tile.patient:
+                raise
+            left_out.append((number, str(error)))
+            continue
+        if len(window.cloud) == 0:
+            continue
+        cloud, record = window.cloud, window.record
+        within = inside(cloud, tile.window)
+        if not within.all():
+            cloud, record = part_of(cloud, within), record[within]
+        clouds.append(cloud)
+        cores.append(inside(cloud, tile.core))
+        files.append(np.full(len(cloud), number, np.int32))
+        records.append(record)
+    file, record, core = (
+        np.concatenate([np.zeros(0, kind), *parts])
+        for kind, parts in ((np.int32, files), (np.int64, records), (bool, cores))
+    )
+    return Around(joined(clouds, job.whole), file, record, core, tuple(left_out))
+
+
+def inside(cloud: PointCloud, box: Bounds) -> np.ndarray:
+    """bool[n]: points in a box in file coordinates, half open, as the quantised coordinates have it. Invalid points lie at
+    the corner of the cloud, and are inside where that is."""
+    inside = np.ones(len(cloud), bool)
+    for axis in range(2):
+        metres = np.rint(cloud.origin[axis] * cloud.units.xy) + cloud.xyz[:, axis].astype(np.float64)
+        inside &= (metres >= box[axis] * cloud.units.xy) & (metres < box[axis + 2] * cloud.units.xy)
+    return inside
+
+
+def joined(clouds: Sequence[PointCloud], whole: Whole | None = None) -> PointCloud:
+    """One cloud of several with one anchor, one after the other; exact, since their origins are whole metres apart."""
+    if not clouds:
+        return PointCloud.from_arrays(np.zeros((0, 3)), anchor=ANCHOR, whole=whole)
+    first = clouds[0]
+    if len(clouds) == 1:
+        return dataclasses.replace(first, source=None, whole=whole)
+    factor = np.array([first.units.xy, first.units.xy, first.units.z])
+    origin = np.min([cloud.origin for cloud in clouds], axis=0)
+    shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
+    columns: dict[str, Any] = {}
+    for name, empty in (
+        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("valid", True)
+    ):  # fmt: skip
+        parts = [getattr(cloud, name) for cloud in clouds]
+        if any(part is not None for part in parts):
+            kind = next(part.dtype for part in parts if part is not None)
+            filled = [
+                np.full(len(cloud), empty, kind) if part is None else part
+                for cloud, part in zip(clouds, parts, strict=True)
+            ]
+            columns[name] = np.concatenate(filled)
+    return PointCloud(
+        origin=origin,
+        xyz=np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)]),
+        candidate=np.concatenate([cloud.candidate for cloud in clouds]),
+        crs=first.crs,
+        units=first.units,
+        anchor=first.anchor,
+        whole=whole,
+        **columns,
+    )
+
+
+def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
+    """The points of some rows, i64[k] or bool[n], without their file."""
+    names = (
+        "xyz",
+        "return_number",
+        "number_of_returns",
+        "classification",
+        "withheld",
+        "candidate",
+        "reference",
+        "valid",
+    )
+    arrays = {name: getattr(cloud, name) for name in names}
+    parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
+    return dataclasses.replace(cloud, source=None, **parts)
+
+
+def labels_path(folder: Path, number: int) -> Path:
+    """Where the labels of a tile are."""
+    return folder / "labels" / str(number // _PER_FOLDER) / f"{number}.npz"
+
+
+def load_labels(folder: Path, number: int, file: int, extra: Sequence[str]) -> tuple[np.ndarray, ...] | None:
+    """Records i64[k] of a file, labels u8[k], and f32[k] of every extra quantity, as a tile has them; None if it has none."""
+    with np.load(labels_path(folder, number)) as stored:
+        if f"record_{file}" not in stored:
+            return None
+        return tuple(stored[f"{name}_{file}"] for name in ("record", "label", *extra))
+
+
+def _store(job: Job, number: int, around: Around, own: np.ndarray, result: FilterResult) -> None:
+    """Write the labels of a tile, whole or not at all."""
+    arrays: dict[str, np.ndarray] = {}
+    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | result.ground[own] * np.uint8(GROUND)
+    file = around.file[own]
+    for one in np.unique(file):
+        rows = file == one
+        at = own[rows]
+        arrays[f"record_{one}"] = around.record[at]
+        arrays[f"label_{one}"] = label[rows]
+        arrays |= {f"{name}_{one}": getattr(result, name)[at] for name in job.extra}
+    path = labels_path(job.folder, number)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f"{uuid.uuid4().hex}.part")
+    try:
+        with open(part, "xb") as stream:
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[list[str]]:
+    """A block whose warnings of this package are listed, each once, instead of being shown."""
+    remarks: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", JaxfilterWarning)
+        yield remarks
+        remarks += dict.fromkeys(str(w.message) for w in caught)

@@ -1,0 +1,123 @@
+"""``ground`` and ``dtm`` of collections on the command line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.cli.runs import Bytes, is_collection
+
+pytestmark = pytest.mark.usefixtures("compilation_cache")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory, scene):
+    """Two LAZ files, west and east."""
+    folder = tmp_path_factory.mktemp("survey")
+    xyz, cloud = scene.cloud.coordinates(), scene.cloud
+    west = xyz[:, 0] < np.median(xyz[:, 0])
+    for name, rows in (("west", west), ("east", ~west)):
+        part = jf.PointCloud.from_arrays(
+            xyz[rows],
+            crs="EPSG:25832",
+            return_number=cloud.return_number[rows],
+            number_of_returns=cloud.number_of_returns[rows],
+        )
+        jf.write(folder / f"{name}.laz", part, np.zeros(len(part), bool), only_ground=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(survey, tmp_path_factory):
+    """A run over the folder: its output and what it printed."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    result = run("ground", "pmf", survey, out, "--max-window", 9, "--workers", 1, "--json", "--quiet")
+    assert result.exit_code == 0, result.output
+    return out, json.loads(result.stdout)
+
+
+def test_a_folder_is_classified_into_a_folder(survey, done):
+    out, report = done
+    assert sorted(path.name for path in out.glob("*.laz")) == ["east.laz", "west.laz"]
+    ground = sum(int((jf.read(path).classification == 2).sum()) for path in out.glob("*.laz"))
+    assert report["complete"] and report["method"] == "PMF" and report["parameters"]["max_window"] == 9
+    assert report["ground"] == ground == sum(r["points"] for r in report["classes"] if r["after"] == 2) > 1000
+    assert report["points"] == sum(len(jf.read(path)) for path in survey.glob("*.laz"))
+
+
+def test_a_folder_that_holds_something_is_refused_and_resumed(survey, done):
+    refused = run("ground", "pmf", survey, done[0], "--max-window", 9)
+    assert refused.exit_code == 1 and "pass --resume" in refused.stderr and "pass --overwrite" in refused.stderr
+    again = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume", "--workers", 1)
+    assert again.exit_code == 0 and f"{done[1]['ground']:,} of {done[1]['points']:,} points are ground" in again.stdout
+    other = run("ground", "pmf", survey, done[0], "--max-window", 11, "--resume")
+    assert other.exit_code == 1 and "results are not mixed" in other.stderr
+
+
+def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
+    for path in survey.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "broken.laz").write_bytes(b"LASF" + bytes(300))
+    result = run("ground", "pmf", tmp_path / "*.laz", tmp_path / "out", "--max-window", 9, "--workers", 1)
+    assert result.exit_code == 1 and "not written" in result.stderr and "broken.laz" in result.stderr
+    assert len(list((tmp_path / "out").glob("*.laz"))) == 2
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (("smfr", "{survey}", "out"), "smfr: no such file or folder, and no method: choose one of agptd"),
+        (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
+        (("pmf", "{survey}", "out", "--bounds", 0, 0, 1, 1), "--bounds is for a single file"),
+        (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
+        (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
+        (("pmf", "{survey}/west.laz", "out.laz", "--halo", 5), "--halo is for a collection"),
+        (("smfr", "out.laz"), "does not exist. It is no method either"),
+    ],
+)
+def test_wrong_usage_ends_before_anything_is_written(survey, tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    result = run("ground", *(str(word).format(survey=survey) for word in words))
+    assert result.exit_code == 2 and message in " ".join(result.stderr.split()), result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_method_a_file_gets_the_default(survey, tmp_path):
+    result = run("ground", survey / "west.laz", tmp_path / "out.laz", "--json", "--quiet")
+    assert result.exit_code == 0, result.output
+    cloud = jf.read(survey / "west.laz")
+    assert json.loads(result.stdout)["ground"] == jf.SMRF.for_cloud(cloud)(cloud).ground.sum()
+
+
+def test_a_terrain_model_of_a_folder(done, tmp_path):
+    pytest.importorskip("rasterio")
+    result = run("dtm", done[0], tmp_path / "dtm.tif", "--cell", 2, "--workers", 1, "--json", "--quiet")
+    assert result.exit_code == 0, result.output
+    raster, report = jf.Raster.read(tmp_path / "dtm.tif"), json.loads(result.stdout)
+    assert raster.values.shape == (report["rows"], report["columns"]) == (30, 30)
+    assert np.isfinite(raster.values).mean() > 0.95 and raster.crs.to_epsg() == 25832
+    assert run("dtm", done[0], tmp_path / "dtm.tif").exit_code == 2, "exists"
+    assert run("dtm", done[0], tmp_path / "b.tif", "--set", "slope=2").exit_code == 2, "without --filter"
+
+
+def test_what_is_a_collection(tmp_path):
+    (tmp_path / "a.laz").touch()
+    one = str(tmp_path / "a.laz")
+    assert not is_collection([one, "out.laz"]) and not is_collection([one])
+    for words in ([one, one, "out"], [str(tmp_path), "out"], ["*.laz", "out"], ["all.vpc", "out"], [one, "out/"]):
+        assert is_collection(words), words
+    assert is_collection(["s3://bucket/a.laz", "out"]) and is_collection([one, str(tmp_path)])
+
+
+@pytest.mark.parametrize("text, size", [("4GB", 4e9), ("512MiB", 2**29), ("1e9", 1e9), ("1.5 g", 1.5e9), ("7", 7.0)])
+def test_sizes(text, size):
+    assert Bytes().convert(text, None, None) == size

@@ -1,0 +1,364 @@
+"""Runs over collections: the labels of the whole, the bytes of single files, whatever comes between."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import laspy
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.tiles import task
+from jaxfilter.tiles.ground import SCRATCH, ground
+from jaxfilter.tiles.pool import Outcome, Pool, attempt
+from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
+
+pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+PMF_FIELDS = {"max_window": 10.0, "low_clusters": False}
+PMF = jf.PMF(**PMF_FIELDS)
+LEFT = ["jaxfilter-run.json", "jaxfilter-run.png", "jaxfilter-run.sqlite"]
+HOW = {"tile": 25.0, "halo": 20.0, "workers": 1}
+
+
+class Here:
+    """An executor in this process that ends tasks in any order, and may stop in the middle."""
+
+    def __init__(self, seed=0, width=3, stop_after=None, fail=None):
+        self.rng, self.width, self.stop_after = np.random.default_rng(seed), width, stop_after
+        self.fail = fail or (lambda function, task: None)
+        self.waiting, self.calls = [], []
+
+    def room(self):
+        return self.width - len(self.waiting)
+
+    def submit(self, tag, function, *arguments):
+        assert self.room() > 0
+        self.waiting.append((tag, function, arguments))
+
+    def completed(self, seconds):
+        if self.stop_after is not None and len(self.calls) >= self.stop_after:
+            raise KeyboardInterrupt
+        tag, function, arguments = self.waiting.pop(int(self.rng.integers(len(self.waiting))))
+        self.calls.append((function.__name__, arguments[-1].number))
+        reason = self.fail(function, arguments[-1])
+        return [(tag, Outcome(reason=reason) if reason else attempt(function, arguments))]
+
+    def close(self):
+        self.waiting = []
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Four LAZ files of a scene, of two point formats and scales, cut where no tile ends."""
+    folder = tmp_path_factory.mktemp("survey")
+    scene = jf.scenes.make("town", size=(100.0, 90.0), density=1.0, seed=5)
+    xyz, cloud = scene.cloud.coordinates(), scene.cloud
+    middle = scene.cloud.origin[:2] + (43.0, 51.0)
+    for i in range(2):
+        for j in range(2):
+            rows = np.flatnonzero(((xyz[:, 0] < middle[0]) == (i == 0)) & ((xyz[:, 1] < middle[1]) == (j == 0)))
+            las = laspy.LasData(laspy.LasHeader(point_format=6 if i else 1, version="1.4"))
+            las.header.scales, las.header.offsets = np.full(3, 0.01 if j else 0.001), np.floor(xyz.min(axis=0))
+            las.x, las.y, las.z = xyz[rows].T
+            las.return_number, las.number_of_returns = cloud.return_number[rows], cloud.number_of_returns[rows]
+            las.intensity = rows % 60000
+            las.classification = np.where(rows % 50 == 0, 9, 0)
+            las.write(folder / f"{i}{j}.laz")
+    return folder
+
+
+def run(files, out, executor=None, filter_=PMF, **how):
+    return ground(files, out, filter_, executor=executor or Here(), **HOW | how)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.la[sz]"))}
+
+
+@pytest.fixture(scope="module")
+def done(files, tmp_path_factory):
+    """The outputs of an undisturbed run, and its report."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    report = run(files, out)
+    assert report.complete
+    return out, report
+
+
+def test_files_are_those_that_the_labels_of_the_whole_make(files, done, tmp_path):
+    out, report = done
+    paths = sorted(files.glob("*.laz"))
+    clouds = [jf.read(path, anchor=ANCHOR) for path in paths]
+    whole = joined(clouds)
+    labels = PMF(whole).ground
+    assert 0.3 < labels.mean() < 0.95 and report.tiles > 12
+    start = 0
+    for path, cloud in zip(paths, clouds, strict=True):
+        expected = jf.write(tmp_path / path.name, cloud, labels[start : start + len(cloud)])
+        assert (out / path.name).read_bytes() == expected.read_bytes()
+        start += len(cloud)
+    assert (report.points, report.ground) == (len(whole), labels.sum())
+    assert report.candidates == whole.candidate.sum() and report.statuses == {"CONVERGED": report.tiles}
+    before = np.concatenate([cloud.classification for cloud in clouds])
+    after = np.concatenate([laspy.read(out / path.name).classification for path in paths])
+    pairs, number = np.unique(np.stack([before, after]), axis=1, return_counts=True)
+    assert report.classes == {tuple(pair): n for pair, n in zip(pairs.T.tolist(), number.tolist(), strict=True)}
+    assert (9, 9) in report.classes
+    assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
+
+
+def test_clouds_that_are_joined_are_those_of_all_coordinates(files):
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    whole = jf.PointCloud.from_arrays(np.concatenate([c.coordinates() for c in clouds]), anchor=ANCHOR)
+    found = joined(clouds)
+    assert np.array_equal(found.origin, whole.origin) and np.array_equal(found.xyz, whole.xyz)
+    assert np.array_equal(found.classification, np.concatenate([c.classification for c in clouds]))
+
+
+def test_the_order_in_which_tiles_end_changes_no_byte(files, done, tmp_path):
+    for seed in (1, 2):
+        assert run(files, tmp_path / str(seed), Here(seed, width=7)).complete
+        assert contents(tmp_path / str(seed)) == contents(done[0])
+
+
+def test_a_run_that_is_stopped_goes_on_and_repeats_nothing(files, done, tmp_path):
+    tasks = []
+    for stop in (5, 9, 4, 100):
+        executor = Here(stop, stop_after=stop)
+        try:
+            report = run(files, tmp_path / "out", executor, resume=True)
+        except KeyboardInterrupt:
+            assert (tmp_path / "out" / SCRATCH).is_dir()
+        tasks += executor.calls
+    assert report.complete and contents(tmp_path / "out") == contents(done[0])
+    assert (report.points, report.classes) == (done[1].points, done[1].classes)
+    assert not (tmp_path / "out" / SCRATCH).exists() and len(tasks) == len(set(tasks))
+    last = Here()
+    assert run(files, tmp_path / "out", last, resume=True).complete and last.calls == []
+
+
+def test_labels_that_are_lost_are_made_again(files, done, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        run(files, out, Here(3, stop_after=8), resume=True)
+    shutil.rmtree(out / SCRATCH / "labels")
+    assert run(files, out, resume=True).complete and contents(out) == contents(done[0])
+
+
+def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, done, tmp_path):
+    tried = []
+
+    def fail(function, tile):
+        if function is filter_tile and tile.number == 0:
+            tried.append(tile.patient)
+            return "no luck"
+        return (
+            "once"
+            if len(tried) == 1 and function is filter_tile and tile.number == 5 and not tried.append(None)
+            else None
+        )
+
+    report = run(files, tmp_path / "out", Here(fail=fail))
+    assert tried.count(False) == 2 and tried.count(True) == 1
+    assert [one["reason"] for one in report.set_aside] == ["no luck"] and not report.complete
+    assert len(report.files) == 3 and "tile 0 was set aside: no luck" in report.failed[0]["reason"]
+    same = contents(done[0])
+    assert all(same[name] == data for name, data in contents(tmp_path / "out").items())
+    assert run(files, tmp_path / "out", resume=True).complete and contents(tmp_path / "out") == same
+
+
+def test_a_damaged_file_is_left_out_and_all_others_are_written(files, done, tmp_path):
+    survey = tmp_path / "survey"
+    shutil.copytree(files, survey)
+    data = bytearray((survey / "11.laz").read_bytes())
+    data[len(data) // 3 : len(data) // 2] = os.urandom(len(data) // 2 - len(data) // 3)
+    (survey / "11.laz").write_bytes(data)
+    (survey / "empty.laz").write_bytes(b"")
+    report = run(survey, tmp_path / "out")
+    assert sorted(contents(tmp_path / "out")) == ["00.laz", "01.laz", "10.laz"]
+    assert {one["file"].rpartition("/")[2] for one in report.failed} == {"11.laz", "empty.laz"}
+    assert [one["file"] for one in report.left_out] == [str(survey / "11.laz")] and not report.set_aside
+    assert report.points == sum(len(jf.read(files / name)) for name in ("00.laz", "01.laz", "10.laz"))
+
+
+@pytest.mark.parametrize(
+    "changes, what",
+    [({"halo": 10.0}, "tiles"), ({"filter_": PMF.replace(slope=0.5)}, "filter"), ({"other_class": 0}, "classes")],
+)
+def test_nothing_is_mixed_with_a_run_of_other_parameters(files, done, tmp_path, changes, what):
+    shutil.copytree(done[0], tmp_path / "out")
+    with pytest.raises(jf.InputError, match=f"begun with other {what}"):
+        run(files, tmp_path / "out", resume=True, **changes)
+    assert contents(tmp_path / "out") == contents(done[0]) and not (tmp_path / "out" / SCRATCH).exists()
+
+
+def test_inputs_that_have_changed_are_noticed(files, tmp_path):
+    survey = tmp_path / "survey"
+    shutil.copytree(files, survey)
+    with pytest.raises(KeyboardInterrupt):
+        run(survey, tmp_path / "out", Here(stop_after=4))
+    las = laspy.read(survey / "01.laz")
+    las.z[0] += 1.0
+    las.write(survey / "01.laz")
+    with pytest.raises(jf.InputError, match="begun with other inputs"):
+        run(survey, tmp_path / "out", resume=True)
+    assert run(survey, tmp_path / "out", overwrite=True).complete
+
+
+def test_folders_that_hold_something_are_refused(files, done, tmp_path):
+    with pytest.raises(jf.OutputError, match=r"is not empty, it holds 00\.laz and 6 more"):
+        run(files, done[0])
+    with pytest.raises(jf.OutputError, match="is an input"):
+        run(files, files, overwrite=True)
+    other = tmp_path / "other"
+    shutil.copytree(files, other)
+    with pytest.raises(jf.OutputError, match="both be written as 00"):
+        run([str(files), str(other)], tmp_path / "out")
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "notes.txt").write_text("mine")
+    assert run(files, tmp_path / "kept", overwrite=True).complete
+    assert (tmp_path / "kept" / "notes.txt").read_text() == "mine"
+
+
+def test_quantities_are_written_along(files, tmp_path):
+    report = run(files, tmp_path / "out", extra=("height",))
+    assert report.complete
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    height = PMF(joined(clouds)).height
+    found = np.concatenate([laspy.read(path)["height"] for path in sorted((tmp_path / "out").glob("*.laz"))])
+    assert np.array_equal(found, height, equal_nan=True)
+
+
+def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp_path):
+    csf = jf.CSF(iterations=60, smooth=False)
+    out = tmp_path / "out"
+    assert run(files, out, filter_=csf, tile=50.0, halo=100.0).complete, "windows hold everything, cores do not"
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    labels = csf(joined(clouds)).ground
+    found = [jf.read(path) for path in sorted(out.glob("*.laz"))]
+    ground_ = np.concatenate([one.classification == 2 for one in found])
+    assert np.array_equal(ground_, labels)
+
+
+def test_workers_that_die_are_replaced():
+    pool = Pool(2)
+    try:
+        pool.submit("dies", os._exit, 3)
+        pool.submit("fails", int, "x")
+        found = {}
+        while len(found) < 2:
+            found |= dict(pool.completed(10.0))
+        assert "exit code 3" in found["dies"].reason and "ValueError" in found["fails"].reason
+        pool.submit("works", int, "7")
+        assert [outcome.value for _, outcome in pool.completed(10.0)] == [7]
+        assert pool.room() == 2
+    finally:
+        pool.close()
+
+
+def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
+    assert report.complete and contents(tmp_path / "out") == contents(done[0])
+
+
+def test_a_report_and_a_map_lie_beside_the_files(done):
+    out, report = done
+    facts = json.loads((out / "jaxfilter-run.json").read_text())
+    assert facts["complete"] and facts["points"] == report.points and len(facts["files"]) == 4
+    assert sum(row["points"] for row in facts["classes"]) == report.points
+    image = pytest.importorskip("matplotlib.image").imread(out / "jaxfilter-run.png")
+    assert min(image.shape[:2]) > 200 and len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 20
+
+
+def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    out, _ = done
+    report = jf.terrain_model(jf.open(str(out)), tmp_path / "dtm.tif", cell=0.5, tile=25.0, executor=Here(width=5))
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(out.glob("*.laz"))])
+    expected = jf.dtm(whole, whole.classification == 2, cell=0.5)
+    with rasterio.open(tmp_path / "dtm.tif") as file:
+        values = file.read(1, masked=True).filled(np.nan)
+        assert tuple(file.transform)[:6] == expected.transform == report.transform
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+    inner = np.s_[40:-40, 40:-40]  # along the edge triangles of the hull may differ
+    assert values.shape == expected.values.shape and np.isfinite(values[inner]).all()
+    assert np.array_equal(values[inner], expected.values[inner])
+    assert report.empty == np.isnan(values).sum() and report.tiles > 12
+    assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
+
+
+def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
+    pytest.importorskip("rasterio")
+    how = {"cell": 1.0, "tile": 40.0}
+    found = jf.terrain_model(jf.open(str(files)), tmp_path / "a.tif", jf.PMF, PMF_FIELDS, executor=Here(), **how)
+    made = jf.terrain_model(jf.open(str(done[0])), tmp_path / "b.tif", executor=Here(), **how)
+    a, b = (jf.Raster.read(tmp_path / name).values for name in ("a.tif", "b.tif"))
+    assert found.ground == made.ground and np.array_equal(a, b, equal_nan=True)
+    with pytest.raises(jf.InputError, match="no point is ground"):
+        jf.terrain_model(jf.open(str(files)), tmp_path / "c.tif", executor=Here(), **how)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.tif", "b.tif"]
+
+
+def test_methods_on_triangulations_label_tiles_as_the_whole(files):
+    """Seeds, order and border points follow the anchor: where windows hold all that a tile needs, labels are the same."""
+    ptd = jf.PTD(seed_cell=12.0, low_clusters=False)
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    whole = joined(clouds)
+    labels = ptd(whole).ground
+    xy = whole.coordinates()[:, :2]
+    middle = np.floor(xy.mean(axis=0) / 12.0) * 12.0
+    differ = 0
+    for east in (False, True):
+        own = (xy[:, 0] >= middle[0]) == east
+        near = (xy[:, 0] >= middle[0] - 36.0) if east else (xy[:, 0] < middle[0] + 36.0)
+        part = jf.PointCloud.from_arrays(whole.coordinates()[near], anchor=ANCHOR)
+        part = part.__class__(**{**vars(part), "candidate": whole.candidate[near]})
+        differ += int((ptd(part).ground[own[near]] != labels[near][own[near]]).sum())
+    assert differ <= len(whole) // 1000
+
+
+def test_candidates_of_clouds_with_one_anchor_are_in_one_order(files):
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))])
+    xyz = whole.coordinates()
+    part = xyz[(xyz[:, 0] > xyz[:, 0].mean()) & (xyz[:, 1] > xyz[:, 1].mean())]
+    all_points, some = (canonical_points(jf.PointCloud.from_arrays(c, anchor=ANCHOR)) for c in (xyz, part))
+    absolute = [np.rint((p.xyz + np.float64(p.cloud.origin)) * 1024).astype(np.int64) for p in (all_points, some)]
+    kept = {tuple(row) for row in absolute[1].tolist()}
+    assert [tuple(row) for row in absolute[0].tolist() if tuple(row) in kept] == [
+        tuple(r) for r in absolute[1].tolist()
+    ]
+
+
+def test_a_run_that_is_refused_leaves_nothing_behind(files, tmp_path):
+    with pytest.raises(jf.ParameterError, match="do not suffice"):
+        run(files, tmp_path / "out", memory=1e6)
+    assert not list((tmp_path / "out").iterdir())
+    (tmp_path / "out" / "01.laz").write_bytes(b"mine")
+    with pytest.raises(jf.OutputError, match="no run was begun"):
+        run(files, tmp_path / "out", resume=True)
+    assert (tmp_path / "out" / "01.laz").read_bytes() == b"mine"
+
+
+def test_files_that_could_not_be_reached_are_tried_again(files, done, tmp_path, monkeypatch):
+    reach = task.read_window
+
+    def broken(source, *arguments, **options):
+        if source.uri.endswith("10.laz"):
+            raise jf.InputError("no connection")
+        return reach(source, *arguments, **options)
+
+    monkeypatch.setattr(task, "read_window", broken)
+    report = run(files, tmp_path / "out")
+    assert [one["reason"] for one in report.failed] == ["no connection"] and len(report.files) == 3
+    assert contents(tmp_path / "out") != {n: b for n, b in contents(done[0]).items() if n != "10.laz"}, "no halo there"
+    monkeypatch.undo()
+    assert run(files, tmp_path / "out", resume=True).complete
+    assert contents(tmp_path / "out") == contents(done[0])
