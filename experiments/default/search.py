@@ -54,7 +54,7 @@ def sets(count: int) -> list[dict[str, float]]:
     """The defaults of the method, then sets that fill the ranges evenly (Sobol)."""
     first = {name: float(getattr(jf.FILTERS["ost"](), name)) for name in RANGES}
     low, high = np.array(list(RANGES.values())).T
-    unit = qmc.Sobol(len(RANGES), seed=7).random(count)
+    unit = qmc.Sobol(len(RANGES), seed=7).random_base2(max(count - 1, 1).bit_length())[:count]
     return [first, *(dict(zip(RANGES, map(float, low + (high - low) * row), strict=True)) for row in unit)]
 
 
