@@ -42,7 +42,8 @@ _PER_POINT = 330
 _SHARE = 0.7
 """Of the memory that is free, when none is given."""
 _MOST_POINTS = 8_000_000
-"""Points of core and halo: larger tiles save little."""
+"""Points of core and halo: larger tiles save little, unless they are narrower than so many halos, both sides included."""
+_HALOS = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +80,8 @@ def layout(
     if room <= 0:
         raise ParameterError(f"memory={budget:.3g} bytes do not suffice for {count} workers of {_BASE:.3g} each")
     if tile is None and (most_points is None or memory is not None):
-        most_points = min(room / _PER_POINT, _MOST_POINTS)
+        useful = collection.density * (_HALOS * halo) ** 2 if collection.density > 0 else 0.0
+        most_points = min(room / _PER_POINT, max(_MOST_POINTS, useful))
     plan = plan_tiles(
         collection.footprints,
         collection.counts,

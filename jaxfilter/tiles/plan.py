@@ -181,7 +181,7 @@ def plan_tiles(
     extent = (high - origin) * metre + _ROUNDED
     area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
     density = float(counts[used].sum()) / max(area, 1.0)
-    least = max(grid, 2 * halo)
+    least = max(grid, halo)
     guess = max(
         least if cuts == 1 else grid,
         min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()) / cuts, _LARGEST_SIDE),
