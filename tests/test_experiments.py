@@ -673,3 +673,24 @@ def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two
     assert not cloud.reference[gone].any()
     assert 100 * gone.sum() / objects == pytest.approx(34.27, abs=100 / objects)  # printed in Table 3
     assert agptd2024.seen("as_printed", "samp53", cloud) is cloud
+
+
+def test_constants_are_replaced_by_clearly_better_ones_only():
+    """Total error and kappa from counts equal those of the library; a set that is better by chance does not win."""
+    from experiments.default import run
+
+    def row(number, cloud, lost):
+        counts = {"points": 100, "ground": 60, "lost": lost, "wrong": 5}
+        return {"set": str(number), "cloud": cloud, "group": "g", **{k: str(v) for k, v in counts.items()}}
+
+    names = ["samp1", "samp2", "a", "b", "scene a", "scene b"]
+    noisy = run.scored(
+        [row(0, n, 10) for n in names] + [row(1, n, k) for n, k in zip(names, (0, 19, 1, 18, 2, 17), strict=True)]
+    )
+    assert run.best(noisy) == "1" and run.clearly_best(noisy) == "0"
+    sure = run.scored([row(0, n, 10) for n in names] + [row(1, n, 5) for n in names])
+    assert run.clearly_best(sure) == "1"
+    truth = np.arange(100) < 60
+    found = ((np.arange(100) >= 10) & truth) | (np.arange(100) >= 95)
+    scores = jf.evaluate(found, truth)
+    assert sure.loc[0, ["total", "kappa"]].tolist() == pytest.approx([scores.total, scores.kappa])
