@@ -53,7 +53,7 @@ class GroundTin:
     """
 
     def __init__(self, xyz: np.ndarray, seeds: np.ndarray, workers: int | None) -> None:
-        """``seeds``: i64[s], ascending, with three positions or more that are not on a line; ``workers``: threads, None = cores."""
+        """``seeds``: i64[s], ascending, with three positions that are not on a line; ``workers``: threads, None = cores."""
         self.workers = workers or os.cpu_count() or 1
         self.pool = ThreadPoolExecutor(self.workers)
         self.xyz, self.ground = xyz, np.zeros(len(xyz), bool)
