@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
     from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
+    from .filters.default import default_filter
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
     from .reports import report
@@ -38,6 +39,7 @@ _HOMES = {
     "filters": (
         "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
+    "filters.default": ("default_filter",),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
     "stages.grid_filter": ("soft_labels",),
@@ -57,9 +59,9 @@ __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
-    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "dtm", "dtm_rmse", "evaluate", "ground",
-    "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep", "terrain_model",
-    "write",
+    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "default_filter", "dtm", "dtm_rmse", "evaluate",
+    "ground", "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep",
+    "terrain_model", "write",
 ]  # fmt: skip
 
 

@@ -52,11 +52,8 @@ class Points:
         return None if cloud.anchor is None else (cloud.origin[:2] - cloud.anchor) * cloud.units.xy
 
     def has_area(self) -> bool:
-        """Whether there are three positions that do not lie on one line (to the quantum of the coordinates)."""
-        if len(self.xyz) < 3:
-            return False
-        few = self.xyz[:: max(1, len(self.xyz) // 1000), :2]
-        return _spread_across(few) > 8 * QUANTUM or _spread_across(self.xyz) > 2 * QUANTUM
+        """As :func:`has_area` of all."""
+        return has_area(self.xyz)
 
     def spacing(self) -> float:
         """Mean point spacing in metres: square root of occupied area per point.
@@ -122,6 +119,14 @@ def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
         f"{stray:,} of {len(every):,} lie more than {EXTENT / 2000:.0f} km from the median position ({at}); remove these "
         "stray points, or pass bounds= to read the rest"
     )
+
+
+def has_area(xy: np.ndarray) -> bool:
+    """Whether there are three of the positions [n, >=2] that do not lie on one line (to the quantum of the coordinates)."""
+    if len(xy) < 3:
+        return False
+    few = xy[:: max(1, len(xy) // 1000), :2]
+    return _spread_across(few) > 8 * QUANTUM or _spread_across(xy) > 2 * QUANTUM
 
 
 def _spread_across(xy: np.ndarray) -> float:

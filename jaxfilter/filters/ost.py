@@ -12,10 +12,10 @@ import numpy as np
 
 from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
-from ..core.points import Points
+from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
 from ..ops.morphology import progressive_opening
-from ..stages.ground_tin import GroundTin
+from ..stages.ground_tin import GroundTin, lowest_of_each
 from ..stages.landscape import Landscape
 from ..stages.objects import Roofs, whole_segments
 from ..stages.outliers import low_clusters, ring_low
@@ -127,8 +127,11 @@ class OST(Filter):
         progress(0.0, "outliers")
         low = self.low(points)
         progress(0.1, "lowest point per cell")
-        cells = self.cells(points, low)
-        lowest = np.flatnonzero((points.xyz[:, 2] == look_up(points.xyz, cells, cells.lowest)[0]) & ~low)
+        cells, lowest = self.lowest(points, low)
+        if not has_area(points.xyz[lowest]):  # a cloud of a few cells
+            low = np.zeros_like(low)
+            cells, _ = self.lowest(points, low)
+            lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
         with GroundTin(points.xyz, lowest, workers) as all_lowest:
             z = filled_by(all_lowest.tin, cells, math.ceil(self.rim / self.cell - 1e-6), longest)
@@ -136,7 +139,9 @@ class OST(Filter):
         objects, landscape = self.objects(z, cells)
         is_object = look_up(points.xyz[lowest], cells, jnp.asarray(objects, jnp.float32))[0] > 0.5
         around = landscape.at(points.xyz)
-        seeds = lowest[~is_object] if not is_object.all() else lowest
+        seeds = lowest[~is_object]
+        if not has_area(points.xyz[seeds]):
+            seeds = lowest
         progress(0.4, "triangulation")
         with GroundTin(points.xyz, seeds, workers) as ground:
             height = min(self.tolerance + self.tolerance_spacing * spacing, self.max_tolerance)
@@ -163,6 +168,11 @@ class OST(Filter):
         if self.low_points:
             low |= low_clusters(points, max_points=self.low_points).barred
         return low
+
+    def lowest(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
+        """The grid without the points ``low``, bool[m], and i64: rows of the points that are lowest in their cell (step 2)."""
+        cells = self.cells(points, low)
+        return cells, np.flatnonzero((points.xyz[:, 2] == look_up(points.xyz, cells, cells.lowest)[0]) & ~low)
 
     def cells(self, points: Points, low: np.ndarray) -> Cells:
         """The lowest elevation per cell, without the points ``low``, bool[m]. Cells are centred on the lattice's nodes."""

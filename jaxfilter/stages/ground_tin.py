@@ -36,6 +36,14 @@ def _joins(xyz: jax.Array, corners: jax.Array, distance: jax.Array, angle: jax.A
     return jnp.where(s.planar, margin, jnp.inf), s.height, s.slope
 
 
+def lowest_of_each(xyz: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """i64: of rows, ascending, the first at each position of points f32[m, 3] in canonical order, which is the lowest."""
+    x, y = xyz[rows, 0], xyz[rows, 1]
+    first = np.ones(len(rows), bool)
+    first[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
+    return rows[first]
+
+
 class GroundTin:
     """Ground points of a cloud, and the triangulation of their lowest per position.
 
@@ -45,13 +53,13 @@ class GroundTin:
     """
 
     def __init__(self, xyz: np.ndarray, seeds: np.ndarray, workers: int | None) -> None:
-        """``seeds``: i64[s], ascending."""
+        """``seeds``: i64[s], ascending, with three positions that are not on a line; ``workers``: threads, None = cores."""
         self.workers = workers or os.cpu_count() or 1
         self.pool = ThreadPoolExecutor(self.workers)
         self.xyz, self.ground = xyz, np.zeros(len(xyz), bool)
         self.ground[seeds] = True
         self.margin, self.height, self.slope = (np.zeros(len(xyz), np.float32) for _ in range(3))
-        self.tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), self._lowest(seeds), self.pool, self.workers)
+        self.tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), lowest_of_each(xyz, seeds), self.pool, self.workers)
 
     def __enter__(self) -> Self:
         return self
@@ -59,24 +67,17 @@ class GroundTin:
     def __exit__(self, *_: object) -> None:
         self.pool.shutdown()
 
-    def _lowest(self, rows: np.ndarray) -> np.ndarray:
-        """Of rows, ascending, the first at each position, which is the lowest."""
-        x, y = self.xyz[rows, 0], self.xyz[rows, 1]
-        first = np.ones(len(rows), bool)
-        first[1:] = (x[1:] != x[:-1]) | (y[1:] != y[:-1])
-        return rows[first]
-
     def _tested(self, test: Callable[..., Tested], rows: np.ndarray, *limits: np.ndarray) -> np.ndarray:
         """Margins of points over their facets, by limits f32[m]; what is found is kept."""
         self.tin.locate(rows)
         corner = self.tin.corners(self.tin.where[rows])
+        size = bucket(min(len(self.xyz), _AT_ONCE))
 
         def one(start: int) -> None:
             part = slice(start, start + _AT_ONCE)
             own = rows[part]
             given = self.xyz[own], self.tin.xyz[corner[part]], *(limit[own] for limit in limits)
-            missing = bucket(len(own)) - len(own)
-            padded = (np.concatenate([v, np.zeros((missing, *v.shape[1:]), v.dtype)]) for v in given)
+            padded = (np.concatenate([v, np.zeros((size - len(own), *v.shape[1:]), v.dtype)]) for v in given)
             for out, values in zip((self.margin, self.height, self.slope), test(*padded), strict=True):
                 out[own] = np.asarray(values)[: len(own)]
 
@@ -86,7 +87,7 @@ class GroundTin:
     def _take(self, rows: np.ndarray) -> None:
         """Make located points ground, and vertices of those at positions without any."""
         self.ground[rows] = True
-        self.tin.insert(self._lowest(rows[self.tin.twins(rows) < 0]))
+        self.tin.insert(lowest_of_each(self.xyz, rows[self.tin.twins(rows) < 0]))
 
     def admit(self, tolerance: np.ndarray, scaling: float, but: np.ndarray) -> None:
         """Take in the points whose height over their facet is at most f32[m] metres and ``scaling`` times its slope, up to 1.

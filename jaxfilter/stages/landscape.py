@@ -49,7 +49,7 @@ class Landscape:
         return _in_cells(self.slope, self.cells.extent, self.cells.lowest.shape, self.block)
 
     def at(self, xyz: np.ndarray) -> np.ndarray:
-        """f32[n]: at points f32[n, >=2], local metres."""
+        """f32[n]: at points f32[n, 3], local metres."""
         frame, extent = self.cells.frame, self.cells.extent
 
         def sampled(chunk: np.ndarray) -> tuple[jax.Array]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..ops.grid import padded_shape
 from ..ops.morphology import erosion
 
 
@@ -37,7 +38,10 @@ def whole_segments(z: np.ndarray, marked: np.ndarray, slope: np.ndarray, cell: f
     """
     from ..host.shapes import census, segments  # imports Numba
 
-    falls = z - np.asarray(erosion(z, 2, 2, "square")) > np.float32(roofs.drop) + 2 * np.float32(cell) * slope
+    wide = np.full(padded_shape(z.shape), np.inf, np.float32)
+    wide[: z.shape[0], : z.shape[1]] = z
+    lowest = np.asarray(erosion(wide, 2, 2, "square"))[: z.shape[0], : z.shape[1]]
+    falls = z - lowest > np.float32(roofs.drop) + 2 * np.float32(cell) * slope
     segment = segments(z, np.float32(roofs.step))
     cells, inside, border, falling = census(segment, marked, falls)
     whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))

@@ -1,0 +1,279 @@
+"""OST and its parts against SciPy, NumPy, closed forms and constructed scenes."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay
+
+import jaxfilter as jf
+from jaxfilter.core.points import canonical_points
+from jaxfilter.host import rings, shapes
+from jaxfilter.host.tin import Tin
+from jaxfilter.ops.morphology import ring_minimum
+from jaxfilter.stages.ground_tin import GroundTin, lowest_of_each
+from jaxfilter.stages.landscape import Landscape
+from jaxfilter.stages.objects import Roofs, whole_segments
+from jaxfilter.stages.outliers import ring_low
+from jaxfilter.stages.surfaces import lowest_cells
+from jaxfilter.stages.voids import filled_by
+
+ROOFS = Roofs(step=0.3, area=30.0, share=0.6, drop=2.5, drop_share=0.5)
+
+
+def points_of(xyz):
+    return canonical_points(jf.PointCloud.from_arrays(xyz)).xyz
+
+
+def cells_of(xyz, cell=1.0):
+    return lowest_cells(xyz, cell, (0.0, 0.0), name="cell")
+
+
+def nodes(side, z):
+    """f32[side * side, 3] in canonical order: one point in the middle of every square metre."""
+    row, column = np.mgrid[:side, :side]
+    return points_of(np.column_stack([column.ravel() + 0.5, row.ravel() + 0.5, np.broadcast_to(z, row.shape).ravel()]))
+
+
+@pytest.fixture
+def pool():
+    with ThreadPoolExecutor(2) as threads:
+        yield threads
+
+
+@pytest.mark.parametrize("inner, outer", [(0, 1), (1, 3), (3, 5), (2, 9)])
+def test_the_minimum_of_a_ring_equals_scipy(rng, inner, outer):
+    z = rng.normal(size=(23, 31)).astype(np.float32)
+    ring = np.ones((2 * outer + 1, 2 * outer + 1), bool)
+    ring[outer - inner : outer + inner + 1, outer - inner : outer + inner + 1] = False
+    expected = ndimage.minimum_filter(z, footprint=ring, mode="constant", cval=np.inf)
+    np.testing.assert_array_equal(np.asarray(ring_minimum(z, inner, outer)), expected)
+
+
+def test_points_below_all_of_a_ring_are_low(rng):
+    """A pit of 3 x 3 cells is found with a reach of 3 cells, a trench across the cloud is not."""
+    z = np.zeros((30, 30))
+    z[8:11, 8:11] = -4.0
+    z[:, 20:23] = -4.0
+    xyz = nodes(30, z)
+    pit = (xyz[:, 2] < xyz[:, 2].max() - 1) & (xyz[:, 0] < 15)
+    np.testing.assert_array_equal(ring_low(xyz, cells_of(xyz), 1.0, 3), pit)
+    assert not ring_low(xyz, cells_of(xyz), 4.5, 3).any()
+
+
+def test_drawn_elevations_equal_scipy(rng):
+    xy, z = rng.uniform(-3, 43, (150, 2)), rng.normal(size=150)
+    triangles = Delaunay(xy).simplices.astype(np.int32)
+    a, b, c = (xy[triangles[:, k]] for k in range(3))
+    turn = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    triangles[turn < 0] = triangles[turn < 0][:, [0, 2, 1]]
+    known = rng.random((40, 40)) < 0.2
+    out, before = np.full((40, 40), -99.0, np.float32), known.copy()
+    row, column = np.mgrid[:40, :40]
+    for longest, heights in ((1e9, z), (0.0, z - 7)):
+        values, seen = out.copy(), known.copy()
+        ghost = np.concatenate([triangles, [[0, 1, -1]]]).astype(np.int32)
+        shapes.draw(*xy.T.copy(), ghost, z.astype(np.float32), (z - 7).astype(np.float32), longest, values, seen)
+        expected = LinearNDInterpolator(xy, heights)(column, row)
+        drawn = ~before & np.isfinite(expected)
+        assert (seen == (drawn | before)).all() and (values[~drawn] == -99.0).all()
+        np.testing.assert_allclose(values[drawn], expected[drawn], atol=1e-4)
+
+
+def test_segments_of_levels_equal_those_of_scipy(rng):
+    """With whole metres and steps below one, segments are the connected parts of each level."""
+    z = rng.integers(0, 3, (25, 33)).astype(np.float32)
+    found = shapes.segments(z, np.float32(0.5))
+    for level in range(3):
+        labels, count = ndimage.label(z == level)
+        for k in range(1, count + 1):
+            part = labels == k
+            assert (found[part] == np.flatnonzero(part.ravel())[0]).all()
+    assert len(np.unique(found)) == sum(ndimage.label(z == level)[1] for level in range(3))
+
+
+def test_segments_of_slopes_equal_a_flood(rng):
+    z = rng.normal(0, 0.4, (20, 20)).astype(np.float32)
+    name = np.full(z.shape, -1)
+    for start in np.ndindex(z.shape):
+        stack = [start] if name[start] < 0 else []
+        while stack:
+            r, c = stack.pop()
+            name[r, c] = start[0] * 20 + start[1]
+            for q in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
+                if min(q) >= 0 and max(q) < 20 and name[q] < 0 and abs(z[q] - z[r, c]) < np.float32(0.3):
+                    stack.append(q)
+    np.testing.assert_array_equal(shapes.segments(z, np.float32(0.3)), name)
+
+
+def test_the_census_counts_as_numpy_does(rng):
+    segment = shapes.segments(rng.integers(0, 2, (18, 22)).astype(np.float32), np.float32(0.5))
+    marked, falls = rng.random((2, *segment.shape)) < 0.4
+    wide = np.pad(segment, 1, mode="edge")
+    border = np.zeros(segment.shape, bool)
+    for dr, dc in ((0, 1), (2, 1), (1, 0), (1, 2)):
+        border |= wide[dr : dr + 18, dc : dc + 22] != segment
+    found = shapes.census(segment, marked, falls)
+    for k, cells in enumerate((np.ones_like(marked), marked, border, border & falls)):
+        np.testing.assert_array_equal(found[k], np.bincount(segment[cells], minlength=segment.size))
+
+
+def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scipys_triangulation(rng, pool):
+    xyz = points_of(np.column_stack([rng.uniform(0, 60, (300, 2)), rng.normal(size=300)]).round(3))
+    count, xy = len(xyz), xyz[:, :2].astype(np.float64)
+    tin = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool)
+    e, rough = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    tables, real = (tin.triangles, tin.neighbours, tin.where), np.ones(count, bool)
+    rings.residuals(xyz, *tables, np.arange(count), real, e)
+    rings.roughness(*tables, np.arange(count), real, e, rough)
+    network = Delaunay(xy)
+    beside, across = [set() for _ in range(count)], [[] for _ in range(count)]
+    for t, corners in enumerate(network.simplices):
+        for k, node in enumerate(corners):
+            beside[node] |= {corners[(k + 1) % 3], corners[(k + 2) % 3]}
+            if (beyond := network.neighbors[t, k]) >= 0:
+                across[node] += set(network.simplices[beyond]) - set(corners)
+    inner = np.setdiff1d(np.arange(count), network.convex_hull)
+    assert len(inner) > 200
+    for node in inner:
+        rows = np.array([*beside[node], *across[node]])
+        a = np.column_stack([np.ones(len(rows)), xy[rows] - xy[node]])
+        plane = np.linalg.lstsq(a, xyz[rows, 2].astype(np.float64), rcond=None)[0]
+        assert e[node] == pytest.approx(xyz[node, 2] - plane[0], abs=1e-4)
+        assert rough[node] == pytest.approx(np.sqrt((e[rows].astype(np.float64) ** 2).mean()), abs=1e-5)
+
+
+@pytest.mark.parametrize("houses", [False, True])
+def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
+    row, column = np.mgrid[:101, :101].astype(np.float32)
+    z, objects = 0.3 * column + 0.4 * row, np.zeros((101, 101), bool)
+    if houses:
+        objects[20:32, 20:32] = objects[60:75, 50:58] = True
+        z = z + 8 * objects
+    cells = cells_of(nodes(101, z))
+    wide, marked = np.zeros(cells.lowest.shape, np.float32), np.zeros(cells.lowest.shape, bool)
+    inside = slice(0, 100), slice(0, 100)
+    wide[inside], marked[inside] = z[inside], objects[inside]
+    landscape = Landscape.of(wide, cells, marked, 10.0)
+    slope = np.asarray(landscape.in_cells())[inside]
+    np.testing.assert_allclose(slope, 0.5, atol=0.06 if houses else 1e-3)
+    middles = np.stack([column[inside].ravel(), row[inside].ravel(), 0 * slope.ravel()], axis=1) + np.float32(0.5)
+    np.testing.assert_allclose(landscape.at(middles), slope.ravel(), atol=1e-5)
+
+
+def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
+    row, column = np.mgrid[:60, :60].astype(np.float32)
+    level = np.zeros((60, 60), np.float32)
+    none, flat = np.zeros((60, 60), bool), np.zeros((60, 60), np.float32)
+
+    gable = level.copy()
+    gable[20:40, 20:32] = (6 - 0.25 * abs(column - 25.5))[20:40, 20:32]
+    np.testing.assert_array_equal(whole_segments(gable, none, flat, 1.0, ROOFS), gable > 0)
+
+    deck = level - 6
+    deck[27:33] = 0
+    np.testing.assert_array_equal(whole_segments(deck, none, flat, 1.0, ROOFS), deck == 0)
+
+    rise = np.float32(0.25) * np.clip(column - 10, 0, 24)
+    terrace = np.where(row >= 30, level, rise)  # a ramp up to 6 m, with one steep side
+    assert not whole_segments(terrace, none, flat, 1.0, ROOFS).any()
+    roof = gable > 0
+    np.testing.assert_array_equal(whole_segments(gable, roof, flat, 1.0, ROOFS._replace(drop=99.0)), roof)
+    few = roof & (row < 28)  # 8 of its 20 rows are marked
+    assert not whole_segments(gable, few, flat, 1.0, ROOFS._replace(drop=99.0)).any()
+    assert not whole_segments(gable, roof, flat, 1.0, ROOFS._replace(area=500.0)).any()
+    assert not whole_segments(gable, none, flat + 3.0, 1.0, ROOFS).any()  # falls that a landscape of 300 % explains
+
+
+def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
+    """Level land with a void 20 m wide, and a roof 5 m high at its edge."""
+    row, column = (a.ravel() + 0.5 for a in np.mgrid[:40, :60])
+    roof = (column > 14) & (column < 20) & (row > 15) & (row < 25)
+    land = (column < 20) | (column > 40)
+    xyz = points_of(np.column_stack([column, row, 5.0 * roof])[land])
+    cells = cells_of(xyz)
+    tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    void = np.zeros((40, 60), bool)
+    void[:, 20:40] = True
+    hung = filled_by(tin, cells, 8, 8.0)[:40, :60]
+    straight = filled_by(tin, cells, 8, 1e6)[:40, :60]
+    np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
+    expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
+    assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4
+    np.testing.assert_array_equal(hung[~void].ravel(), 5.0 * roof.reshape(40, 60)[~void])
+
+
+def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
+    xy = rng.uniform(0, 50, (2000, 2)).round(2)
+    plane = points_of(np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 2000)]))
+    with GroundTin(plane, np.arange(len(plane)), 2) as ground:
+        before = ground.tin.vertex.sum()
+        assert ground.prune(12.0, 3.0) == 0 and ground.tin.vertex.sum() == before and ground.ground.all()
+    spiked = plane.copy()
+    spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
+    spiked[spike, 2] += 0.8
+    with GroundTin(spiked, np.arange(len(plane)), 2) as ground:
+        assert ground.prune(12.0, 3.0) == 1
+        assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
+
+
+def test_points_are_taken_in_by_height_and_by_distance_and_angle():
+    """Over a level square: at most a limit high, or so far from its plane and below an angle to the corner."""
+    corners = [[0, 0, 0], [20, 0, 0], [0, 20, 0], [20, 20, 0]]
+    over = [[10, 3, 0.2], [10, 6, 0.6], [1, 2.5, 0.5], [0, 0, 3]]
+    xyz = points_of(np.array(corners + over, float))
+    seeds = np.flatnonzero(((xyz[:, 0] % 20 == 0) & (xyz[:, 1] % 20 == 0)) & (xyz[:, 2] == 0))
+    full = np.ones(len(xyz), np.float32)
+    with GroundTin(xyz, seeds, 1) as ground:
+        ground.admit(0.3 * full, 1.0, but=np.zeros(len(xyz), bool))
+        assert sorted(xyz[ground.ground, 2].round(2).tolist()) == [0, 0, 0, 0, pytest.approx(0.2)]
+    with GroundTin(xyz, seeds, 1) as ground:
+        ground.densify(0.7 * full, 8.0 * full, 1)
+        angle = [math.degrees(math.atan2(z, min(math.dist((x, y), c[:2]) for c in corners))) for x, y, z in over]
+        taken = [z <= 0.7 and a < 8 for (_, _, z), a in zip(over, angle, strict=True)]
+        assert sorted(xyz[ground.ground & (xyz[:, 2] > 0.1), 2].round(1).tolist()) == [
+            pytest.approx(p[2], abs=1e-3) for p, yes in zip(over, taken, strict=True) if yes
+        ]
+
+
+def test_the_lowest_of_each_position():
+    xyz = points_of(np.array([[0, 0, 3], [0, 0, 1], [5, 5, 2], [5, 5, 4], [9, 0, 0]], float))
+    rows = lowest_of_each(xyz, np.arange(5))
+    assert sorted(xyz[rows, 2].tolist()) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("case", ["no seeds left", "few cells", "all low but a line"])
+def test_clouds_in_which_too_little_is_left_for_a_triangulation(rng, case):
+    if case == "no seeds left":  # a roof alone, cut all around, with a street along one side
+        xyz = np.column_stack([rng.uniform(0, 40, (3000, 2)), np.full(3000, 9.0)])
+        xyz[xyz[:, 1] < 1, 2] = rng.uniform(0, 0.01, (xyz[:, 1] < 1).sum())
+    elif case == "few cells":
+        xyz = np.column_stack([rng.uniform(0, 0.4, (500, 2)), rng.normal(0, 0.01, 500)])
+    else:
+        xyz = np.column_stack([np.arange(60.0), np.zeros(60), rng.normal(0, 0.02, 60)])
+        xyz = np.concatenate([xyz, [[30, 0.7, -9.0], [31, 0.7, -9.0]]])
+    result = jf.OST()(xyz)
+    assert result.ground.any() and np.isfinite(result.height).all()
+
+
+@pytest.mark.parametrize("layout, density", [("town", 1.0), ("hills", 4.0)])
+def test_total_error_on_scenes_is_close_to_the_best_of_others(layout, density):
+    scene = jf.scenes.make(layout, size=(120.0, 120.0), density=density, seed=5)
+
+    def error(method):
+        return jf.evaluate(method.for_cloud(scene.cloud)(scene.cloud), scene.truth).total
+
+    assert error(jf.OST) <= min(error(method) for method in (jf.SMRF, jf.PMF)) + 0.5
+
+
+def test_the_default_filter_follows_spacing_and_building_size(rng):
+    xyz = np.column_stack([rng.uniform(0, 300, (4000, 2)), rng.normal(0, 0.02, 4000)])
+    filter_ = jf.default_filter(xyz)
+    assert isinstance(filter_, jf.OST) and filter_.spacing == pytest.approx(300 / 4000**0.5, rel=0.15)
+    assert filter_.window == jf.OST().window and jf.default_filter(xyz, largest_building=80.0).window == 40
+    assert filter_(xyz).ground.mean() > 0.95
+    with pytest.raises(jf.ParameterError, match="largest_building=0"):
+        jf.default_filter(xyz, largest_building=0)
