@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
-    from .reports import report
+    from .reports import report, review
     from .scoring import Scores, evaluate
     from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
@@ -45,7 +45,7 @@ _HOMES = {
     "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
-    "reports": ("report",),
+    "reports": ("report", "review"),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -54,7 +54,7 @@ __all__ = [
     "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
     "Status", "Study", "calibrate", "citation", "class_changes", "compare", "dtm", "dtm_rmse", "evaluate",
-    "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep", "write",
+    "height_above_ground", "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels", "sweep", "write",
 ]  # fmt: skip
 
 
