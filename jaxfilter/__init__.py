@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .filters.default import default_filter
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
-    from .reports import report
+    from .reports import report, review
     from .scoring import Scores, evaluate
     from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
@@ -49,7 +49,7 @@ _HOMES = {
     "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
-    "reports": ("report",),
+    "reports": ("report", "review"),
     "tiles.ground": ("ground",),
     "tiles.terrain": ("terrain_model",),
 }  # fmt: skip
@@ -60,8 +60,8 @@ __all__ = [
     "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
     "Status", "Study", "calibrate", "citation", "class_changes", "compare", "default_filter", "dtm", "dtm_rmse", "evaluate",
-    "ground", "height_above_ground", "info", "open", "plots", "read", "report", "scenes", "soft_labels", "sweep",
-    "terrain_model", "write",
+    "ground", "height_above_ground", "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels",
+    "sweep", "terrain_model", "write",
 ]  # fmt: skip
 
 

@@ -182,21 +182,18 @@ def test_doubt_is_largest_at_the_threshold_and_a_probability_counts_as_it_is(clo
     assert (np.diff(doubt[order]) <= 0).all() and 0.15 < (doubt[passed] > 0).mean() < 0.25
     assert np.isnan(doubt[np.isnan(result.margin)]).all()
 
-    class WithDoubt(jf.FilterResult):
-        doubt = np.linspace(0, 0.5, len(cloud))
-
-    own = WithDoubt(**{f.name: getattr(result, f.name) for f in dataclasses.fields(result)})
-    assert doubt_per_point(own, len(cloud))[1] == "probability"
-    assert np.allclose(doubt_per_point(own, len(cloud))[0], WithDoubt.doubt)
+    values = np.linspace(0, 0.5, len(cloud), dtype=np.float32)
+    own, source = doubt_per_point(dataclasses.replace(result, doubt=values), len(cloud))
+    assert source == "probability" and np.array_equal(own, values)
 
 
 def test_places_to_look_at_are_where_errors_are(cloud, result):
     wrong = result.ground.copy()
     corner = (cloud.xyz[:, 0] > 65) & (cloud.xyz[:, 1] > 55)
     wrong[corner] = ~cloud.reference[corner]
-    found = places(layers_of(cloud, wrong, cloud.reference, np.ones(len(cloud), bool)))
+    found = places(cloud, np.full(len(cloud), np.nan), wrong != cloud.reference, 1.0)
     assert found[0]["what"] == "errors" and found[0]["x"] > 60 and found[0]["y"] > 50
-    assert places(layers_of(cloud, result, None, None))[0]["what"] == "doubt"
+    assert places(cloud, doubt_per_point(result, len(cloud))[0], None, 1.0)[0]["what"] == "doubt"
 
 
 # ---- the file ----

@@ -172,6 +172,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             type=click.Choice(writing.EXTRAS),
             help="Also write this quantity of each point; may be repeated.",
         ),
+        *(_review_options() if method is None or method.DOUBTS else ()),
         click.Option(
             ["--workers"],
             type=click.IntRange(1),
@@ -212,6 +213,36 @@ def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path |
     return found[0], found[1] if len(found) > 1 else None
 
 
+def _review_options() -> list[click.Option]:
+    return [
+        click.Option(
+            ["--review"],
+            metavar="FILE",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="Also write the places to look at, most expected errors first, as polygons (.gpkg or .geojson).",
+        ),
+        click.Option(
+            ["--review-area"],
+            type=click.FloatRange(0, 100, min_open=True),
+            default=5.0,
+            show_default=True,
+            help="Per cent of the area that they cover.",
+        ),
+    ]
+
+
+def check_review(path: Path, overwrite: bool) -> None:
+    """Refuse a list of places that cannot be written, before anything is read. Raises BadUsage."""
+    from ..reports.review_list import check_suffix, libraries
+
+    try:
+        check_suffix(path)
+    except JaxfilterError as error:
+        raise BadUsage(str(error)) from error
+    check_target(path, overwrite)
+    libraries()
+
+
 def _ground(
     method: type[Filter] | None,
     changes: dict[str, Any],
@@ -225,9 +256,12 @@ def _ground(
     as_json: bool,
     debug: bool,
     workers: int | None,
+    review: Path | None = None,
+    review_area: float = 5.0,
     **options: Any,
 ) -> None:
     from .. import class_changes, read, write
+    from .. import review as write_review
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -239,10 +273,12 @@ def _ground(
             filter_ = method.preset(preset, **changes) if preset else method(**changes)
         target = checked_target(source, target, options["overwrite"], options["in_place"])
         check_reading(reading["units"], reading["returns"])
+        if review is not None:
+            check_review(review, options["overwrite"])
         with session.step("read"):
             cloud = read(source, **reading)
         if method is None:
-            from ..tiles.setup import default_filter
+            from ..filters.default import default_filter
 
             filter_ = default_filter(cloud, largest_building)
         elif for_cloud or largest_building is not None:
@@ -251,6 +287,10 @@ def _ground(
             result = filter_(cloud, workers=workers, progress=session.progress)
         with session.step("write"):
             write(target, cloud, result, **writing)
+        places = None
+        if review is not None:
+            with session.step("review"):
+                places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
         changed = class_changes(cloud, result, **how)
     report = _report(filter_, result, session) | {
@@ -262,6 +302,9 @@ def _ground(
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
     }
+    if places is not None:
+        listed, expected = len(places), float(places["expected_errors"].sum())
+        report["review"] = {"output": str(review), "places": listed, "expected_errors": expected}
     if as_json:
         print_json(report)
     elif not quiet:
@@ -354,6 +397,11 @@ def _print_report(report: dict[str, Any]) -> None:
         f"{report['method']}: {report['message']}; {seconds}; "
         f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     )
+    if "review" in report:
+        listed = report["review"]
+        click.echo(
+            f"{listed['output']}: {listed['places']:,} places with {listed['expected_errors']:,.0f} expected errors"
+        )
     if report.get("classes"):
         print_classes(report["classes"])
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _LINE_EVERY = 60.0  # seconds between lines of progress where there is no terminal
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
-_SINGLE = ("bounds", "in_place")
+_SINGLE = ("bounds", "in_place", "review", "review_area")
 """Options that only a single file takes."""
 
 

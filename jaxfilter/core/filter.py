@@ -28,7 +28,8 @@ _BYTES = 1000
 class Labels:
     """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None.
 
-    ``settled``: bool[m], points that are ground before the last thresholds are applied.
+    ``settled``: bool[m], points that are ground before the last thresholds are applied. ``doubt``: f32[m], probability that
+    the label is wrong.
     """
 
     ground: np.ndarray
@@ -40,6 +41,7 @@ class Labels:
     decision: np.ndarray | None = None
     barred: np.ndarray | None = None
     settled: np.ndarray | None = None
+    doubt: np.ndarray | None = None
     status: Status = Status.CONVERGED
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     trace: list[dict[str, Any]] = dataclasses.field(default_factory=list)
@@ -54,12 +56,14 @@ class Filter:
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
+    ``DOUBTS`` methods state for every label how likely it is to be wrong.
     """
 
     BIBTEX: ClassVar[str] = ""
     PRESETS: ClassVar[dict[str, Preset]] = {"paper": Preset("as printed"), "recommended": Preset("the default")}
     ORDER_FREE: ClassVar[bool] = False
     LAST: ClassVar[tuple[str, ...]] = ()
+    DOUBTS: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         plain_fields(self)
@@ -195,6 +199,8 @@ class Filter:
             labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
         else:
             warn(f"{type(self).__name__}: {labels.status.message}")
+            if self.DOUBTS:
+                labels.doubt = np.full(len(labels.ground), np.nan, np.float32)
         result = expand(cloud, points, labels)
         return dataclasses.replace(result, run=Run(self, cloud, time.perf_counter() - start))
 
@@ -268,6 +274,7 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         decision=spread(decision, Decision.SET_ASIDE, np.uint8),
         barred=spread(labels.barred, False, bool),
         settled=None if labels.settled is None else spread(labels.settled, False, bool),
+        doubt=None if labels.doubt is None else spread(labels.doubt, nan, np.float32),
         status=labels.status,
         info={"points": len(cloud), "candidates": len(points.index), **labels.info},
         trace=trace,

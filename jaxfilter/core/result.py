@@ -97,6 +97,7 @@ class FilterResult:
         status: how the run ended; ``status.message`` in words.
         info: counts of the run (seeds, rounds, facets, ...).
         trace: a dict of counts per round, in order; with ``trace=True`` also ``"ground"``: bool[n] after that round.
+        doubt: f32[n] or None; probability that the label is wrong, by methods that state it (OST); NaN if never judged.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
         run: the filter and the cloud; None for a result that was put together by hand.
     """
@@ -113,6 +114,7 @@ class FilterResult:
     info: dict[str, Any]
     trace: list[dict[str, Any]]
     settled: np.ndarray | None = None
+    doubt: np.ndarray | None = None
     run: Run | None = dataclasses.field(default=None, repr=False)
 
     def __len__(self) -> int:

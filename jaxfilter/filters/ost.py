@@ -15,6 +15,7 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
 from ..ops.morphology import progressive_opening
+from ..stages.doubt import evidence, probability
 from ..stages.ground_tin import GroundTin, lowest_of_each
 from ..stages.landscape import Landscape
 from ..stages.objects import Roofs, whole_segments
@@ -52,7 +53,8 @@ class OST(Filter):
        neighbours, are dropped. Then one more round, and again.
 
     The result's ``height`` and ``slope`` are metres and degrees over the facet of the last test, ``margin`` metres from its
-    limit. ``info`` counts ``seeds``, ``objects`` (cells) and ``pruned``. Lengths in metres, angles in degrees.
+    limit. ``doubt`` is the probability that the label is wrong (docs/doubt.md). ``info`` counts
+    ``seeds``, ``objects`` (cells) and ``pruned``. Lengths in metres, angles in degrees.
 
     Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
     """
@@ -101,6 +103,7 @@ class OST(Filter):
     scene_spread: float = param(default=6.0, gt=0, doc="residuals of vertices that are dropped, in sigmas of the scene")
     local_spread: float = param(default=3.0, gt=0, doc="and in those around, times the spacing up to one metre")
 
+    DOUBTS: ClassVar[bool] = True
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
@@ -127,17 +130,18 @@ class OST(Filter):
         progress(0.0, "outliers")
         low = self.low(points)
         progress(0.1, "lowest point per cell")
-        cells, lowest = self.lowest(points, low)
+        cells, lowest = self.lowest_points(points, low)
         if not has_area(points.xyz[lowest]):  # a cloud of a few cells
             low = np.zeros_like(low)
-            cells, _ = self.lowest(points, low)
+            cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
         with GroundTin(points.xyz, lowest, workers) as all_lowest:
             z = filled_by(all_lowest.tin, cells, math.ceil(self.rim / self.cell - 1e-6), longest)
         progress(0.2, "openings")
-        objects, landscape = self.objects(z, cells)
-        is_object = look_up(points.xyz[lowest], cells, jnp.asarray(objects, jnp.float32))[0] > 0.5
+        objects, drop, landscape = self.objects(z, cells)
+        in_object, steepness = look_up(points.xyz, cells, jnp.asarray(objects, jnp.float32), drop)
+        is_object = in_object[lowest] > 0.5
         around = landscape.at(points.xyz)
         seeds = lowest[~is_object]
         if not has_area(points.xyz[seeds]):
@@ -154,9 +158,11 @@ class OST(Filter):
                 progress(share, "densify")
                 ground.densify(distance, angle, rounds)
                 pruned += ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
+            doubt = probability(evidence(ground, steepness, around, height), ground.ground)
             progress(1.0, "done")
-            labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
-        labels.decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE).astype(np.uint8)
+            labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
+        other = np.where(in_object > 0.5, Decision.SURFACE, Decision.ELEVATION)
+        labels.decision = np.where(labels.ground, Decision.ACCEPTED, other).astype(np.uint8)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
         labels.info = {"seeds": len(seeds), "objects": int(objects.sum()), "pruned": pruned}
         return labels
@@ -169,7 +175,7 @@ class OST(Filter):
             low |= low_clusters(points, max_points=self.low_points).barred
         return low
 
-    def lowest(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
+    def lowest_points(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
         """The grid without the points ``low``, bool[m], and i64: rows of the points that are lowest in their cell (step 2)."""
         cells = self.cells(points, low)
         return cells, np.flatnonzero((points.xyz[:, 2] == look_up(points.xyz, cells, cells.lowest)[0]) & ~low)
@@ -180,8 +186,9 @@ class OST(Filter):
         corner = x - self.cell / 2, y - self.cell / 2
         return lowest_cells(points.xyz, self.cell, corner, name="OST(cell)", barred=low)
 
-    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, Landscape]:
-        """bool[rows, columns]: cells that are objects, and the slope of the landscape (steps 3 to 5).
+    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, jax.Array, Landscape]:
+        """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
+        on they are marked; and the slope of the landscape (steps 3 to 5).
 
         ``z``: f32[rows, columns], elevations of the padded shape of ``cells``, none missing.
         """
@@ -194,11 +201,12 @@ class OST(Filter):
         for _ in range(PASSES):
             landscape = Landscape.of(z, cells, objects, float(self.landscape))
             around = landscape.in_cells()
-            marked = np.asarray(steepest > (self.slope + self.relief * around) * self.cell)
+            limit = (self.slope + self.relief * around) * self.cell
+            marked = np.asarray(steepest > limit)
             objects = np.zeros(z.shape, bool)
             objects[inner] = marked[inner]
             objects[inner] |= whole_segments(surface, marked[inner], np.asarray(around)[inner], self.cell, roofs)
-        return objects, landscape
+        return objects, steepest / jnp.maximum(limit, 1e-6), landscape
 
 
 @functools.partial(jax.jit, static_argnames="reach")

@@ -24,7 +24,7 @@ from .records import CHUNK, Writer, read_records, reading
 from .storage import Place, Remote, place_of
 
 RESETS = ("ground", "all", "none")
-EXTRAS = ("height", "slope", "angle", "elevation", "margin")
+EXTRAS = ("height", "slope", "angle", "elevation", "margin", "doubt")
 """Quantities of a FilterResult that can be written along with the points."""
 
 HEIGHT = "HeightAboveGround"
@@ -68,7 +68,8 @@ def write(
         other_class: class of candidates that are not ground and whose old class is reset.
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
         only_ground: change nothing but ground candidates, the same as ``reset="none"``.
-        extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin.
+        extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin,
+            and doubt of methods that state it.
         heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes
             ``HeightAboveGround``.
         replace_z: put ``heights`` in place of Z instead, rounded to the scale of the file; only Z and its extent change.
@@ -151,6 +152,9 @@ class _Labels:
             raise ParameterError(f"extra={extra!r}: distinct names out of {', '.join(EXTRAS)} are needed")
         if extra and not isinstance(result, FilterResult):
             raise ParameterError(f"extra={extra!r}: labels alone hold no such quantities; pass the FilterResult")
+        absent = [name for name in extra if getattr(result, name) is None]
+        if absent:
+            raise ParameterError(f"extra={extra!r}: the method states no {absent[0]}; OST does")
         self.ground = ground
         self.ground_class, self.other_class = ground_class, other_class
         self.resets = np.zeros(256, bool)

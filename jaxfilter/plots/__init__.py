@@ -11,6 +11,7 @@ from .maps import OBJECT as OBJECT
 from .maps import REACH as REACH
 from .maps import TYPE_1 as TYPE_1
 from .maps import TYPE_2 as TYPE_2
+from .maps import doubt_map as doubt_map
 from .maps import error_map as error_map
 from .maps import hillshade as hillshade
 from .maps import panel as panel

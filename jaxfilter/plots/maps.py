@@ -206,6 +206,35 @@ def error_map(
     return ax
 
 
+def doubt_map(cloud: PointCloud, result: FilterResult, *, ax: Any = None, title: str = "") -> Any:
+    """The mean doubt of the points in each cell, 0 to 50 %, over the shaded relief of the ground that was found.
+
+    Args:
+        cloud: n points.
+        result: of a filter that states its doubt.
+        ax: matplotlib Axes; by default those of a new figure.
+
+    Returns: the Axes. Raises: InputError if the result has no doubt, or there are no points.
+    """
+    if result.doubt is None:
+        raise InputError("doubt_map: the result states no doubt; OST does")
+    real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    z, grid = rasterise(cloud.xyz[result.ground if result.ground.any() else real], over=cloud.xyz[real])
+    judged = np.flatnonzero(np.isfinite(result.doubt) & real)
+    at = grid.flat(cloud.xyz[judged])
+    count = np.bincount(at, minlength=grid.nx * grid.ny)
+    total = np.bincount(at, weights=result.doubt[judged], minlength=grid.nx * grid.ny)
+    mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1)).reshape(grid.shape)
+    ax = axes_or_new(ax, map_size(grid))
+    hillshade((z, grid), ax=ax, title=title)
+    image = ax.imshow(
+        100 * mean, cmap="YlOrRd", vmin=0, vmax=50, alpha=0.65, extent=_extent(grid), origin="lower",
+        interpolation="nearest",
+    )  # fmt: skip
+    ax.figure.colorbar(image, ax=ax, label="mean doubt (%)", shrink=0.7)
+    return ax
+
+
 def profile(
     cloud: PointCloud,
     result: FilterResult | np.ndarray,

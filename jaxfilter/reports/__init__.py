@@ -1,3 +1,4 @@
-"""Reports on a classification for people who check terrain models: one HTML file that needs no network."""
+"""Reports on a classification for people who check terrain models: one HTML file, and a list of places for a GIS."""
 
 from .page import report as report
+from .review_list import review as review

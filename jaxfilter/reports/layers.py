@@ -12,6 +12,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.grid import Grid, grid_over
 from ..core.result import Decision, FilterResult
 from ..plots.maps import rasterise, shade
+from .places import squares
 
 MAX_PIXELS = 2_000_000
 _DOUBTFUL = 0.2
@@ -92,9 +93,8 @@ def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarr
     the fifth that is nearest to its threshold is doubtful, 1 on the threshold. Margins of different decisions have
     different units.
     """
-    own = getattr(result, "doubt", None)
-    if own is not None:
-        return np.asarray(own, np.float32), "probability"
+    if isinstance(result, FilterResult) and result.doubt is not None:
+        return np.asarray(result.doubt, np.float32), "probability"
     out = np.full(n, np.nan, np.float32)
     if not isinstance(result, FilterResult) or not np.isfinite(result.margin).any():
         return out, ""
@@ -108,26 +108,22 @@ def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarr
     return out, "margin"
 
 
-def places(layers: Layers) -> list[dict[str, float | str]]:
-    """Where to look first: squares with most errors, or without a reference with most doubt; local metres of their centres."""
-    grid, wrong = layers.grid, layers.errors
+def places(cloud: PointCloud, doubt: np.ndarray, wrong: np.ndarray | None, cell: float) -> list[dict[str, float | str]]:
+    """Where to look first: squares with most errors, or without any known with most doubt; local metres of their centres.
+
+    Args:
+        cloud: with at least one valid point. doubt: f32[n], see :func:`doubt_per_point`.
+        wrong: bool[n], errors against a reference, or None. cell: of the maps, metres.
+    """
     if wrong is not None and wrong.any():
-        what, weight = "errors", (wrong > 0).astype(np.float32)
+        what, weight = "errors", wrong.astype(np.float32)
     else:
-        what, weight = "doubt", np.where(layers.doubt == NO_DOUBT, 0, layers.doubt).astype(np.float32)
-    side = max(_PLACE, math.ceil(_SIDE / grid.cell))
-    rows, columns = (-(-n // side) for n in weight.shape)
-    padded = np.pad(weight, ((0, rows * side - weight.shape[0]), (0, columns * side - weight.shape[1])))
-    sums = padded.reshape(rows, side, columns, side).sum(axis=(1, 3))
-    found = []
-    for at in np.argsort(-sums, axis=None, kind="stable")[:_PLACES]:
-        row, column = divmod(int(at), columns)
-        if sums[row, column] <= 0:
-            break
-        x = grid.x0 + min((column + 0.5) * side, grid.nx) * grid.cell
-        y = grid.y0 + max(grid.ny - (row + 0.5) * side, 0) * grid.cell
-        found.append({"x": x, "y": y, "side": side * grid.cell, "what": what})
-    return found
+        what, weight = "doubt", doubt
+    side = max(_PLACE * cell, _SIDE)
+    found = squares(cloud, weight, side)
+    rows = found.first[:_PLACES]
+    rows = rows[found.total[rows] > 0]
+    return [{"x": float(x), "y": float(y), "side": side, "what": what} for x, y in found.centres(rows)]
 
 
 def _cell(xyz: np.ndarray) -> float:

@@ -24,7 +24,7 @@ from ..core.result import Decision, FilterResult, Progress, silent
 from ..host.files import new_file
 from ..host.las import class_changes
 from ..scoring import Scores, reference_labels
-from .layers import Layers, layers_of, places
+from .layers import Layers, doubt_per_point, layers_of, places
 from .packing import pack, script_json
 from .steps import Steps, steps_of
 
@@ -131,7 +131,9 @@ def _contents(
         return facts, {}
     facts["grid"] = dataclasses.asdict(layers.grid)
     facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
-    facts["places"] = places(layers)
+    ground = result.ground if isinstance(result, FilterResult) else result
+    wrong = None if truth is None or counted is None else (ground != truth) & counted
+    facts["places"] = places(cloud, doubt_per_point(result, len(cloud))[0], wrong, layers.grid.cell)
     arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
     if layers.doubt_of:
         arrays["doubt"] = layers.doubt

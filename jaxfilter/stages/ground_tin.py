@@ -113,20 +113,47 @@ class GroundTin:
         Metres above it are too many if they exceed ``scene`` times the standard deviation of the scene (1.4826 times the
         median absolute value), and ``local`` times the root mean square among the neighbours.
         """
-        from ..host.rings import residuals, roughness  # imports Numba
-
-        tin, count = self.tin, len(self.xyz)
+        tin = self.tin
         nodes = np.flatnonzero(tin.vertex)
-        e, around = np.zeros(count, np.float32), np.zeros(count, np.float32)
-        tables = tin.triangles, tin.neighbours, tin.where
-        parts = np.array_split(nodes, len(nodes) // _AT_ONCE + self.workers)
-        list(self.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, e), parts))
-        list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, e, around), parts))
+        e, around = self.scatter(nodes)
         spread = 1.4826 * float(np.median(np.abs(e[nodes])))
-        inner = np.ones(count, bool)
+        inner = np.ones(len(self.xyz), bool)
         ghosts = tin.triangles[(tin.triangles == -1).any(axis=1)]
         inner[ghosts[ghosts >= 0]] = False
         drop = nodes[inner[nodes] & (e[nodes] > np.maximum(scene * spread, local * around[nodes]))]
         self.ground[drop] = False
         tin.remove(drop)
         return len(drop)
+
+    def scatter(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """f32[m] each, metres: of vertices i64[k] how far they are above the plane of their neighbours, and the root mean
+        square of that among these; zero elsewhere."""
+        from ..host.rings import residuals, roughness  # imports Numba
+
+        tin, count = self.tin, len(self.xyz)
+        e, around = np.zeros(count, np.float32), np.zeros(count, np.float32)
+        tables = tin.triangles, tin.neighbours, tin.where
+        parts = np.array_split(nodes, len(nodes) // _AT_ONCE + self.workers)
+        list(self.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, e), parts))
+        list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, e, around), parts))
+        return e, around
+
+    def scatter_of_all(self) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`scatter`; points that are no vertex have the mean of those at the corners of their facet."""
+        e, around = self.scatter(np.flatnonzero(self.tin.vertex))
+        rows = np.flatnonzero(~self.tin.vertex)
+        self.tin.locate(rows)
+        around[rows] = around[self.tin.corners(self.tin.where[rows])].mean(axis=1)
+        return e, around
+
+    def over_facets(self) -> tuple[np.ndarray, np.ndarray]:
+        """f32[m] each: height in metres over the triangulation as it is, of points that are no ground, and the slope of their
+        facet in degrees. Ground has those of its last test, as all points have in ``height`` and ``slope``."""
+        kept = self.margin, self.height, self.slope
+        self.margin, self.height, self.slope = (values.copy() for values in kept)
+        rows, zero = np.flatnonzero(~self.ground), np.zeros(len(self.xyz), np.float32)
+        if len(rows):
+            self._tested(_close, rows, zero, zero)
+        found = self.height, self.slope
+        self.margin, self.height, self.slope = kept
+        return found

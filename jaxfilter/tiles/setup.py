@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.points import canonical_points
+from ..filters.default import default_filter
 from ..host.windows import read_window
 from .collection import Collection
 from .task import ANCHOR, joined
@@ -92,13 +92,3 @@ def filter_for(
     if for_cloud or largest_building is not None:
         return method.for_cloud(sample.cloud(), largest_building, preset=preset, **changes)
     return method.preset(preset, **changes) if preset else method(**changes)
-
-
-def _smrf(cloud: PointCloud, largest_building: float | None = None) -> Filter:
-    from ..filters import SMRF
-
-    return SMRF.for_cloud(cloud, largest_building)
-
-
-default_filter: Callable[[PointCloud, float | None], Filter] = _smrf
-"""What filters a cloud, or a collection by a window of it, when no method is named."""

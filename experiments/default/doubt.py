@@ -1,0 +1,248 @@
+"""Trains the model of doubt, and says what it is worth: ``python -m experiments.default.doubt [--data FOLDER] [--write]``.
+
+The model is fitted to simulated scenes and labelled tiles. The ISPRS samples are a test; so is every source of tiles, by a
+model that was fitted without it, and every layout of scenes likewise. ``--write`` puts the weights into the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+import jaxfilter as jf
+from experiments.default.search import every_cloud
+from experiments.defaults import clouds
+from experiments.report import write_csv
+from jaxfilter import tables
+from jaxfilter.filters import ost
+from jaxfilter.reports.places import squares
+from jaxfilter.reports.review_list import AREA, SIDE
+from jaxfilter.stages import doubt, doubt_model
+
+HERE = Path(__file__).parent
+DENSITIES = (0.3, 4.0)
+"""Of the scenes that are added to those of the search, pulses per square metre."""
+PER_CLOUD = 4000
+"""Points that a cloud has in the training, drawn at random; so each cloud counts the same."""
+THINNED = 0.5
+"""If more than this share of the ground that is found is none by the labels, these name but some of the ground points."""
+RIDGE = 1e-3
+BINS = 15
+MOST = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judged:
+    """The judged and scored points of a cloud: evidence f32[n, features], labels and errors bool[n], doubt f32[n].
+
+    ``rows``: i64[n], their places in the cloud.
+    """
+
+    known: clouds.Known
+    kind: str
+    evidence: np.ndarray
+    ground: np.ndarray
+    wrong: np.ndarray
+    rows: np.ndarray
+
+    @property
+    def trains(self) -> bool:
+        """Whether a model may be fitted to it."""
+        return self.kind != "samples" and float(self.wrong[self.ground].mean()) <= THINNED
+
+
+def judged(known: clouds.Known) -> Judged:
+    """What OST decides on a cloud, and the evidence that it has for it."""
+    kept: list[np.ndarray] = []
+
+    def keep(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
+        kept.append(evidence)
+        return doubt.probability(evidence, ground)
+
+    method = jf.OST.for_cloud(known.cloud)
+    with mock.patch.object(ost, "probability", keep):
+        result = method(known.cloud)
+    points = method.points_of(known.cloud)
+    row = np.full(len(known.cloud), -1)
+    row[points.index] = points.member
+    rows = np.flatnonzero((row >= 0) & known.scored)
+    ground = result.ground[rows]
+    kind = {"sit": "samples", "sou": "tiles"}.get(known.group[:3], "scenes")
+    return Judged(known, kind, kept[0][row[rows]], ground, ground != known.ground[rows], rows)
+
+
+def every(folder: Path) -> Iterator[Judged]:
+    """The clouds of the search, and scenes of further densities."""
+    for known in every_cloud(folder):
+        yield judged(known)
+    for density in DENSITIES:
+        for layout in jf.scenes.LAYOUTS:
+            scene = clouds.load(f"{density:g} per m2", layout, density, folder)
+            assert scene is not None
+            yield judged(dataclasses.replace(scene, name=f"scene {layout}", group="scenes"))
+
+
+def fitted(parts: Iterable[Judged]) -> np.ndarray:
+    """f64[2, 1 + features]: weights for objects and for ground, by maximum likelihood with a small ridge."""
+    rng = np.random.default_rng(0)
+    chosen = [(one, rng.choice(len(one.rows), min(PER_CLOUD, len(one.rows)), replace=False)) for one in parts]
+    x = np.concatenate([one.evidence[rows] for one, rows in chosen]).astype(np.float64)
+    y = np.concatenate([one.wrong[rows] for one, rows in chosen]).astype(np.float64)
+    ground = np.concatenate([one.ground[rows] for one, rows in chosen])
+    return np.stack([_logistic(x[ground == label], y[ground == label]) for label in (False, True)])
+
+
+def _logistic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Newton's method, in features of unit variance."""
+    mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-6
+    z = np.concatenate([np.ones((len(x), 1)), (x - mean) / spread], axis=1)
+    ridge = np.diag([0.0, *[RIDGE] * x.shape[1]])
+    w = np.zeros(z.shape[1])
+    w[0] = np.log(y.mean() / (1 - y.mean()))
+    for _ in range(100):
+        p = 1 / (1 + np.exp(-z @ w))
+        slope = z.T @ (p - y) / len(y) + ridge @ w
+        step = np.linalg.solve((z * (p * (1 - p))[:, None]).T @ z / len(y) + ridge, slope)
+        step /= max(1.0, float(np.abs(step).max()))
+        w -= step
+        if np.abs(step).max() < 1e-9:
+            break
+    else:
+        raise RuntimeError("the fit does not converge")
+    weights = w[1:] / spread
+    return np.concatenate([[w[0] - weights @ mean], weights])
+
+
+def stated(one: Judged, weights: np.ndarray) -> np.ndarray:
+    """f32[n]: the doubt of a model with these weights."""
+    with mock.patch.object(doubt, "MODEL", weights):
+        return doubt.probability(one.evidence, one.ground)
+
+
+def figures(p: np.ndarray, wrong: np.ndarray) -> dict[str, float]:
+    """Expected calibration error, per cent of the errors among the most doubtful tenth, errors and mean doubt in per cent."""
+    share, mean, rate = reliability(p, wrong)
+    first = np.argsort(-p, kind="stable")[: round(MOST * len(p))]
+    return {
+        "points": len(p), "errors": 100 * wrong.mean(), "doubt": 100 * float(p.mean(dtype=np.float64)),
+        "ece": float((share * np.abs(mean - rate)).sum()), "found": 100 * wrong[first].sum() / max(wrong.sum(), 1),
+    }  # fmt: skip
+
+
+def reliability(p: np.ndarray, wrong: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of the points, mean doubt and share of errors in 15 bins of equal width; zero in empty ones."""
+    of = np.minimum((p * BINS).astype(int), BINS - 1)
+    count = np.bincount(of, minlength=BINS)
+    total = np.maximum(count, 1)
+    return count / len(p), np.bincount(of, p, BINS) / total, np.bincount(of, wrong, BINS) / total
+
+
+def listed(one: Judged, p: np.ndarray) -> tuple[int, int]:
+    """Errors in the squares that a list of the default area names, and all."""
+    weight = np.full(len(one.known.cloud), np.nan)
+    weight[one.rows] = p
+    found = squares(one.known.cloud, weight, SIDE)
+    errors = np.bincount(found.of[one.rows], one.wrong, len(found.at))
+    return int(errors[found.first[: max(1, round(len(found.at) * AREA / 100))]].sum()), int(one.wrong.sum())
+
+
+def left_out(parts: Sequence[Judged]) -> list[tuple[Judged, np.ndarray]]:
+    """Each cloud with the doubt by a model that has not seen its source of tiles, or its layout."""
+    groups = {one.known.name if one.kind == "scenes" else one.known.group for one in parts}
+    out = []
+    for group in sorted(groups):
+        mine = [one for one in parts if group in (one.known.name, one.known.group)]
+        weights = fitted(one for one in parts if one.trains and one not in mine)
+        out += [(one, stated(one, weights)) for one in mine]
+    return out
+
+
+def picture(tests: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None:
+    """A reliability diagram: share of errors by doubt, for each test."""
+    from jaxfilter.plots.maps import new_figure
+
+    figure = new_figure((4.5, 4.5))
+    ax = figure.add_subplot()
+    ax.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    for name, (p, wrong) in tests.items():
+        share, mean, rate = reliability(p, wrong)
+        used = share > 1e-4
+        ax.plot(mean[used], rate[used], marker="o", markersize=4, label=name)
+    ax.set(xlabel="mean doubt of the bin", ylabel="share of errors", xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    ax.legend(frameon=False, fontsize=8)
+    figure.savefig(path)
+
+
+def module(weights: np.ndarray) -> str:
+    """The text of :mod:`jaxfilter.stages.doubt_model`."""
+    lines = "".join(
+        f"        [{', '.join(f'{v:.4f}' for v in row)}],  # {name}\n"
+        for row, name in zip(weights, ("not ground", "ground"), strict=True)
+    )
+    docstring = (doubt_model.__doc__ or "").strip()
+    return f'"""{docstring}"""\n\nimport numpy as np\n\nMODEL = np.array(\n    [\n{lines}    ]\n)\n' + (
+        '"""f64[2, 1 + features]: constant and weights, for points that are not ground and for ground."""\n'
+    )
+
+
+def main() -> None:
+    """Fit, test, and write tables, the diagram and, if asked, the weights."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--data", type=Path, default=os.environ.get("JAXFILTER_DATA"), help="folder with isprs/ and tiles/"
+    )
+    parser.add_argument("--write", action="store_true", help="put the weights into the package")
+    arguments = parser.parse_args()
+    parts = []
+    for one in every(Path(arguments.data)):
+        print(
+            one.known.name,
+            len(one.rows),
+            f"{100 * one.wrong.mean():.2f} %",
+            "" if one.trains else "not trained on",
+            flush=True,
+        )
+        parts.append(one)
+    weights = np.round(fitted(one for one in parts if one.trains), 4)
+    apart = left_out([one for one in parts if one.kind != "samples"])
+    samples = [(one, stated(one, weights)) for one in parts if one.kind == "samples"]
+    pooled = {"ISPRS samples": samples}
+    for kind in ("tiles", "scenes"):
+        pooled[f"{kind}, left out"] = [(one, p) for one, p in apart if one.kind == kind]
+    pooled["tiles but thinned labels"] = [(one, p) for one, p in pooled["tiles, left out"] if one.trains]
+    tests = {
+        name: (np.concatenate([p for _, p in some]), np.concatenate([one.wrong for one, _ in some]))
+        for name, some in pooled.items()
+    }
+    rows = [{"what": name, **figures(p, wrong)} for name, (p, wrong) in tests.items()]
+    for row, some in zip(rows, pooled.values(), strict=True):
+        named = np.array([listed(one, p) for one, p in some]).sum(axis=0)
+        row["listed"] = 100 * named[0] / max(named[1], 1)
+    each = [{"what": one.known.name, **figures(p, one.wrong)} for one, p in samples + apart]
+    for row, (one, p) in zip(each, samples + apart, strict=True):
+        named = listed(one, p)
+        row["listed"] = 100 * named[0] / max(named[1], 1)
+    results = HERE / "results"
+    results.mkdir(exist_ok=True)
+    write_csv(results / "doubt.csv", rows + each)
+    columns = [
+        ("what", "clouds", ""), ("points", "points", ",d"), ("errors", "errors %", ".2f"), ("doubt", "mean doubt %", ".2f"),
+        ("ece", "ECE", ".3f"), ("found", "errors in the most doubtful 10 % of points, %", ".1f"),
+        ("listed", "errors in the first 5 % of the area, %", ".1f"),
+    ]  # fmt: skip
+    table = tables.markdown(columns, rows)
+    (results / "doubt.md").write_text(table + "\n\n" + tables.markdown(columns, each) + "\n")
+    picture(tests, results / "doubt.png")
+    print(table)
+    if arguments.write:
+        Path(doubt_model.__file__).write_text(module(weights))
+
+
+if __name__ == "__main__":
+    main()
