@@ -174,7 +174,9 @@ def per_cloud(columns: dict[str, pd.DataFrame]) -> str:
 def measured(
     known: list[clouds.Known], filters: dict[str, Callable[[jf.PointCloud], jf.Filter]], path: Path
 ) -> pd.DataFrame:
-    """Counts of errors of filters on clouds, kept as CSV."""
+    """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
+    if path.exists():
+        return scored(pd.read_csv(path).to_dict("records"))
     rows = []
     for name, make in filters.items():
         for one in known:
@@ -228,8 +230,9 @@ def ablations(known: list[clouds.Known], out: Path) -> list[str]:
 
 def scenes(methods: list[str], out: Path) -> list[str]:
     """Every layout at four densities: total errors, and the terrain model's root mean square error."""
-    rows = []
-    for density in (0.3, 1.0, 4.0, 15.0):
+    path = out / "scenes.csv"
+    rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
+    for density in (0.3, 1.0, 4.0, 15.0) if not rows else ():
         for layout in jf.scenes.LAYOUTS:
             scene = jf.scenes.make(layout, size=clouds.SIZES[density], density=density, seed=clouds.SEED)
             for name in ("ost", *methods):
@@ -239,7 +242,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
                              "rmse": jf.dtm_rmse(scene.cloud, result, reference=scene.truth).rmse})  # fmt: skip
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)
-    table.to_csv(out / "scenes.csv", index=False)
+    table.to_csv(path, index=False)
     total = table.pivot_table(index="layout", columns="method", values="total", sort=False)
     rmse = table.pivot_table(index="density", columns="method", values="rmse", sort=False)
     total.loc["mean"], rmse.loc["mean"] = total.mean(), rmse.mean()
