@@ -16,7 +16,7 @@ from jaxfilter.host.tin import Tin
 from jaxfilter.ops.morphology import ring_minimum
 from jaxfilter.stages.ground_tin import GroundTin, lowest_of_each
 from jaxfilter.stages.landscape import Landscape
-from jaxfilter.stages.objects import Roofs, whole_segments
+from jaxfilter.stages.objects import Roofs, Segments
 from jaxfilter.stages.outliers import ring_low
 from jaxfilter.stages.surfaces import lowest_cells
 from jaxfilter.stages.voids import filled_by
@@ -171,21 +171,21 @@ def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
 
     gable = level.copy()
     gable[20:40, 20:32] = (6 - 0.25 * abs(column - 25.5))[20:40, 20:32]
-    np.testing.assert_array_equal(whole_segments(gable, none, flat, 1.0, ROOFS), gable > 0)
+    np.testing.assert_array_equal(Segments(gable, 1.0, ROOFS).objects(none, flat), gable > 0)
 
     deck = level - 6
     deck[27:33] = 0
-    np.testing.assert_array_equal(whole_segments(deck, none, flat, 1.0, ROOFS), deck == 0)
+    np.testing.assert_array_equal(Segments(deck, 1.0, ROOFS).objects(none, flat), deck == 0)
 
     rise = np.float32(0.25) * np.clip(column - 10, 0, 24)
     terrace = np.where(row >= 30, level, rise)  # a ramp up to 6 m, with one steep side
-    assert not whole_segments(terrace, none, flat, 1.0, ROOFS).any()
+    assert not Segments(terrace, 1.0, ROOFS).objects(none, flat).any()
     roof = gable > 0
-    np.testing.assert_array_equal(whole_segments(gable, roof, flat, 1.0, ROOFS._replace(drop=99.0)), roof)
+    np.testing.assert_array_equal(Segments(gable, 1.0, ROOFS._replace(drop=99.0)).objects(roof, flat), roof)
     few = roof & (row < 28)  # 8 of its 20 rows are marked
-    assert not whole_segments(gable, few, flat, 1.0, ROOFS._replace(drop=99.0)).any()
-    assert not whole_segments(gable, roof, flat, 1.0, ROOFS._replace(area=500.0)).any()
-    assert not whole_segments(gable, none, flat + 3.0, 1.0, ROOFS).any()  # falls that a landscape of 300 % explains
+    assert not Segments(gable, 1.0, ROOFS._replace(drop=99.0)).objects(few, flat).any()
+    assert not Segments(gable, 1.0, ROOFS._replace(area=500.0)).objects(roof, flat).any()
+    assert not Segments(gable, 1.0, ROOFS).objects(none, flat + 3.0).any()  # falls that a landscape of 300 % explains
 
 
 def test_a_void_hangs_from_the_lowest_around_its_corners(pool):

@@ -517,14 +517,14 @@ def _print_scores(scores: Scores) -> None:
 )
 @click.option("--density", type=float, default=1.5, show_default=True, help="Pulses per m2.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--method", default="fptd", show_default=True)
+@click.option("--method", metavar="METHOD", help="Filter by this method.  [default: the default filter]")
 @click.option("--overwrite", is_flag=True, help="Write into DIR even if it holds other files.")
 def demo(
     directory: Path,
     size: tuple[float, float],
     density: float,
     seed: int,
-    method: str,
+    method: str | None,
     overwrite: bool,
     quiet: bool,
     as_json: bool,
@@ -538,6 +538,7 @@ def demo(
     from .. import evaluate as score
     from .. import read, scenes, write
     from ..filters import FILTERS
+    from ..filters.default import default_filter
     from ..host.files import remove_dead
 
     with Session(quiet=quiet, debug=debug) as session:
@@ -546,14 +547,14 @@ def demo(
         others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
         if others and not overwrite:
             raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
-        if method not in FILTERS:
+        if method is not None and method not in FILTERS:
             raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
-        filter_ = FILTERS[method].preset("recommended")
         with session.step("scene"):
             scene = scenes.make("mixed", size=size, density=density, seed=seed)
             _write_scene(directory, scene)
         with session.step("read"):
             cloud = read(directory / "scene.laz", units="m")
+        filter_ = FILTERS[method].preset("recommended") if method else default_filter(cloud)
         with session.step("filter"):
             result = filter_(cloud, progress=session.progress)
         with session.step("write"):

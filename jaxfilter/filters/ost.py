@@ -18,7 +18,7 @@ from ..ops.morphology import progressive_opening
 from ..stages.doubt import evidence, probability
 from ..stages.ground_tin import GroundTin, lowest_of_each
 from ..stages.landscape import Landscape
-from ..stages.objects import Roofs, whole_segments
+from ..stages.objects import Roofs, Segments
 from ..stages.outliers import low_clusters, ring_low
 from ..stages.surfaces import Cells, cell_for, check_width, look_up, lowest_cells
 from ..stages.voids import filled_by
@@ -107,7 +107,7 @@ class OST(Filter):
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
-        "recommended": Preset("the default: the result of the search in experiments/default"),
+        "recommended": Preset("the default: found by hand, and left so by the search in experiments/default"),
     }
 
     def check(self) -> None:
@@ -136,7 +136,7 @@ class OST(Filter):
             cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
-        with GroundTin(points.xyz, lowest, workers) as all_lowest:
+        with GroundTin(points.xyz[lowest], np.arange(len(lowest)), workers) as all_lowest:
             z = filled_by(all_lowest.tin, cells, math.ceil(self.rim / self.cell - 1e-6), longest)
         progress(0.2, "openings")
         objects, drop, landscape = self.objects(z, cells)
@@ -196,7 +196,7 @@ class OST(Filter):
         inner = slice(0, rows), slice(0, columns)
         steepest = _steepest(jnp.asarray(z), cells.valid, math.ceil(self.window / self.cell - 1e-6))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
-        surface = np.ascontiguousarray(z[inner])
+        segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
         objects = np.asarray(steepest > self.first_slope * self.cell)
         for _ in range(PASSES):
             landscape = Landscape.of(z, cells, objects, float(self.landscape))
@@ -205,7 +205,7 @@ class OST(Filter):
             marked = np.asarray(steepest > limit)
             objects = np.zeros(z.shape, bool)
             objects[inner] = marked[inner]
-            objects[inner] |= whole_segments(surface, marked[inner], np.asarray(around)[inner], self.cell, roofs)
+            objects[inner] |= segments.objects(marked[inner], np.asarray(around)[inner])
         return objects, steepest / jnp.maximum(limit, 1e-6), landscape
 
 

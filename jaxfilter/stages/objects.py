@@ -28,21 +28,36 @@ class Roofs(NamedTuple):
     drop_share: float
 
 
-def whole_segments(z: np.ndarray, marked: np.ndarray, slope: np.ndarray, cell: float, roofs: Roofs) -> np.ndarray:
-    """bool[rows, columns]: cells of segments that are objects as a whole.
+class Segments:
+    """Segments of a surface, and how far it falls at their borders.
 
-    Args:
-        z: f32[rows, columns], metres, none missing. marked: bool[rows, columns], cells that openings take for objects.
-        slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
-        cell: metres.
+    Attributes:
+        segment: i32[rows, columns], the first cell of the segment that each cell is in.
+        fall: f32[rows, columns], metres to the lowest elevation within two rows and columns.
     """
-    from ..host.shapes import census, segments  # imports Numba
 
-    wide = np.full(padded_shape(z.shape), np.inf, np.float32)
-    wide[: z.shape[0], : z.shape[1]] = z
-    lowest = np.asarray(erosion(wide, 2, 2, "square"))[: z.shape[0], : z.shape[1]]
-    falls = z - lowest > np.float32(roofs.drop) + 2 * np.float32(cell) * slope
-    segment = segments(z, np.float32(roofs.step))
-    cells, inside, border, falling = census(segment, marked, falls)
-    whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
-    return (whole & (cells * cell**2 >= roofs.area))[segment]
+    def __init__(self, z: np.ndarray, cell: float, roofs: Roofs) -> None:
+        """``z``: f32[rows, columns], metres, none missing; ``cell``: metres."""
+        from ..host.shapes import segments  # imports Numba
+
+        self.cell, self.roofs = cell, roofs
+        inner = slice(0, z.shape[0]), slice(0, z.shape[1])
+        wide = np.full(padded_shape(z.shape), np.inf, np.float32)
+        wide[inner] = z
+        self.fall = z - np.asarray(erosion(wide, 2, 2, "square"))[inner]
+        self.segment = segments(z, np.float32(roofs.step))
+
+    def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """bool[rows, columns]: cells of segments that are objects as a whole.
+
+        Args:
+            marked: bool[rows, columns], cells that openings take for objects.
+            slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
+        """
+        from ..host.shapes import census
+
+        roofs = self.roofs
+        falls = self.fall > np.float32(roofs.drop) + 2 * np.float32(self.cell) * slope
+        cells, inside, border, falling = census(self.segment, marked, falls)
+        whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
+        return (whole & (cells * self.cell**2 >= roofs.area))[self.segment]
