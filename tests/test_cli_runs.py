@@ -95,7 +95,7 @@ def test_without_a_method_a_file_gets_the_default(survey, tmp_path):
     result = run("ground", survey / "west.laz", tmp_path / "out.laz", "--json", "--quiet")
     assert result.exit_code == 0, result.output
     cloud = jf.read(survey / "west.laz")
-    assert json.loads(result.stdout)["ground"] == jf.SMRF.for_cloud(cloud)(cloud).ground.sum()
+    assert json.loads(result.stdout)["ground"] == jf.default_filter(cloud)(cloud).ground.sum()
 
 
 def test_a_terrain_model_of_a_folder(done, tmp_path):

@@ -252,8 +252,9 @@ def test_only_regular_files_are_replaced(tmp_path, monkeypatch, kind, linked):
         with pytest.raises(OutputError, match=f"is a {kind}, and only regular files"):
             jf.write(path, cloud, truth(cloud), overwrite=overwrite)
     make(Path("in.las"))
-    result = CliRunner().invoke(main, ["ground", "pmf", "in.las", str(path), "--overwrite"])
-    assert result.exit_code == 2 and ("only regular files" in result.stderr or "is a directory" in result.stderr)
+    if kind != "folder":  # that of a run over a collection, for the command
+        result = CliRunner().invoke(main, ["ground", "pmf", "in.las", str(path), "--overwrite"])
+        assert result.exit_code == 2 and "only regular files" in result.stderr
     assert names(tmp_path) == sorted([*before, "in.las"]) and os.stat(path).st_mode == mode
 
 

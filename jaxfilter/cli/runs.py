@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import os
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -74,9 +75,9 @@ def is_collection(paths: Sequence[str]) -> bool:
     if len(inputs) != 1:
         return len(inputs) > 1
     name = inputs[0]
-    many = "://" in name or Path(name).is_dir() or name.lower().endswith(".vpc")
-    pattern = any(c in name for c in "*?[") and not Path(name).exists()
-    return many or pattern or Path(last).is_dir() or last.endswith(("/", "\\"))
+    many = "://" in name or os.path.isdir(name) or name.lower().endswith(".vpc")
+    pattern = any(c in name for c in "*?[") and not os.path.exists(name)
+    return many or pattern or os.path.isdir(last) or last.endswith(("/", "\\"))
 
 
 def ground_collection(

@@ -54,6 +54,8 @@ RANGES: dict[str, Range] = {
     "max_distance": Range(0.3, 3.0, "log"),
     "max_elevation": Range(0.3, 3.0, "log"),
     "slope": Range(0.03, 1.0, "log"),
+    "relief": Range(0.1, 1.0),
+    "tolerance": Range(0.03, 0.3, "log"),
     "threshold": Range(0.1, 1.5, "log"),
     "initial_distance": Range(0.1, 1.5, "log"),
     "scaling": Range(0.0, 3.0),
@@ -80,6 +82,7 @@ SEARCHED: dict[str, tuple[str, ...]] = {
     "pmf": ("slope", "initial_distance"),
     "smrf": ("slope", "threshold", "scaling"),
     "csf": ("threshold", "rigidness"),
+    "ost": ("slope", "relief", "tolerance", "max_angle"),
 }
 """The thresholds that decide the accuracy of each method. Of other methods all traced fields with a range are searched."""
 
