@@ -94,7 +94,8 @@ function listPlaces() {
   const {places} = facts;
   if (!places.length) return;
   el("places-section").hidden = false;
-  el("places-hint").textContent = places[0].what === "errors" ? "Squares with most cells in error." : "Squares with most points near to their threshold.";
+  const doubts = facts.doubt_of === "probability" ? "Squares with most errors to expect." : "Squares with most points near to their threshold.";
+  el("places-hint").textContent = places[0].what === "errors" ? "Squares with most cells in error." : doubts;
   el("places").replaceChildren(...places.map((place, i) => {
     const button = document.createElement("button"), reach = .7 * place.side;
     button.type = "button";

@@ -135,6 +135,7 @@ def _contents(
     wrong = None if truth is None or counted is None else (ground != truth) & counted
     facts["places"] = places(cloud, doubt_per_point(result, len(cloud))[0], wrong, layers.grid.cell)
     arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
+    facts["doubt_of"] = layers.doubt_of
     if layers.doubt_of:
         arrays["doubt"] = layers.doubt
     if layers.errors is not None:
