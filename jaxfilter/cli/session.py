@@ -62,7 +62,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     if not Session.running:  # nothing to clean up yet, and JAX aborts when its import is interrupted by an exception
         os.write(2, f"stopped by {signal.Signals(number).name}\n".encode())
         os._exit(128 + number)
-    if frame is not None and frame.f_code.co_name == "_xla_gc_callback":  # Python ignores what is raised there, but says so
+    if frame is not None and frame.f_code.co_name == "_xla_gc_callback":  # what is raised there is ignored, and printed
         threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
         return
     Session.stopped_by = number
