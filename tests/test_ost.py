@@ -259,6 +259,23 @@ def test_clouds_in_which_too_little_is_left_for_a_triangulation(rng, case):
     assert result.ground.any() and np.isfinite(result.height).all()
 
 
+def test_margins_have_the_sign_of_the_label_and_heights_are_over_the_final_ground():
+    """Heights of what is no ground against SciPy's linear interpolation of the ground; dropped vertices have theirs, too."""
+    scene = jf.scenes.make("town", size=(90.0, 90.0), density=1.0, seed=5)
+    result = jf.OST()(scene.cloud)
+    assert result.info["pruned"] > 0
+    judged = scene.cloud.candidate
+    np.testing.assert_array_equal(result.margin[judged] <= 0, result.ground[judged])
+    xyz = scene.cloud.xyz.astype(float)
+    ground = xyz[result.ground]
+    others = judged & ~result.ground
+    above = xyz[others, 2] - LinearNDInterpolator(ground[:, :2], ground[:, 2])(xyz[others, :2])
+    inside = np.isfinite(above)
+    assert (
+        np.mean(np.abs(above[inside] - result.height[others][inside]) < 0.01) > 0.99
+    )  # ties of the triangulation apart
+
+
 @pytest.mark.parametrize("layout, density", [("town", 1.0), ("hills", 4.0)])
 def test_total_error_on_scenes_is_close_to_the_best_of_others(layout, density):
     scene = jf.scenes.make(layout, size=(120.0, 120.0), density=density, seed=5)

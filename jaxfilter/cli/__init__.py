@@ -1,5 +1,6 @@
 """The ``jaxfilter`` command."""
 
+from . import demo as demo
 from . import report as report
 from . import surveys as surveys
 from . import sweeps as sweeps

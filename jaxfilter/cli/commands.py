@@ -1,6 +1,7 @@
-"""The ``jaxfilter`` command: ground, evaluate, demo, methods.
+"""The ``jaxfilter`` command: ground, evaluate, methods.
 
-Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``, pages in ``report.py``.
+Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``, pages in ``report.py``,
+the demonstration in ``demo.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -28,10 +29,7 @@ from .session import BadUsage, Session, session_options, stoppable
 if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..core.result import FilterResult
-    from ..scenes import Scene
     from ..scoring import Scores
-
-DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
 
 
 class Program(click.Group):
@@ -293,7 +291,7 @@ def _ground(
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
         changed = class_changes(cloud, result, **how)
-    report = _report(filter_, result, session) | {
+    report = run_report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
         "units": str(cloud.units),
@@ -308,7 +306,7 @@ def _ground(
     if as_json:
         print_json(report)
     elif not quiet:
-        _print_report(report)
+        print_report(report)
 
 
 def checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool, text: bool = True) -> Path:
@@ -356,7 +354,7 @@ def check_reading(units: str | None, returns: str) -> None:
         raise BadUsage(str(error)) from error
 
 
-def _report(filter_: Filter, result: FilterResult, session: Session) -> dict[str, Any]:
+def run_report(filter_: Filter, result: FilterResult, session: Session) -> dict[str, Any]:
     """The summary of a run, in plain Python values."""
     return {
         "method": type(filter_).__name__,
@@ -373,7 +371,7 @@ def _report(filter_: Filter, result: FilterResult, session: Session) -> dict[str
     }
 
 
-def _print_report(report: dict[str, Any]) -> None:
+def print_report(report: dict[str, Any]) -> None:
     share = 100 * report["ground"] / max(report["points"], 1)
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
     compiled = report["compilations"]
@@ -506,103 +504,6 @@ def _print_scores(scores: Scores) -> None:
         for column in each.columns[1:]:
             column.justify = "right"
         Console().print(each)
-
-
-@main.command()
-@click.argument(
-    "directory", metavar="[DIR]", default="jaxfilter-demo", type=click.Path(file_okay=False, path_type=Path)
-)
-@click.option(
-    "--size", nargs=2, type=float, default=(400.0, 300.0), show_default=True, metavar="WIDTH HEIGHT", help="Metres."
-)
-@click.option("--density", type=float, default=1.5, show_default=True, help="Pulses per m2.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--method", metavar="METHOD", help="Filter by this method.  [default: the default filter]")
-@click.option("--overwrite", is_flag=True, help="Write into DIR even if it holds other files.")
-def demo(
-    directory: Path,
-    size: tuple[float, float],
-    density: float,
-    seed: int,
-    method: str | None,
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-) -> None:
-    """Make a scene whose ground is known, filter it, score the result and draw it.
-
-    Writes into DIR (by default jaxfilter-demo): scene.laz, scene_ground.laz, and pictures of the true ground, of the
-    filtered ground and of the errors.
-    """
-    from .. import evaluate as score
-    from .. import read, scenes, write
-    from ..filters import FILTERS
-    from ..filters.default import default_filter
-    from ..host.files import remove_dead
-
-    with Session(quiet=quiet, debug=debug) as session:
-        if directory.is_dir():
-            remove_dead(directory)
-        others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
-        if others and not overwrite:
-            raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
-        if method is not None and method not in FILTERS:
-            raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
-        with session.step("scene"):
-            scene = scenes.make("mixed", size=size, density=density, seed=seed)
-            _write_scene(directory, scene)
-        with session.step("read"):
-            cloud = read(directory / "scene.laz", units="m")
-        filter_ = FILTERS[method].preset("recommended") if method else default_filter(cloud)
-        with session.step("filter"):
-            result = filter_(cloud, progress=session.progress)
-        with session.step("write"):
-            target = write(directory / "scene_ground.laz", cloud, result, overwrite=True)
-        scores = score(result, scene.truth, candidates_only=True)
-        with session.step("pictures"):
-            _draw(directory, scene, result)
-    report = _report(filter_, result, session) | {"output": str(target)}
-    if as_json:
-        print_json(report | {"scores": scores.as_dict(), "files": [str(directory / name) for name in DEMO_FILES]})
-    elif not quiet:
-        _print_report(report)
-        click.echo(scores)
-        click.echo(f"in {directory}: {', '.join(DEMO_FILES)}")
-
-
-def _write_scene(directory: Path, scene: Scene) -> None:
-    """The scene as delivered (never classified), and with its true classes."""
-    import numpy as np
-
-    from .. import write
-
-    directory.mkdir(parents=True, exist_ok=True)
-    nothing = np.zeros(len(scene), bool)
-    write(directory / "scene.laz", scene.cloud, nothing, reset="none", overwrite=True)
-    classified = dataclasses.replace(scene.cloud, classification=scene.classes)
-    write(directory / "scene_truth.laz", classified, nothing, reset="none", overwrite=True)
-
-
-def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
-    from .. import plots
-    from ..host.files import new_file
-
-    cloud, truth = scene.cloud, scene.truth
-    terrain = scene.terrain_grid(1.0)
-    found = plots.rasterise(cloud.xyz[result.ground], terrain[1].cell, over=cloud.xyz)
-    pictures = {
-        "truth.png": plots.hillshade(terrain, title="true terrain").figure,
-        "result.png": plots.hillshade(found, title="filtered ground").figure,
-        "errors.png": plots.error_map(cloud, result, truth, surface=terrain, title="errors").figure,
-        "panel.png": plots.panel(cloud, result, truth),
-    }
-    for name, figure in pictures.items():
-        with new_file(directory / name, overwrite=True) as part:
-            figure.savefig(part, format="png")
-
-
-demo.params += session_options()
 
 
 @main.command()

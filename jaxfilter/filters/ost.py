@@ -52,9 +52,10 @@ class OST(Filter):
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped. Then one more round, and again.
 
-    The result's ``height`` and ``slope`` are metres and degrees over the facet of the last test, ``margin`` metres from its
-    limit. ``doubt`` is the probability that the label is wrong (docs/doubt.md). ``info`` counts
-    ``seeds``, ``objects`` (cells) and ``pruned``. Lengths in metres, angles in degrees.
+    The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
+    took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
+    probability that the label is wrong (docs/doubt.md). ``info`` counts ``seeds``, ``objects`` (cells) and ``pruned``.
+    Lengths in metres, angles in degrees.
 
     Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
     """
@@ -158,6 +159,7 @@ class OST(Filter):
                 progress(share, "densify")
                 ground.densify(distance, angle, rounds)
                 pruned += ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
+            ground.finish()
             doubt = probability(evidence(ground, steepness, around, height), ground.ground)
             progress(1.0, "done")
             labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)

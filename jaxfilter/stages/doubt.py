@@ -26,11 +26,11 @@ def evidence(ground: GroundTin, drop: np.ndarray, landscape: np.ndarray, toleran
     at most 1.
 
     Args:
-        ground: the points m, and the final triangulation.
+        ground: the points m, and the final triangulation, finished.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
         landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
     """
-    above, slope = ground.over_facets()
+    above, slope = ground.height, ground.slope
     residual, roughness = ground.scatter_of_all()
     tolerance = max(tolerance, 0.01)
     h = above / np.float32(tolerance)

@@ -49,7 +49,9 @@ class GroundTin:
 
     Attributes:
         xyz: f32[m, 3], all points in canonical order. ground: bool[m]. tin: the network.
-        margin, height, slope: f32[m], of the last test of each point: metres, metres and degrees.
+        margin: f32[m], metres by which each point failed its last test, at most zero for ground.
+        height, slope: f32[m], metres and degrees, over the facet of that test; after :meth:`finish`, of points that are no
+            ground, over the triangulation as it is.
     """
 
     def __init__(self, xyz: np.ndarray, seeds: np.ndarray, workers: int | None) -> None:
@@ -120,8 +122,9 @@ class GroundTin:
         inner = np.ones(len(self.xyz), bool)
         ghosts = tin.triangles[(tin.triangles == -1).any(axis=1)]
         inner[ghosts[ghosts >= 0]] = False
-        drop = nodes[inner[nodes] & (e[nodes] > np.maximum(scene * spread, local * around[nodes]))]
-        self.ground[drop] = False
+        over = e - np.maximum(np.float32(scene * spread), np.float32(local) * around)
+        drop = nodes[inner[nodes] & (over[nodes] > 0)]
+        self.ground[drop], self.margin[drop] = False, over[drop]
         tin.remove(drop)
         return len(drop)
 
@@ -146,14 +149,10 @@ class GroundTin:
         around[rows] = around[self.tin.corners(self.tin.where[rows])].mean(axis=1)
         return e, around
 
-    def over_facets(self) -> tuple[np.ndarray, np.ndarray]:
-        """f32[m] each: height in metres over the triangulation as it is, of points that are no ground, and the slope of their
-        facet in degrees. Ground has those of its last test, as all points have in ``height`` and ``slope``."""
-        kept = self.margin, self.height, self.slope
-        self.margin, self.height, self.slope = (values.copy() for values in kept)
-        rows, zero = np.flatnonzero(~self.ground), np.zeros(len(self.xyz), np.float32)
+    def finish(self) -> None:
+        """Give points that are no ground their height and slope over the triangulation as it is; margins stay."""
+        rows, margin = np.flatnonzero(~self.ground), self.margin.copy()
+        zero = np.zeros(len(self.xyz), np.float32)
         if len(rows):
             self._tested(_close, rows, zero, zero)
-        found = self.height, self.slope
-        self.margin, self.height, self.slope = kept
-        return found
+        self.margin = margin
