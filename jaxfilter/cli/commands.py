@@ -372,6 +372,7 @@ def run_report(filter_: Filter, result: FilterResult, session: Session) -> dict[
 
 
 def print_report(report: dict[str, Any]) -> None:
+    """Prints what `run_report` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
     share = 100 * report["ground"] / max(report["points"], 1)
     seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
     compiled = report["compilations"]
