@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .filters.default import default_filter
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
+    from .pdal import from_pdal
     from .reports import report, review
     from .scoring import Scores, evaluate
     from .stages.grid_filter import soft_labels
@@ -42,6 +43,7 @@ _HOMES = {
     "filters.default": ("default_filter",),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
+    "pdal": ("from_pdal",),
     "stages.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
@@ -60,7 +62,7 @@ __all__ = [
     "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
     "Status", "Study", "calibrate", "citation", "class_changes", "compare", "default_filter", "dtm", "dtm_rmse", "evaluate",
-    "ground", "height_above_ground", "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels",
+    "from_pdal", "ground", "height_above_ground", "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels",
     "sweep", "terrain_model", "write",
 ]  # fmt: skip
 

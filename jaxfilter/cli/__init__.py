@@ -1,6 +1,7 @@
 """The ``jaxfilter`` command."""
 
 from . import demo as demo
+from . import pdal as pdal
 from . import report as report
 from . import surveys as surveys
 from . import sweeps as sweeps

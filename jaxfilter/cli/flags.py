@@ -13,6 +13,7 @@ from click.core import ParameterSource
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
+from ..pdal import aliases
 
 _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
@@ -39,9 +40,10 @@ def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
 
 
 def options(method: type[Filter]) -> list[click.Option]:
-    """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool."""
-    types_of = typing.get_type_hints(method)
-    return [_option(field, types_of[name]) for name, field in fields(method).items()]
+    """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool. Fields that PDAL has
+    under another name have that as well: ``--scalar`` for ``scaling``."""
+    types_of, other = typing.get_type_hints(method), aliases(method.__name__.lower())
+    return [_option(field, types_of[name], other.get(name)) for name, field in fields(method).items()]
 
 
 def given(method: type[Filter], ctx: click.Context) -> dict[str, Any]:
@@ -61,15 +63,20 @@ def describe(field: dataclasses.Field[Any]) -> str:
     return f"{str(meta.get('doc', '')).rstrip('.')} [{'; '.join(n for n in notes if n)}]"
 
 
-def _option(field: dataclasses.Field[Any], annotation: Any) -> click.Option:
-    flag = "--" + field.name.replace("_", "-")
+def _option(field: dataclasses.Field[Any], annotation: Any, alias: str | None = None) -> click.Option:
+    flag = _flag(field.name)
     choices = field.metadata.get("choices")
     if annotation is bool:
         return click.Option([f"{flag}/--no-{flag[2:]}", field.name], default=None, help=describe(field))
     kind: click.ParamType = Value(_base(annotation), bool(field.metadata.get("optional")))
     if choices is not None and all(isinstance(c, str) for c in choices):
         kind = click.Choice(choices)
-    return click.Option([flag, field.name], type=kind, default=None, help=describe(field))
+    names = [flag, _flag(alias)] if alias else [flag]
+    return click.Option([*names, field.name], type=kind, default=None, help=describe(field))
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
 
 
 def _base(annotation: Any) -> type:
@@ -95,7 +102,7 @@ def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
 
 def words_for(name: str, value: Any) -> list[str]:
     """The words that set a field on the command line."""
-    flag = "--" + name.replace("_", "-")
+    flag = _flag(name)
     if isinstance(value, bool):
         return [flag if value else f"--no-{flag[2:]}"]
     return [flag, "none" if value is None else str(value)]

@@ -261,6 +261,35 @@ class PointCloud:
         )
 
     @classmethod
+    def from_structured(
+        cls, points: Any, *, units: str | Units = "m", name: str = "array", **options: Any
+    ) -> PointCloud:
+        """Make a cloud from a structured NumPy array, such as those that the Python package of PDAL gives.
+
+        Fields ``X``, ``Y``, ``Z`` in file units are needed; ``ReturnNumber``, ``NumberOfReturns``, ``Classification`` and
+        ``Withheld`` are taken if there are such, others are passed over. Case and underscores in names do not count. Class 2
+        becomes the reference. An array has no CRS: state ``units``, and pass ``crs`` for outputs. ``options`` are those of
+        :meth:`from_arrays`. Points that are a record, or an object with such attributes, will do as well.
+
+        Raises: InputError as :meth:`from_arrays`, and if a coordinate is missing.
+        """
+        named = {_plain(key): key for key in _names_of(points)}
+        if missing := [axis for axis in "xyz" if axis not in named]:
+            raise InputError(
+                f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {', '.join(named.values())}"
+            )
+
+        def get(field: str, kind: Any) -> np.ndarray:
+            key = named[_plain(field)]
+            return np.asarray(getattr(points, key) if hasattr(points, key) else points[key]).astype(kind)
+
+        columns: dict[str, Any] = {name: get(name, kind) for name, kind in _COLUMNS.items() if _plain(name) in named}
+        is_ground = columns.get("classification", np.zeros(0, np.uint8)) == GROUND_CLASS
+        xyz = np.stack([get(axis, np.float64) for axis in "xyz"], axis=1)
+        columns["reference"] = is_ground if is_ground.any() else None
+        return cls.from_arrays(xyz, units=units, name=name, **{**columns, **options})
+
+    @classmethod
     def _assembled(
         cls,
         origin: np.ndarray,
@@ -498,8 +527,30 @@ def is_laspy(points: Any) -> bool:
     return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
 
 
+_COLUMNS = {"return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool}
+
+
+def _plain(name: str) -> str:
+    """A name without case and underscores, so that PDAL's are those of the fields."""
+    return name.lower().replace("_", "")
+
+
+def _names_of(points: Any) -> tuple[str, ...]:
+    """Fields of a structured array, or attributes out of x, y, z and the columns."""
+    names = getattr(getattr(points, "dtype", None), "names", None)
+    return tuple(names) if names else tuple(name for name in ("x", "y", "z", *_COLUMNS) if hasattr(points, name))
+
+
+def is_structured(points: Any) -> bool:
+    """Whether these are named columns: a structured array, or an object with attributes ``x``, ``y`` and ``z``."""
+    return bool(getattr(getattr(points, "dtype", None), "names", None)) or {"x", "y", "z"} <= set(_names_of(points))
+
+
 def as_cloud(points: Any) -> PointCloud:
-    """A PointCloud as it is; a ``laspy.LasData`` as its file; anything else as coordinates f64[n, 3] in metres."""
+    """A PointCloud as it is; a ``laspy.LasData`` as its file; a structured array, or what has attributes x, y and z, by its
+    names; anything else as coordinates f64[n, 3]. Arrays are in metres."""
     if isinstance(points, PointCloud):
         return points
-    return PointCloud.from_laspy(points) if is_laspy(points) else PointCloud.from_arrays(points)
+    if is_laspy(points):
+        return PointCloud.from_laspy(points)
+    return PointCloud.from_structured(points) if is_structured(points) else PointCloud.from_arrays(points)

@@ -1,0 +1,109 @@
+"""The ``from-pdal`` command: a pipeline of PDAL as a command line."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from . import flags
+from .building import units_option
+from .commands import main, print_json
+from .session import Session, session_options
+
+if TYPE_CHECKING:
+    from ..core.units import Units
+    from ..pdal import Translation
+
+_SUFFIXES = (".las", ".laz")
+
+
+@main.command("from-pdal")
+@click.argument("pipeline", metavar="PIPELINE.json", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@units_option
+def from_pdal(pipeline: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
+    """Print the command that does what the ground stage of a pipeline of PDAL does.
+
+    The stage is filters.smrf, filters.pmf or filters.csf. Its lengths are in the units of the coordinates (--units, or the CRS
+    of the file that the pipeline reads, if it is there); those of the command are metres. What has no counterpart is listed on
+    standard error.
+    """
+    from ..pdal import translate
+
+    with Session(quiet=quiet, debug=debug):
+        found = translate(pipeline, units=units or "m")
+        own = _units_of(found.inputs) if units is None else None
+        if own is not None and (own.xy, own.z) != (1.0, 1.0):
+            found = translate(pipeline, units=own)
+        remarks = [*found.unmatched, *found.remarks]
+        if units is None and own is None:
+            remarks.append("lengths are taken as metres: pass --units if the coordinates are in feet")
+    words, more = _words(found, units)
+    remarks += more
+    if as_json:
+        print_json(
+            {
+                "stage": found.stage,
+                "method": type(found.filter).__name__,
+                "preset": found.preset,
+                "parameters": dataclasses.asdict(found.filter),  # type: ignore[call-overload]
+                "reading": found.reading,
+                "writing": found.writing,
+                "command": shlex.join(words),
+                "notes": remarks,
+            }
+        )
+        return
+    click.echo(shlex.join(words))
+    if not quiet:
+        for text in remarks:
+            click.echo(f"note: {text}", err=True)
+
+
+from_pdal.params += session_options()
+
+
+def _units_of(inputs: tuple[str, ...]) -> Units | None:
+    """Of the first file, if it is a LAS file that can be read."""
+    from ..core.errors import JaxfilterError
+    from ..core.units import linear_units
+    from ..host.las import open_las
+
+    if not inputs or not Path(inputs[0]).is_file() or Path(inputs[0]).suffix.lower() not in _SUFFIXES:
+        return None
+    try:
+        return linear_units(open_las(Path(inputs[0]))[1], None, inputs[0])
+    except JaxfilterError:
+        return None
+
+
+def _words(found: Translation, units: str | None) -> tuple[list[str], list[str]]:
+    """The words of the command, and remarks on the names of files in it."""
+    filter_, base = found.filter, type(found.filter).preset(found.preset)
+    remarks = []
+    inputs = found.inputs or ("IN.laz",)
+    out = found.outputs[-1] if found.outputs else "OUT.laz"
+    if len(inputs) > 1:
+        remarks.append(f"several files are filtered as a collection, into a folder, so OUT is one, and not {out}")
+        out = "OUT/"
+    elif Path(out).suffix.lower() not in _SUFFIXES or out.lower().endswith(".copc.laz"):
+        remarks.append(f"{out} cannot be written: OUT is LAS or LAZ")
+        out = "OUT.laz"
+    words = ["jaxfilter", "ground", type(filter_).__name__.lower(), *inputs, out]
+    words += ["--preset", found.preset] if base != type(filter_)() else []
+    for name in flags.fields(type(filter_)):
+        value: Any = getattr(filter_, name)
+        if value != getattr(base, name):
+            words += flags.words_for(name, value)
+    reading, writing = found.reading, found.writing
+    words += ["--returns", reading["returns"]] if "returns" in reading else []
+    for number in reading["ignore_classes"] or ("none",):
+        words += ["--ignore-class", str(number)]
+    words += ["--keep-withheld"] if reading["keep_withheld"] else []
+    words += ["--units", units] if units else []
+    for name, value in writing.items():
+        words += flags.words_for(name, value)
+    return words, remarks
