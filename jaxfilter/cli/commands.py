@@ -165,6 +165,11 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
         ),
         click.Option(["--only-ground"], is_flag=True, help="Mark ground and leave every other class as it is."),
         click.Option(
+            ["--noise-class"],
+            type=click.IntRange(0, 255),
+            help="For low outliers: points that METHOD bars as such, below the ground; 7 by the ASPRS.  [default: as others]",
+        ),
+        click.Option(
             ["--extra"],
             multiple=True,
             type=click.Choice(writing.EXTRAS),
@@ -263,9 +268,8 @@ def _ground(
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
-    writing = {
-        k: options[k] for k in ("overwrite", "in_place", "ground_class", "other_class", "reset", "only_ground", "extra")
-    }
+    how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground", "noise_class")}
+    writing = how | {k: options[k] for k in ("overwrite", "in_place", "extra")}
     with Session(quiet=quiet, debug=debug) as session:
         if method is not None:
             filter_ = method.preset(preset, **changes) if preset else method(**changes)
@@ -289,7 +293,6 @@ def _ground(
         if review is not None:
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
-        how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
         changed = class_changes(cloud, result, **how)
     report = run_report(filter_, result, session) | {
         "input": str(source),
@@ -297,6 +300,8 @@ def _ground(
         "units": str(cloud.units),
         "metres_per_unit": [cloud.units.xy, cloud.units.z],
         "ground_class": options["ground_class"],
+        "noise_class": options["noise_class"],
+        "low_noise": int(result.low_noise.sum()),
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
     }

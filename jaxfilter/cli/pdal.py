@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import flags
 from .building import units_option
 from .commands import main, print_json
 from .session import Session, session_options
@@ -82,6 +81,8 @@ def _units_of(inputs: tuple[str, ...]) -> Units | None:
 
 def _words(found: Translation, units: str | None) -> tuple[list[str], list[str]]:
     """The words of the command, and remarks on the names of files in it."""
+    from . import flags
+
     filter_, base = found.filter, type(found.filter).preset(found.preset)
     remarks = []
     inputs = found.inputs or ("IN.laz",)

@@ -139,6 +139,7 @@ def ground_collection(
                 setup=setup,
                 client=options["scheduler"],
                 only_ground=options["only_ground"],
+                noise_class=options["noise_class"],
                 extra=options["extra"],
                 progress=shown(session, quiet),
                 **{name: options[name] for name in kept},

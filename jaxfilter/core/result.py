@@ -120,6 +120,14 @@ class FilterResult:
     def __len__(self) -> int:
         return len(self.ground)
 
+    @property
+    def low_noise(self) -> np.ndarray:
+        """bool[n]: low outliers, which are barred from the seeds, are not ground in the end, and lie below the final surface.
+
+        Methods that bar no points, such as SMRF, which bars cells, have none.
+        """
+        return np.asarray(self.barred & ~self.ground & (self.height < 0))
+
     def __repr__(self) -> str:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
         return f"FilterResult({int(self.ground.sum())} of {len(self)} ground, {share:.1f} %; {self.status.message})"

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core.errors import InputError, OutputError
 from .files import new_file
+
+if TYPE_CHECKING:
+    import xarray
 
 SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
@@ -51,6 +54,33 @@ class Raster:
         a, _, c, _, e, f = self.transform
         rows, columns = self.values.shape
         return c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
+
+    def to_xarray(self) -> xarray.DataArray:
+        """The heights over ``y`` (descending) and ``x``, the centres of the cells, as GDAL, QGIS and rioxarray understand them.
+
+        The CRS and the transform are attributes of the coordinate ``spatial_ref``, by the CF conventions (grid mapping); with
+        rioxarray imported, ``.rio`` knows CRS, transform and nodata. Cells without a height are NaN, and ``nodata`` in files.
+        """
+        import xarray
+
+        a, b, c, d, e, f = self.transform
+        grid: dict[str, Any] = {} if self.crs is None else self.crs.to_cf()
+        if "crs_wkt" in grid:
+            grid["spatial_ref"] = grid["crs_wkt"]  # the name of GDAL
+        grid["GeoTransform"] = " ".join(repr(float(v)) for v in (c, a, b, f, d, e))
+        axes = (
+            {} if self.crs is None else {axis["axis"].lower(): axis for axis in self.crs.cs_to_cf() if "axis" in axis}
+        )
+        x, y = self.centres()
+        out = xarray.DataArray(
+            self.values,
+            dims=("y", "x"),
+            coords={"y": ("y", y, axes.get("y", {})), "x": ("x", x, axes.get("x", {})), "spatial_ref": ((), 0, grid)},
+            name="height",
+            attrs={"long_name": "height of the ground"},
+        )
+        out.encoding = {"_FillValue": np.float32(self.nodata), "grid_mapping": "spatial_ref"}
+        return out
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write a GeoTIFF: float32, tiled, deflated, cells are areas, with transform, CRS and nodata.

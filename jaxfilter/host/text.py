@@ -491,6 +491,7 @@ def _numbers(path: Path, layout: Layout, run: Run, whole: bytes) -> np.ndarray:
     import pandas as pd  # late: it takes half a second, which LAS does not need
 
     used = list(layout.columns.values())
+    old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # these drop the last of many digits
     _numbers_one_by_one(path, layout, run, 1)  # a column of the words True and False alone would be numbers to pandas
     try:
         table = pd.read_csv(
@@ -506,6 +507,7 @@ def _numbers(path: Path, layout: Layout, run: Run, whole: bytes) -> np.ndarray:
             keep_default_na=False,
             na_values=["nan", "NaN", "NAN"],
             low_memory=False,
+            **({"float_precision": "round_trip"} if old else {}),
         )
     except ValueError:
         return _numbers_one_by_one(path, layout, run, len(run.at))

@@ -47,6 +47,7 @@ def write(
     other_class: int = 1,
     reset: str = "ground",
     only_ground: bool = False,
+    noise_class: int | None = None,
     extra: Iterable[str] = (),
     heights: np.ndarray | None = None,
     replace_z: bool = False,
@@ -68,6 +69,7 @@ def write(
         other_class: class of candidates that are not ground and whose old class is reset.
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
         only_ground: change nothing but ground candidates, the same as ``reset="none"``.
+        noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; by default they are points like others.
         extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin,
             and doubt of methods that state it.
         heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes
@@ -82,7 +84,7 @@ def write(
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
         raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
-    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names)
+    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names, noise_class)
     labels.add_heights(heights, replace_z)
     source: Handle | None = cloud.source
     if source is not None:
@@ -93,6 +95,10 @@ def write(
         raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
     if kind in text.SUFFIXES and (names or heights is not None):
         raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
+    if kind in text.SUFFIXES and noise_class is not None and cloud.classification is None:
+        raise OutputError(
+            f"{path}: this text holds labels only; noise_class={noise_class!r} needs classes, .las or .laz"
+        )
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Replay(None)) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as replay:
@@ -112,12 +118,13 @@ def class_changes(
     other_class: int = 1,
     reset: str = "ground",
     only_ground: bool = False,
+    noise_class: int | None = None,
 ) -> dict[tuple[int, int], int]:
     """What :func:`write` makes of the classes with these arguments: number of points by (old class, new class), in order.
 
     Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
     """
-    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, ())
+    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, (), noise_class)
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
     pairs = np.bincount(old.astype(np.int64) * 256 + labels.classes(old, slice(None)), minlength=1)
     return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
@@ -134,6 +141,7 @@ class _Labels:
         other_class: int,
         reset: str,
         extra: tuple[str, ...],
+        noise_class: int | None,
     ) -> None:
         self.candidate = cloud.candidate
         if result is None:
@@ -144,8 +152,9 @@ class _Labels:
             raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{shape}")
         if reset not in RESETS:
             raise ParameterError(f"reset={reset!r}: choose one of {', '.join(RESETS)}")
-        for name, value in (("ground_class", ground_class), ("other_class", other_class)):
-            if not 0 <= value <= 255:
+        classes = {"ground_class": ground_class, "other_class": other_class, "noise_class": noise_class}
+        for name, value in classes.items():
+            if value is not None and not 0 <= value <= 255:
                 raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
         unknown = set(extra) - set(EXTRAS)
         if unknown or len(set(extra)) < len(extra):
@@ -155,8 +164,16 @@ class _Labels:
         absent = [name for name in extra if getattr(result, name) is None]
         if absent:
             raise ParameterError(f"extra={extra!r}: the method states no {absent[0]}; OST does")
+        self.noise: np.ndarray | None = None
+        if noise_class is not None:
+            if not isinstance(result, FilterResult):
+                raise ParameterError(
+                    f"noise_class={noise_class!r}: labels alone do not tell outliers; pass the FilterResult"
+                )
+            self.noise = result.low_noise
         self.ground = ground
-        self.ground_class, self.other_class = ground_class, other_class
+        self.ground_class, self.other_class, self.noise_class = ground_class, other_class, noise_class or 0
+        self.largest = max(value for value in classes.values() if value is not None)
         self.resets = np.zeros(256, bool)
         self.resets[{"ground": [0, GROUND_CLASS, ground_class], "all": slice(None), "none": []}[reset]] = True  # type: ignore[call-overload]
         self.extra = {name: getattr(result, name) for name in extra}
@@ -181,7 +198,8 @@ class _Labels:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
         ground, candidate = self.ground[rows], self.candidate[rows]
         other = np.where(candidate & self.resets[old], np.uint8(self.other_class), old)
-        return np.where(candidate & ground, np.uint8(self.ground_class), other)
+        new = np.where(candidate & ground, np.uint8(self.ground_class), other)
+        return new if self.noise is None else np.where(candidate & self.noise[rows], np.uint8(self.noise_class), new)
 
     def texts(self, rows: slice) -> np.ndarray:
         """Labels as text files have them."""
@@ -199,10 +217,9 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         header = _fresh_header(path, cloud)
         chunks = _fresh_records(path, header, cloud, replay)
     number = header.point_format
-    largest = max(labels.ground_class, labels.other_class)
-    if number < 6 and largest > 31:
+    if number < 6 and labels.largest > 31:
         raise OutputError(
-            f"{path}: class {largest} does not fit into point format {number}, which holds 0 to 31; upgrade the input "
+            f"{path}: class {labels.largest} does not fit into point format {number}, which holds 0 to 31; upgrade the input "
             "to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}

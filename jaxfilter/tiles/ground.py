@@ -115,6 +115,7 @@ def ground(
     other_class: int = 1,
     reset: str = "ground",
     only_ground: bool = False,
+    noise_class: int | None = None,
     extra: Iterable[str] = (),
     executor: Executor | None = None,
     progress: Callable[[Standing], None] | None = None,
@@ -137,7 +138,7 @@ def ground(
         executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
         resume: go on with the run that was begun in the folder. overwrite: begin anew; files in it are replaced.
         returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
-        ground_class, other_class, reset, only_ground, extra: as in :func:`jaxfilter.write`.
+        ground_class, other_class, reset, only_ground, noise_class, extra: as in :func:`jaxfilter.write`.
         progress: called with the :class:`Standing` about four times a second.
         setup: in place of ``filter_``: makes filter and whole of the collection, the reading options and the folder for
             what is found out about files.
@@ -154,7 +155,13 @@ def ground(
         "keep_withheld": keep_withheld,
         "drop_invalid": drop_invalid,
     }
-    classes = {"ground_class": ground_class, "other_class": other_class, "reset": reset, "only_ground": only_ground}
+    classes = {
+        "ground_class": ground_class,
+        "other_class": other_class,
+        "reset": reset,
+        "only_ground": only_ground,
+        "noise_class": noise_class,
+    }
     names = target_names(list(collection.uris))
     prepare_folder(folder, collection, names, resume=resume, overwrite=overwrite)
     scratch = folder / SCRATCH

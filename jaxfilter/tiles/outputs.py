@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, OutputError
-from ..core.result import Decision, FilterResult, Status
 from ..host.files import Handle, Identity
 from ..host.las import open_las
 from ..host.sources import Source
 from ..host.storage import Place
 from ..host.writing import write
-from .task import CANDIDATE, GROUND, Job, _heard, load_labels
+from .task import CANDIDATE, GROUND, NOISE, Job, _heard, labelled, load_labels
 
 _STORED = 0x80
 
@@ -84,7 +82,7 @@ def write_file(job: Job, task: FileTask) -> FileReport:
     with _heard() as remarks:
         cloud = _handle_of(source, (label & CANDIDATE) > 0)
         ground = (label & GROUND) > 0
-        result = _result(ground, extra) if extra else ground
+        result = labelled(ground, (label & NOISE) > 0, extra)
         write(task.target, cloud, result, overwrite=task.overwrite, extra=job.extra, **job.classes)
     return FileReport(task.number, source.count, int(ground.sum()), tuple(remarks))
 
@@ -103,20 +101,4 @@ def _handle_of(source: Source, candidate: np.ndarray) -> PointCloud:
         candidate=candidate,
         units=source.units,
         source=handle,
-    )
-
-
-def _result(ground: np.ndarray, extra: dict[str, np.ndarray]) -> FilterResult:
-    """A result of labels and the quantities that are written along."""
-    n = len(ground)
-    empty: Any = np.broadcast_to(np.float32(np.nan), n)
-    quantities = {name: extra.get(name, empty) for name in ("height", "slope", "angle", "elevation", "margin")}
-    return FilterResult(
-        ground=ground,
-        decision=np.broadcast_to(np.uint8(Decision.SET_ASIDE), n),
-        barred=np.broadcast_to(np.bool_(False), n),
-        status=Status.CONVERGED,
-        info={},
-        trace=[],
-        **quantities,
     )

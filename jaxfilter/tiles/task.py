@@ -12,8 +12,9 @@ import os
 import time
 import uuid
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ import numpy as np
 from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
-from ..core.result import FilterResult, Status
+from ..core.result import Decision, FilterResult, Status
 from ..host.files import Bounds
 from ..host.sources import Source
 from ..host.windows import read_window
@@ -30,7 +31,7 @@ from ..host.writing import class_changes
 ANCHOR = (0.0, 0.0)
 """File coordinates that all grids of a run are aligned to: the same tile gets the same labels in any collection."""
 
-CANDIDATE, GROUND = 1, 2
+CANDIDATE, GROUND, NOISE = 1, 2, 4
 """Bits of a stored label."""
 
 _PER_FOLDER = 1000
@@ -43,7 +44,7 @@ class Job:
     Attributes:
         filter: set up for the whole collection.
         reading: ``returns``, ``ignore_classes``, ``keep_withheld``, ``drop_invalid`` of :func:`jaxfilter.read`.
-        classes: ``ground_class``, ``other_class``, ``reset``, ``only_ground`` of :func:`jaxfilter.write`.
+        classes: ``ground_class``, ``other_class``, ``reset``, ``only_ground``, ``noise_class`` of :func:`jaxfilter.write`.
         extra: quantities of the result that are written along.
         whole: of the collection.
         folder: where labels are kept until a file is complete; all processes see it.
@@ -132,9 +133,9 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
         around = read_tile(job, tile)
         result = job.filter(around.cloud, workers=1)
         own = np.flatnonzero(around.core)
-        cloud, labels = part_of(around.cloud, own), result.ground[own]
+        cloud, labels, noise = part_of(around.cloud, own), result.ground[own], result.low_noise[own]
         _store(job, tile.number, around, own, result)
-        changes = class_changes(cloud, labels, **job.classes)
+        changes = class_changes(cloud, labelled(labels, noise), **job.classes)
     return TileReport(
         tile.number,
         len(own),
@@ -261,6 +262,26 @@ def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
     return dataclasses.replace(cloud, source=None, **parts)
 
 
+def labelled(
+    ground: np.ndarray, noise: np.ndarray, extra: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> FilterResult:
+    """A result of labels and low outliers, bool[n] each, and of quantities f32[n] by name; others are NaN."""
+    n = len(ground)
+    empty: Any = np.broadcast_to(np.float32(np.nan), n)
+    quantities = {name: extra.get(name, empty) for name in ("height", "slope", "angle", "elevation", "margin")}
+    quantities["height"] = np.where(noise & np.isnan(quantities["height"]), np.float32(-np.inf), quantities["height"])
+    return FilterResult(
+        ground=ground,
+        decision=np.broadcast_to(np.uint8(Decision.SET_ASIDE), n),
+        barred=noise,
+        status=Status.CONVERGED,
+        info={},
+        trace=[],
+        doubt=extra.get("doubt"),
+        **quantities,
+    )
+
+
 def labels_path(folder: Path, number: int) -> Path:
     """Where the labels of a tile are."""
     return folder / "labels" / str(number // _PER_FOLDER) / f"{number}.npz"
@@ -278,6 +299,7 @@ def _store(job: Job, number: int, around: Around, own: np.ndarray, result: Filte
     """Write the labels of a tile, whole or not at all."""
     arrays: dict[str, np.ndarray] = {}
     label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | result.ground[own] * np.uint8(GROUND)
+    label |= result.low_noise[own] * np.uint8(NOISE)
     file = around.file[own]
     for one in np.unique(file):
         rows = file == one
