@@ -24,7 +24,7 @@ from rich.console import Console
 from ..core.errors import JaxfilterError
 from . import runs
 from .runs import ground_collection, is_collection
-from .session import BadUsage, Session, session_options, stoppable
+from .session import BadUsage, Session, logger, session_options, stoppable
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -277,15 +277,15 @@ def _ground(
         check_reading(reading["units"], reading["returns"])
         if review is not None:
             check_review(review, options["overwrite"])
-        with session.step("read"):
-            cloud = read(source, **reading)
+        with session.reading(source):
+            cloud = read(source, **reading, progress=session.progress)
         if method is None:
             from ..filters.default import default_filter
 
             filter_ = default_filter(cloud, largest_building)
         elif for_cloud or largest_building is not None:
             filter_ = method.for_cloud(cloud, largest_building, preset=preset, **changes)
-        with session.step("filter"):
+        with session.step("filter", len(cloud)):
             result = filter_(cloud, workers=workers, progress=session.progress)
         with session.step("write"):
             write(target, cloud, result, **writing)
@@ -294,6 +294,7 @@ def _ground(
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         changed = class_changes(cloud, result, **how)
+        logger.info(f"{target}: {int(result.ground.sum()):,} of {len(cloud):,} points are ground")
     report = run_report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
@@ -460,7 +461,7 @@ def evaluate(
     from ..scoring import match_points
 
     with Session(quiet=quiet, debug=debug) as session:
-        with session.step("read"):
+        with session.reading(labelled, reference):
             cloud, truth = read(labelled, units="m"), read(reference, units="m")
         result = cloud.reference if cloud.classification is None else cloud.classification == ground_class
         if result is None:

@@ -62,10 +62,10 @@ def demo(
         with session.step("scene"):
             scene = scenes.make("mixed", size=size, density=density, seed=seed)
             _write_scene(directory, scene)
-        with session.step("read"):
-            cloud = read(directory / "scene.laz", units="m")
+        with session.reading(directory / "scene.laz"):
+            cloud = read(directory / "scene.laz", units="m", progress=session.progress)
         filter_ = FILTERS[method].preset("recommended") if method else default_filter(cloud)
-        with session.step("filter"):
+        with session.step("filter", len(cloud)):
             result = filter_(cloud, progress=session.progress)
         with session.step("write"):
             target = write(directory / "scene_ground.laz", cloud, result, overwrite=True)

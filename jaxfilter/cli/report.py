@@ -92,13 +92,13 @@ def report(
             raise BadUsage("--reference own: the labels of IN are what is shown; name a file, or pass --filter METHOD")
         if reference not in (None, OWN) and not Path(str(reference)).is_file():
             raise BadUsage(f"--reference {reference}: there is no such file; the labels of IN are called own")
-        with session.step("read"):
-            cloud = read(source, units=units, bounds=bounds)
+        with session.reading(source):
+            cloud = read(source, units=units, bounds=bounds, progress=session.progress)
             truth = None if reference is None else _reference(cloud, source, reference, units, bounds)
         result: Any
         if build is not None:
             filter_ = build.on(cloud)
-            with session.step("filter"):
+            with session.step("filter", len(cloud)):
                 result = filter_(cloud, workers=workers, progress=session.progress)
             ground = result.ground
         elif cloud.classification is not None:
@@ -109,7 +109,7 @@ def report(
             result = ground = cloud.candidate
         else:
             raise InputError(f"{source} has neither classes nor labels: find the ground with --filter")
-        with session.step("report"):
+        with session.step("report", len(cloud)):
             write_report(
                 cloud, result, target, reference=truth, overwrite=overwrite, workers=workers,
                 progress=session.progress, **settings,

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 import re
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from .session import BadUsage, Session
+from .session import BadUsage, Session, logger
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..tiles.run import RunReport, Standing
 
-_LINE_EVERY = 60.0  # seconds between lines of progress where there is no terminal
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SINGLE = ("bounds", "in_place", "review", "review_area")
 """Options that only a single file takes."""
@@ -104,7 +101,7 @@ def ground_collection(
     reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     kept = ("halo", "tile", "memory", "workers", "resume", "overwrite", "ground_class", "other_class", "reset")
-    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+    with Session(quiet=quiet, debug=debug) as session:
         if method is not None:  # what is wrong with the parameters is said before anything is read
             method.preset(options["preset"], **changes) if options["preset"] else method(**changes)
         check_reading(options["units"], options["returns"])
@@ -132,7 +129,7 @@ def ground_collection(
             chosen.append(filter_)
             return filter_, sample.whole
 
-        with session.step("filter"), _to_be_resumed():
+        with session.step("filter", collection.count), _to_be_resumed():
             report = ground(
                 collection,
                 Path(out),
@@ -141,10 +138,13 @@ def ground_collection(
                 only_ground=options["only_ground"],
                 noise_class=options["noise_class"],
                 extra=options["extra"],
-                progress=shown(session, quiet),
+                progress=shown(session),
                 **{name: options[name] for name in kept},
                 **reading,
             )
+        for line in _faults(report):
+            session.warn(line)
+        logger.info(f"{out}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground")
     facts = report.as_dict() | {
         "method": type(chosen[0]).__name__,
         "parameters": dataclasses.asdict(chosen[0]),  # type: ignore[call-overload]
@@ -172,18 +172,12 @@ def check_named(inputs: Sequence[str], bare: bool = False) -> None:
         raise BadUsage(f"{name}: no such file or folder{words}")
 
 
-def shown(session: Session, quiet: bool) -> Any:
+def shown(session: Session) -> Any:
     """The callback that shows how far a run is."""
-    last = time.monotonic()
 
     def show(standing: Standing) -> None:
-        nonlocal last
-        note = f"{standing.tiles_done:,} of {standing.tiles:,}, {standing.rate:,.0f} points/s"
-        session.progress(standing.tiles_done / max(standing.tiles, 1), standing.step, note)
-        if not quiet and not session.is_terminal and time.monotonic() - last > _LINE_EVERY:
-            last = time.monotonic()
-            left = "" if math.isnan(standing.left) else f", {standing.left:,.0f} s left"
-            click.echo(f"{standing.step}: {note}{left}", err=True)
+        note = f"{standing.tiles_done:,} of {standing.tiles:,}"
+        session.progress(standing.tiles_done / max(standing.tiles, 1), standing.step, note, standing.rate)
 
     return show
 
@@ -211,11 +205,13 @@ def _print(report: RunReport, facts: dict[str, Any]) -> None:
     )
     if facts["classes"]:
         print_classes(facts["classes"])
-    for remark, times in report.remarks.items():
-        click.echo(f"warning: {remark}" + (f" ({times} times)" if times > 1 else ""), err=True)
-    for one in report.set_aside:
-        click.echo(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}", err=True)
-    for one in report.left_out:
-        click.echo(f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}", err=True)
-    for one in report.failed:
-        click.echo(f"not written: {one['file']}: {one['reason']}", err=True)
+
+
+def _faults(report: RunReport) -> list[str]:
+    """A line on everything that was warned of, or could not be done."""
+    lines = [remark + (f" ({times} times)" if times > 1 else "") for remark, times in report.remarks.items()]
+    lines += [f"tile {one['tile']} {one['core']} was set aside: {one['reason']}" for one in report.set_aside]
+    lines += [
+        f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}" for one in report.left_out
+    ]
+    return lines + [f"not written: {one['file']}: {one['reason']}" for one in report.failed]

@@ -1,22 +1,27 @@
-"""What every command that works has in common: progress, warnings and errors as lines, timing, the compile cache."""
+"""What every command that works has in common: progress, a log, warnings and errors as lines, timing, the compile cache."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
 import re
+import shlex
 import signal
+import sys
 import threading
 import time
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
 
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
 
@@ -77,8 +82,97 @@ def session_options() -> list[click.Parameter]:
     return [
         click.Option(["--quiet", "-q"], is_flag=True, help="No progress and no summary; warnings remain."),
         click.Option(["--json", "as_json"], is_flag=True, help="Print the result as JSON."),
+        click.Option(
+            ["--log"],
+            type=click.Path(dir_okay=False, path_type=Path),
+            expose_value=False,
+            callback=_remember_log,
+            help="Append what is done, with times, warnings and errors, to this file.",
+        ),
         click.Option(["--debug"], is_flag=True, help="Show the traceback of an error."),
     ]
+
+
+_LOG = "jaxfilter.log"
+"""Where the context of a command has the path of its log."""
+
+
+def _remember_log(context: click.Context, _: click.Parameter, path: Path | None) -> None:
+    context.meta[_LOG] = path
+
+
+logger = logging.getLogger("jaxfilter")
+
+
+@contextlib.contextmanager
+def _logged(context: click.Context | None) -> Iterator[None]:
+    """A block whose messages to the ``logger`` are appended to the file of --log. Raises BadUsage if that cannot be."""
+    path: Path | None = context.meta.get(_LOG) if context is not None else None
+    if context is None or path is None:
+        yield
+        return
+    named = [v for value in context.params.values() for v in (value if isinstance(value, tuple) else [value])]
+    if any(isinstance(v, (str, Path)) and os.path.realpath(v) == os.path.realpath(path) for v in named):
+        raise BadUsage(f"--log {path}: is an input or output as well: name another file")
+    try:
+        handler = logging.FileHandler(path, encoding="utf-8")
+    except OSError as error:
+        raise BadUsage(f"--log {path}: cannot be written: {error.strerror}") from error
+    handler.setFormatter(logging.Formatter("{asctime}.{msecs:03.0f} {levelname} {message}", "%Y-%m-%dT%H:%M:%S", "{"))
+    before = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        handler.close()
+        logger.level, logger.propagate = before
+
+
+LINE_EVERY = 60.0
+"""Seconds between lines of progress where there is no terminal, and in the log."""
+
+
+class Rate(ProgressColumn):
+    """Items per second; the step has said how many there are."""
+
+    def render(self, task: Task) -> Text:
+        """Nothing while it is not known."""
+        items, unit, given = (task.fields[key] for key in ("items", "unit", "rate"))
+        rate = given if given is not None else task.speed * items if task.speed and items else None
+        return Text("" if rate is None else f"{short(rate, unit)}/s")
+
+
+class Memory(ProgressColumn):
+    """Resident memory of the process and of those that it has started."""
+
+    max_refresh = 0.5
+
+    def render(self, task: Task) -> Text:
+        """In bytes."""
+        return Text(short(memory(), "B"))
+
+
+def short(value: float, unit: str) -> str:
+    """Two digits or three, with a prefix: 12.3 M points, 1.2 GB."""
+    prefix, size = next(
+        (p, n) for p, n in (("T", 1e12), ("G", 1e9), ("M", 1e6), ("k", 1e3), ("", 1.0)) if value >= n or not p
+    )
+    number = f"{value / size:.{0 if value >= 99.5 * size else 1}f}"
+    return f"{number} {prefix}{unit}" if unit == "B" else f"{number} {prefix} {unit}" if prefix else f"{number} {unit}"
+
+
+def memory() -> float:
+    """Bytes of resident memory of this process and of those that it has started."""
+    import psutil
+
+    found, own = 0.0, psutil.Process()
+    for process in (own, *own.children(recursive=True)):
+        with contextlib.suppress(psutil.Error):  # it has ended meanwhile
+            found += process.memory_info().rss
+    return found
 
 
 def in_flags(text: str) -> str:
@@ -99,8 +193,9 @@ def in_flags(text: str) -> str:
 class Session:
     """A context in which a command runs.
 
-    Messages go to standard error, one line each. Errors of this package and of the system become one line and an exit
-    code: 2 for parameters, 1 for the rest. Compilations are counted and kept for the next process.
+    Messages go to standard error, one line each, and with steps and times to the file of --log. Errors of this package and
+    of the system become one line and an exit code: 2 for parameters, 1 for the rest. Compilations are counted and kept for
+    the next process.
     """
 
     running = 0
@@ -108,24 +203,27 @@ class Session:
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
-    def __init__(self, *, quiet: bool, debug: bool, remaining: bool = False) -> None:
-        """``remaining`` shows the time left in a step as well, by its mean rate so far."""
-        self.debug = debug
+    def __init__(self, *, quiet: bool, debug: bool) -> None:
+        self.quiet, self.debug = quiet, debug
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}
         self.warnings: list[str] = []
         self._console = Console(stderr=True, soft_wrap=True, markup=False, highlight=False)
         self._bar = Progress(
-            TextColumn("{task.description:24}"),
-            BarColumn(),
+            TextColumn("{task.description:18}"),
+            BarColumn(bar_width=12),
+            Rate(),
             TimeElapsedColumn(),
-            *([TextColumn("left"), TimeRemainingColumn()] if remaining else []),
+            TextColumn("left"),
+            TimeRemainingColumn(),  # by the mean rate of the step so far
+            Memory(),
             transient=True,
             speed_estimate_period=math.inf,
             console=self._console,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task = self._bar.add_task("", total=1.0)
+        self._task = self._bar.add_task("", total=1.0, items=None, unit="", rate=None)
+        self._said = self._start = time.perf_counter()
         self._stack = contextlib.ExitStack()
         self._mark = ("", 0.0)
         self._begun = False
@@ -135,15 +233,23 @@ class Session:
 
         compilation.watch_compilations()
         compilation.use_persistent_cache()
+        context = click.get_current_context(silent=True)
+        self._stack.enter_context(_logged(context))
+        if context is not None:
+            from .. import __version__
+
+            logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
         warnings.showwarning = self._warn
-        self._stack.enter_context(self._bar)
+        if not self._bar.disable:  # when it ends, rich before 14.1 prints an empty line even if it is disabled
+            self._stack.enter_context(self._bar)
         Session.running, Session.stopped_by = Session.running + 1, None
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         try:
+            self._end(error)
             self._stack.close()
         finally:
             Session.running -= 1
@@ -156,28 +262,65 @@ class Session:
         text = in_flags(str(error)) if isinstance(error, JaxfilterError) else f"{type(error).__name__}: {error}"
         raise click.ClickException(" ".join(text.split())) from error
 
+    def _end(self, error: BaseException | None) -> None:
+        """The last line of the log."""
+        if isinstance(error, KeyboardInterrupt):
+            logger.error("stopped by a signal")
+        elif isinstance(error, click.ClickException):
+            logger.error(error.format_message())
+        elif error is not None and not isinstance(error, SystemExit):
+            known = isinstance(error, JaxfilterError)
+            logger.error(f"{type(error).__name__}: {error}", exc_info=None if known and not self.debug else error)
+        else:
+            logger.info(f"done in {time.perf_counter() - self._start:.2f} s")
+
     @contextlib.contextmanager
-    def step(self, name: str) -> Iterator[None]:
-        """Show and time a step of the command."""
+    def step(self, name: str, items: float | None = None, unit: str = "points") -> Iterator[None]:
+        """Show and time a step of the command; ``items``: how many points or other things it deals with, for its rate."""
         start = time.perf_counter()
-        self._bar.reset(self._task, description=name)
+        self._bar.reset(self._task, description=name, items=items, unit=unit, rate=None)
         self._begun = False
         yield
         self._next("")
         self.seconds[name] = time.perf_counter() - start
+        logger.info(f"{name}: {self.seconds[name]:.2f} s")
 
-    @property
-    def is_terminal(self) -> bool:
-        """Whether there is one to show progress on."""
-        return self._console.is_terminal
+    def reading(self, *paths: Path) -> contextlib.AbstractContextManager[None]:
+        """The step in which files are read; its rate is that of their bytes."""
+        return self.step("read", sum(path.stat().st_size for path in paths), "B")
 
-    def progress(self, fraction: float, step: str, note: str = "") -> None:
-        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step."""
+    def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:
+        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step.
+
+        ``rate``: items per second, where it is not that of the fraction.
+        """
         self._next(step)
         if not self._begun:  # what a resumed sweep had done before does not count as speed
             self._bar.reset(self._task)
             fraction, self._begun = max(fraction, 1e-9), True
-        self._bar.update(self._task, description=f"{step} {note}".rstrip(), completed=fraction)
+        self._bar.update(self._task, description=f"{step} {note}".rstrip(), completed=fraction, rate=rate)
+        if time.perf_counter() - self._said > LINE_EVERY:
+            self._said = time.perf_counter()
+            self.say(self._line())
+
+    def say(self, text: str) -> None:
+        """A line for the log, and for standard error if that is no terminal, which shows the bar."""
+        logger.info(text)
+        if not self.quiet and not self._console.is_terminal:
+            self._console.print(text)
+
+    def warn(self, text: str) -> None:
+        """A line of warning."""
+        logger.warning(text)
+        self._console.print(f"warning: {text}")
+
+    def _line(self) -> str:
+        """What the bar shows, in words."""
+        task = self._bar.tasks[0]
+        left = "" if task.time_remaining is None else f"{task.time_remaining:,.0f} s left"
+        share = f"{100 * task.completed:.0f} %"
+        shown = (share, Rate().render(task).plain, left, short(memory(), "B"))
+        return f"{task.description}: {', '.join(word for word in shown if word)}"
 
     def _next(self, step: str) -> None:
         if Session.stopped_by is not None:  # see __exit__
@@ -191,7 +334,7 @@ class Session:
     def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         text = in_flags(str(message))
         self.warnings.append(text)
-        self._console.print(f"warning: {text}")
+        self.warn(text)
 
     def as_dict(self) -> dict[str, Any]:
         """Seconds by step of the command and of the filter, compilations, and warnings."""

@@ -115,13 +115,13 @@ def sweep(
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+    with Session(quiet=quiet, debug=debug) as session:
         build = building.builder(method, fixed, preset, largest_building)
         ranges = {name: _axis(build.method, name, text, design) for name, text in building.pairs("--axis", axes)}
-        make_design(build.alone(), ranges, design, size, seed)
+        plan = make_design(build.alone(), ranges, design, size, seed)
         check_reading(units, "last,only")
         _check_directory(directory, resume)
-        with session.step("read"):
+        with session.reading(*sources):
             clouds = _read_all(sources, units)
             for source, cloud in zip(sources, clouds.values(), strict=True):
                 if cloud.reference is None and not votes:
@@ -133,7 +133,7 @@ def sweep(
         checkpoint = directory / CHECKPOINT
         if not resume:
             checkpoint.unlink(missing_ok=True)
-        with session.step("sweep"), _explained(checkpoint):
+        with session.step("sweep", len(clouds) * len(plan.sets), "sets"), _explained(checkpoint):
             dataset = sweeps.sweep(
                 filter_,
                 clouds if len(clouds) > 1 else next(iter(clouds.values())),
@@ -270,7 +270,7 @@ def calibrate(
     from ..sweeps import labels as labelling
     from ..sweeps.design import make_design
 
-    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+    with Session(quiet=quiet, debug=debug) as session:
         build = building.builder(method, fixed, preset, largest_building)
         ranges = {name: _range(build.method, name, text) for name, text in building.pairs("--axis", axes)} or None
         if ranges is not None:
@@ -282,8 +282,8 @@ def calibrate(
             raise BadUsage(str(error)) from error
         if out is not None:
             check_target(out, overwrite)
-        with session.step("read"):
-            cloud = read(source, units=units)
+        with session.reading(source):
+            cloud = read(source, units=units, progress=session.progress)
             if labels_file is None:
                 labels = labelling.point_labels(cloud, unlabelled, str(source))
             else:
@@ -293,7 +293,7 @@ def calibrate(
             if bounds:
                 labels = labelling.within(cloud, bounds, labels)
         filter_ = build.on(cloud)
-        with session.step("calibrate"):
+        with session.step("calibrate", search["size"] * search["rounds"], "sets"):
             session.progress(0.0, "labels")
             found = sweeps.calibrate(
                 filter_, cloud, labels, axes=ranges, memory=memory * 1e9, progress=session.progress, **search

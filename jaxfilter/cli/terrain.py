@@ -99,7 +99,7 @@ def _found(
         filter_ = (
             method(**changes) if largest_building is None else method.for_cloud(cloud, largest_building, **changes)
         )
-        with session.step("filter"):
+        with session.step("filter", len(cloud)):
             result = filter_(cloud, workers=workers, progress=session.progress)
         ground = result.ground
     elif cloud.classification is not None:
@@ -188,11 +188,11 @@ def dtm(
         _check_target(target, overwrite)
         check_reading(units, "last,only")
         changes = _check_filter(filter_name, fields)
-        with session.step("read"):
-            cloud = read(source, units=units)
+        with session.reading(source):
+            cloud = read(source, units=units, progress=session.progress)
         found = _found(session, source, cloud, filter_name, changes, largest_building, ground_classes, workers)
         ground = found.ground if isinstance(found, FilterResult) else found
-        with session.step("interpolate"):
+        with session.step("interpolate", len(cloud)):
             raster = make(cloud, ground, workers=workers, progress=session.progress, **settings)
         with session.step("write"):
             raster.write(target, overwrite=overwrite)
@@ -235,7 +235,7 @@ def dtm_collection(
     *inputs, out = names
     target = Path(out)
     tile, memory, scheduler = (settings.pop(name) for name in ("tile", "memory", "scheduler"))
-    with Session(quiet=quiet, debug=debug, remaining=True) as session:
+    with Session(quiet=quiet, debug=debug) as session:
         check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
         _check_target(target, overwrite)
         check_named(inputs)
@@ -246,7 +246,7 @@ def dtm_collection(
 
         with session.step("headers"):
             collection = open_collection(inputs, units=units)
-        with session.step("tiles"):
+        with session.step("tiles", collection.count):
             report = terrain_model(
                 collection,
                 target,
@@ -259,9 +259,13 @@ def dtm_collection(
                 workers=workers,
                 client=scheduler,
                 overwrite=overwrite,
-                progress=shown(session, quiet),
+                progress=shown(session),
                 **settings,
             )
+        if report.uncertain:
+            session.warn(f"{report.uncertain:,} cells over voids so wide that neighbouring tiles may differ")
+        for one in [*report.set_aside, *report.left_out]:
+            session.warn(f"not done: {one}")
     if as_json:
         print_json({"inputs": inputs, "output": out} | dataclasses.asdict(report) | session.as_dict())
     elif not quiet:
@@ -269,12 +273,6 @@ def dtm_collection(
             f"{out}: {report.rows:,} x {report.columns:,} cells of {settings['cell']:g} through {report.ground:,} ground "
             f"points, {report.empty:,} cells without height\n{report.tiles:,} tiles in {report.seconds:.1f} s"
         )
-        if report.uncertain:
-            click.echo(
-                f"warning: {report.uncertain:,} cells over voids so wide that neighbouring tiles may differ", err=True
-            )
-        for one in [*report.set_aside, *report.left_out]:
-            click.echo(f"not done: {one}", err=True)
     if report.set_aside or report.left_out:
         ctx.exit(1)
 
@@ -317,10 +315,10 @@ def height(
         target = checked_target(source, target, overwrite, in_place, text=False)
         check_reading(units, "last,only")
         changes = _check_filter(filter_name, fields)
-        with session.step("read"):
-            cloud = read(source, units=units)
+        with session.reading(source):
+            cloud = read(source, units=units, progress=session.progress)
         found = _found(session, source, cloud, filter_name, changes, largest_building, ground_classes, workers)
-        with session.step("heights"):
+        with session.step("heights", len(cloud)):
             heights = height_above_ground(cloud, found, workers=workers, progress=session.progress)
         classified = found if isinstance(found, FilterResult) else None
         with session.step("write"):

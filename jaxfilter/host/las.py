@@ -12,6 +12,7 @@ import numpy as np
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, is_laspy
 from ..core.errors import InputError, warn
 from ..core.points import canonical_points
+from ..core.result import Progress, silent
 from ..core.units import (
     GEOKEYS,
     PROJECTION,
@@ -49,6 +50,7 @@ def read(
     keep_withheld: bool = False,
     drop_invalid: bool = False,
     anchor: Iterable[float] | None = None,
+    progress: Progress | None = None,
 ) -> PointCloud:
     """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
 
@@ -73,6 +75,7 @@ def read(
         drop_invalid: label points with NaN or infinite coordinates (text only), or far from all others (docs/conventions.md,
             Range), non-ground instead of raising.
         anchor: (x, y) in file units that grids are aligned to; by default the cloud's own corner.
+        progress: called with the fraction of a LAS file that was read, and "read".
 
     Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular or geocentric coordinates,
     scales, units or extents that cannot be true.
@@ -96,7 +99,9 @@ def read(
     if table is None:
         header, reference = open_las(path)
         scale = linear_units(reference, asked, str(path))
-        return las_cloud(header, reference, scale, cut, chosen, suspect, _records(header, cut), header.count)
+        return las_cloud(
+            header, reference, scale, cut, chosen, suspect, _records(header, cut, progress or silent), header.count
+        )
     return _text_cloud(table, asked or Units(), cut, chosen, suspect)
 
 
@@ -179,10 +184,11 @@ def open_las(path: Place, tables: bool = True) -> tuple[Header, Reference]:
         return header, reference_of(stated, str(path))
 
 
-def _records(header: Header, cut: Bounds | None) -> Iterable[np.ndarray]:
+def _records(header: Header, cut: Bounds | None, progress: Progress = silent) -> Iterable[np.ndarray]:
     """The records inside a cut; warns if there are none."""
     found = False
-    for chunk in read_records(header, cut, every_field=False):
+    for number, chunk in enumerate(read_records(header, cut, every_field=False)):
+        progress(min(1.0, number * records.CHUNK / max(header.count, 1)), "read")
         found |= len(chunk) > 0
         yield chunk
     if not found:
