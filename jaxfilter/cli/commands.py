@@ -21,6 +21,7 @@ import click
 from click.core import ParameterSource
 from rich.console import Console
 
+from .. import __version__
 from ..core.errors import JaxfilterError
 from . import runs
 from .runs import ground_collection, is_collection
@@ -42,7 +43,7 @@ class Program(click.Group):
 
 
 @click.group(cls=Program, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="jaxfilter")
+@click.version_option(__version__)
 def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
 
@@ -264,7 +265,6 @@ def _ground(
     **options: Any,
 ) -> None:
     from .. import class_changes, read, write
-    from .. import review as write_review
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -291,6 +291,8 @@ def _ground(
             write(target, cloud, result, **writing)
         places = None
         if review is not None:
+            from .. import review as write_review  # late: it brings SciPy's image functions, a quarter of a second
+
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         changed = class_changes(cloud, result, **how)

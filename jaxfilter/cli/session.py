@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
+from .. import __version__
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
 
 
@@ -236,8 +237,6 @@ class Session:
         context = click.get_current_context(silent=True)
         self._stack.enter_context(_logged(context))
         if context is not None:
-            from .. import __version__
-
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)

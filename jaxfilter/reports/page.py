@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from html import escape
-from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..citing import citation
+from .. import __version__
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter, check_resources
@@ -233,7 +233,7 @@ def _page(
         "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(cloud, result, steps, layers)),
         "about": _about(cloud, result),
         "parameters": _parameters(result),
-        "version": escape(version("jaxfilter")),
+        "version": escape(__version__),
     }
     return Template(folder.joinpath("page.html").read_text(encoding="utf-8")).substitute(values)
 
@@ -267,7 +267,7 @@ def _about(cloud: PointCloud, result: FilterResult | np.ndarray) -> str:
         rows.append(("ended", result.status.message))
         if result.run is not None:
             rows.append(("seconds", f"{result.run.seconds:.2f}"))
-    return table((), [*rows, ("jaxfilter", version("jaxfilter"))])
+    return table((), [*rows, ("jaxfilter", __version__)])
 
 
 def _parameters(result: FilterResult | np.ndarray) -> str:

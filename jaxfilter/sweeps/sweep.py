@@ -8,13 +8,13 @@ import json
 import os
 import time
 from collections.abc import Iterable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 import numpy as np
 
+from .. import __version__
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate
@@ -192,7 +192,7 @@ class _State:
             "clouds": json.dumps([f"{name} {_digest(cloud)}" for name, cloud in named.items()]),
             "votes": str(votes),
             "random key": str(key),
-            "version of jaxfilter": version("jaxfilter"),
+            "version of jaxfilter": __version__,
         }
         if existing(path) is not None:
             self._load()

@@ -9,12 +9,12 @@ import math
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from .. import __version__
 from ..core.cloud import KEPT_CLASSES, Whole
 from ..core.errors import JaxfilterError, OutputError, ParameterError
 from ..core.filter import Filter
@@ -279,7 +279,7 @@ def _facts(collection: Collection, job: Job, cut: Layout) -> dict[str, Any]:
     filter_ = {"method": type(job.filter).__name__, **dataclasses.asdict(job.filter)}  # type: ignore[call-overload]
     digest = _digest(collection)
     return {
-        "version": version("jaxfilter"),
+        "version": __version__,
         "inputs": digest,
         "filter": filter_,
         "reading": {**job.reading, "ignore_classes": list(job.reading["ignore_classes"])},
