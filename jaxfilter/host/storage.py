@@ -128,7 +128,10 @@ class Remote:
 
         try:
             return fsspec.core.url_to_fs(self.uri)
-        except (ImportError, ValueError) as error:
+        except ImportError as error:
+            text = f"{self.uri}: cannot be reached: {error}; pip install 'jaxfilter[remote]' brings what s3:// and https:// need"
+            raise InputError(text) from error
+        except ValueError as error:
             raise InputError(f"{self.uri}: cannot be reached: {error}") from error
 
 

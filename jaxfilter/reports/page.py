@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..citing import citation
 from .. import __version__
+from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter, check_resources
