@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import jaxfilter as jf
 from jaxfilter.cli import flags, main
 from jaxfilter.core.filter import Filter
 from jaxfilter.filters import FILTERS
@@ -264,6 +267,66 @@ def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
     replaced = ("--ignore-class", "26", "--returns", "all", "--keep-withheld", "--json", "--overwrite")
     report = json.loads(ground(folder, *replaced, source="survey.las", target="all.las", method="smrf").stdout)
     assert report["candidates"] == (survey != 26).sum(), "--ignore-class replaces the default"
+
+
+@pytest.fixture
+def with_low(folder, scene):
+    """low.las: the scene with echoes far below the ground, two together and one alone; how many points it has without."""
+    xyz = scene.cloud.coordinates()
+    low = xyz[:, :2].min(axis=0) + np.array([[20.0, 20.0], [20.4, 20.2], [40.0, 35.0]])
+    points = np.vstack([xyz, np.column_stack([low, np.full(3, xyz[:, 2].min() - 8)])])
+    write(folder / "low.las", jf.PointCloud.from_arrays(points), None)
+    return len(xyz)
+
+
+def test_low_outliers_get_the_class_of_noise(folder, with_low):
+    done = ground(folder, "--noise-class", "7", "--json", source="low.las", target="out.las", method="pmf")
+    assert done.exit_code == 0, done.output
+    classes = np.asarray(laspy.read(folder / "out.las").classification)
+    assert (classes[with_low:] == 7).all() and (classes == 7).sum() == 3
+    report = json.loads(done.stdout)
+    assert {"before": 0, "after": 7, "points": 3} in report["classes"]
+    assert report["noise_class"] == 7 and report["low_noise"] == 3
+    assert ground(folder, source="low.las", target="plain.las", method="pmf").exit_code == 0
+    plain = np.asarray(laspy.read(folder / "plain.las").classification)
+    np.testing.assert_array_equal(plain, np.where(classes == 7, 1, classes))
+
+
+def test_text_without_classes_cannot_hold_noise(folder):
+    result = ground(folder, "--noise-class", "7", source="truth.txt", target="out.txt", method="smrf")
+    assert_one_line(result, 1, "out.txt", "noise_class=7")
+    assert not (folder / "out.txt").exists()
+
+
+def test_a_log_says_what_was_done_when(folder):
+    log = folder / "näher.log"
+    log.write_text("before\n", encoding="utf-8")
+    assert ground(folder, "--log", log, "-q", method="smrf").exit_code == 0
+    assert ground(folder, "--log", log, method="smrf").exit_code == 2, "out.laz exists"
+    lines = log.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "before"
+    times = [datetime.datetime.fromisoformat(line.split()[0]) for line in lines[1:]]
+    assert times == sorted(times) and abs(times[0] - datetime.datetime.now()).total_seconds() < 600
+    said = [line.split(" ", 1)[1] for line in lines[1:]]
+    for begin in ("INFO jaxfilter ", "WARNING ", "INFO read: ", "INFO filter: ", "INFO write: ", "INFO done in "):
+        assert sum(line.startswith(begin) for line in said) == 1 + (begin == "INFO jaxfilter "), begin
+    assert any("points are ground" in line for line in said)
+    assert said[-1].startswith("ERROR ") and "exists" in said[-1]
+
+
+def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder):
+    before = everything(folder)
+    assert_one_line(ground(folder, "--log", folder / "scene.laz"), 2, "scene.laz", "input or output")
+    assert_one_line(ground(folder, "--log", folder / "no" / "a.log"), 2, "a.log", "cannot be written")
+    assert everything(folder) == before
+
+
+def test_progress_where_there_is_no_terminal_is_a_line_now_and_then(folder, monkeypatch):
+    monkeypatch.setattr("jaxfilter.cli.session.LINE_EVERY", 0.0)
+    result = ground(folder, method="fptd")
+    line = next(line for line in result.stderr.splitlines() if line.startswith("densify: "))
+    assert re.fullmatch(r"densify: \d+ %(, [\d.]+( k)? points/s)?(, \d+ s left)?, [\d.]+ [MG]B", line), line
+    assert "densify" not in ground(folder, "-q", "--overwrite", method="fptd").stderr
 
 
 @pytest.mark.parametrize("source, reference", [("scene.laz", "truth.laz"), ("truth.laz", "truth.txt")])

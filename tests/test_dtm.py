@@ -326,6 +326,28 @@ def test_geotiff_keeps_heights_place_crs_and_nodata(rng, tmp_path, rasterio, cod
     assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
 
 
+@pytest.mark.parametrize("code", [None, "EPSG:32632", "EPSG:25832+7837"])
+def test_xarray_knows_its_place(tmp_path, rasterio, code):
+    """As rioxarray reads it, before and after NetCDF."""
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("rioxarray")
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    values[0, 1] = np.nan
+    raster = jf.Raster(values, (0.5, 0.0, 400000.0, 0.0, -0.5, 5000000.0), None if code is None else pyproj.CRS(code))
+    data = raster.to_xarray()
+    data.to_netcdf(tmp_path / "dtm.nc", engine="scipy")
+    with xarray.open_dataset(tmp_path / "dtm.nc", engine="scipy", decode_coords="all") as file:
+        for one in (data, file["height"]):
+            np.testing.assert_array_equal(one, values)
+            assert one.rio.bounds() == raster.bounds and tuple(one.rio.transform())[:6] == raster.transform
+            assert np.isnan(one.rio.nodata) and one.rio.encoded_nodata == raster.nodata and one.rio.shape == (3, 4)
+            assert one.rio.crs == (None if code is None else rasterio.crs.CRS.from_user_input(code))
+    data.rio.to_raster(tmp_path / "dtm.tif")
+    again = jf.Raster.read(tmp_path / "dtm.tif")
+    np.testing.assert_array_equal(again.values, values)
+    assert again.transform == raster.transform and again.nodata == raster.nodata
+
+
 def test_a_file_that_is_no_raster_is_an_input_error(tmp_path, rasterio):
     (tmp_path / "a.tif").write_bytes(b"nothing")
     with pytest.raises(jf.InputError, match=r"a\.tif"):

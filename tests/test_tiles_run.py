@@ -232,6 +232,24 @@ def test_quantities_are_written_along(files, tmp_path):
     assert np.array_equal(found, height, equal_nan=True)
 
 
+def test_low_outliers_get_the_class_of_noise(tmp_path):
+    """Those of the file as a whole, whichever tile they lie in, with and without their heights."""
+    scene = jf.scenes.make("town", size=(100.0, 90.0), density=1.0, seed=5)
+    xyz = scene.cloud.coordinates()
+    low = xyz[::900] - (0.0, 0.0, 30.0)
+    jf.write(tmp_path / "in.laz", jf.PointCloud.from_arrays(np.vstack([xyz, low])), None)
+    one = jf.PMF(max_window=10.0)
+    whole = one(jf.read(tmp_path / "in.laz", anchor=ANCHOR))
+    assert whole.low_noise[len(xyz) :].all() and not (whole.low_noise & whole.ground).any()
+    for extra in ((), ("height",)):
+        out = tmp_path / "-".join(("out", *extra))
+        report = run(tmp_path / "in.laz", out, filter_=one, noise_class=7, extra=extra, tile=50.0)
+        assert report.complete and report.tiles >= 4 and report.classes[0, 7] == whole.low_noise.sum()
+        classes = np.asarray(laspy.read(out / "in.laz").classification)
+        np.testing.assert_array_equal(classes == 7, whole.low_noise)
+        np.testing.assert_array_equal(classes == 2, whole.ground)
+
+
 def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp_path):
     csf = jf.CSF(iterations=60, smooth=False)
     out = tmp_path / "out"

@@ -103,6 +103,7 @@ def _remember_log(context: click.Context, _: click.Parameter, path: Path | None)
 
 
 logger = logging.getLogger("jaxfilter")
+logger.addHandler(logging.NullHandler())  # without --log, nothing of it is printed
 
 
 @contextlib.contextmanager

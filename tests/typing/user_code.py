@@ -61,6 +61,18 @@ def terrain(cloud: jf.PointCloud, result: jf.FilterResult) -> float:
     return float(np.nanmax(raster.values))
 
 
+def from_elsewhere(points: np.ndarray, raster: jf.Raster) -> jf.Filter:
+    one: jf.Filter = jf.from_pdal({"type": "filters.smrf", "cell": 2.0}, units="ft")
+    cloud = jf.PointCloud.from_structured(points, units="us-ft", crs="EPSG:2263")
+    result = one(cloud)
+    jf.write("out.laz", cloud, result, noise_class=7)
+    print(result.low_noise.sum(), jf.class_changes(cloud, result, noise_class=7), raster.to_xarray().sizes)
+    jf.read("in.laz", progress=lambda fraction, step: print(f"{step} {fraction:.0%}"))
+    report = jf.ground("survey/", "classified/", noise_class=7)
+    print(report.complete)
+    return one
+
+
 def protected(xyz: np.ndarray, one: jf.GroundFilter) -> np.ndarray | None:
     try:
         return one(xyz).ground
