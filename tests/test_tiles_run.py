@@ -241,6 +241,8 @@ def test_low_outliers_get_the_class_of_noise(tmp_path):
     one = jf.PMF(max_window=10.0)
     whole = one(jf.read(tmp_path / "in.laz", anchor=ANCHOR))
     assert whole.low_noise[len(xyz) :].all() and not (whole.low_noise & whole.ground).any()
+    doubt = np.ones(2, np.float32)
+    assert task.labelled(doubt > 0, doubt < 0, {"doubt": doubt}).doubt is doubt
     for extra in ((), ("height",)):
         out = tmp_path / "-".join(("out", *extra))
         report = run(tmp_path / "in.laz", out, filter_=one, noise_class=7, extra=extra, tile=50.0)
