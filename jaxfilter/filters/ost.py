@@ -33,7 +33,7 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: those more than ``low_depth`` below all cells of a ring around theirs, and clusters of at most
-       ``low_points`` (:func:`jaxfilter.stages.outliers.low_clusters`).
+       ``low_points``, or four times as many that are deep (:func:`jaxfilter.stages.outliers.low_clusters`).
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
@@ -68,7 +68,9 @@ class OST(Filter):
         default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
     )
     low_depth: float = param(default=1.0, unit="m", gt=0, doc="a point so far below the ring around it is low")
-    low_points: int = static(default=30, ge=0, doc="largest cluster of low points that is barred; 0 = none")
+    low_points: int = static(
+        default=30, ge=0, doc="largest cluster of low points that is barred, or a fourth of a deep one; 0 = none"
+    )
     slope: float = param(default=0.08, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
     relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
     first_slope: float = param(
