@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import resource
 import shlex
 
 import numpy as np
@@ -14,7 +15,7 @@ from click.testing import CliRunner
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.cli.session import Session
+from jaxfilter.cli.session import Rate, Session, memory, short
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError
 from jaxfilter.host.las import read, write
@@ -370,17 +371,38 @@ def test_labels_of_some_points_reach_all_that_coincide_with_them(rng):
         labels_from(cloud, PointCloud.from_arrays(xyz[:1] + 0.1), np.array([1]))
 
 
+@pytest.mark.parametrize(
+    "value, unit, words",
+    [
+        (0, "sets", "0.0 sets"),
+        (999.4, "sets", "999 sets"),
+        (12_345_678, "points", "12.3 M points"),
+        (1.25e9, "B", "1.2 GB"),
+    ],
+)
+def test_figures_of_the_bar_are_short(value, unit, words):
+    assert short(value, unit) == words
+
+
+def test_the_memory_of_the_bar_is_that_of_the_process():
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    before = memory()
+    block = np.ones(30_000_000)
+    assert 0.9 * block.nbytes < memory() - before < 1.5 * block.nbytes and before < 4 * own
+
+
 def test_the_time_left_follows_the_mean_rate_of_this_run():
     now = [0.0]
-    session = Session(quiet=True, debug=False, remaining=True)
+    session = Session(quiet=True, debug=False)
     session._bar.get_time = lambda: now[0]
     session._bar.tasks[0]._get_time = lambda: now[0]
-    with session.step("sweep"):
+    with session.step("sweep", 1000, "sets"):
         now[0] = 100.0
         session.progress(0.5, "sets")  # half was done before, in another run
         now[0] = 110.0
         session.progress(0.7, "sets")
         assert session._bar.tasks[0].time_remaining == pytest.approx(15.0, abs=1.0)
+        assert Rate().render(session._bar.tasks[0]).plain == "20.0 sets/s"
         now[0] = 300.0
         session.progress(0.9, "sets")
         assert session._bar.tasks[0].time_remaining == pytest.approx(50.0, abs=1.0)
