@@ -13,7 +13,8 @@ import jaxfilter
 PACKAGE = Path(jaxfilter.__file__).parent
 ROOT = PACKAGE.parent
 FLOORS = {
-    "core": 0, "ops": 1, "host": 1, "stages": 2, "filters": 3, "sweeps": 5, "plots": 6, "tiles": 7, "reports": 7, "cli": 8, "__main__": 9,
+    "core": 0, "ops": 1, "host": 1, "stages": 2, "filters": 3, "sweeps": 5, "plots": 6, "tiles": 7, "reports": 7, "cli": 8,
+    "__main__": 9,
 }  # fmt: skip
 TOP = 4  # every other module or subpackage
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
