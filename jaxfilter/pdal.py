@@ -184,6 +184,8 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
             changes[option.field] = _value(name, key, value, getattr(method(), option.field), option.factor(scale))
         elif key == "returns":
             reading["returns"] = ",".join(_words(value)) or "all"
+            if unknown := [word for word in _words(value) if word not in ("first", "intermediate", "last", "only")]:
+                raise ParameterError(f"{name}: returns={unknown[0]!r}: must be first, intermediate, last or only")
         elif key == "ignore":
             reading["ignore_classes"], unfit = _classes(name, _words(value))
             unmatched += unfit

@@ -106,6 +106,7 @@ def test_windows_of_other_cells_are_said_to_differ():
         ({"type": "filters.csf", "rigidness": 4}, jf.ParameterError, "rigidness=4"),
         ({"type": "filters.csf", "smooth": "maybe"}, jf.ParameterError, "smooth='maybe': must be true or false"),
         ({"type": "filters.smrf", "ignore": "Classification"}, jf.ParameterError, "ignore='Classification'"),
+        ({"type": "filters.smrf", "returns": "last, lst"}, jf.ParameterError, "returns='lst'"),
         ({"type": "filters.range"}, jf.InputError, "its stages are filters.range"),
         ([{"type": "filters.smrf"}, {"type": "filters.pmf"}], jf.InputError, "it has 2"),
         ([], jf.InputError, "it has 0; its stages are none"),
