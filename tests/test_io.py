@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import os
 import struct
@@ -21,7 +22,8 @@ from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, Par
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
 from jaxfilter.host import records
-from jaxfilter.host.las import info, read, write
+from jaxfilter.host.las import class_changes, info, read, write
+from jaxfilter.tiles.task import labelled
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 
@@ -196,6 +198,24 @@ def test_classes_of_choice(tmp_path):
     write(tmp_path / "only.las", cloud, ground, only_ground=True)
     only = np.asarray(laspy.read(tmp_path / "only.las").classification)
     np.testing.assert_array_equal(only, np.where(cloud.candidate & ground, 2, old))
+
+
+def test_low_noise_is_barred_below_the_surface_and_no_ground():
+    ground = np.array([False, False, False, False, True, False])
+    one = dataclasses.replace(
+        labelled(ground, np.array([True, True, True, False, True, True])),
+        height=np.array([-5.0, 5.0, np.nan, -5.0, -0.1, -9.0], np.float32),
+    )
+    np.testing.assert_array_equal(one.low_noise, [True, False, False, False, False, True])
+    classes = np.array([2, 2, 1, 5, 0, 9], np.uint8)  # water is not judged
+    cloud = PointCloud.from_arrays(np.arange(18.0).reshape(6, 3), classification=classes)
+    kept = {(1, 1): 1, (5, 5): 1, (9, 9): 1, (0, 2): 1}
+    assert class_changes(cloud, one, noise_class=18) == {(2, 18): 1, (2, 1): 1, **kept}
+    assert class_changes(cloud, one) == {(2, 1): 2, **kept}
+    with pytest.raises(ParameterError, match="noise_class=7: labels alone"):
+        class_changes(cloud, ground, noise_class=7)
+    with pytest.raises(ParameterError, match="noise_class=256"):
+        class_changes(cloud, one, noise_class=256)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
