@@ -1,7 +1,7 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
 Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``, pages in ``report.py``,
-the demonstration in ``demo.py``.
+pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -168,7 +168,8 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
         click.Option(
             ["--noise-class"],
             type=click.IntRange(0, 255),
-            help="For low outliers: points that METHOD bars as such, below the ground; 7 by the ASPRS.  [default: as others]",
+            help="For low outliers: points that METHOD bars as such, below the ground; 7 by the ASPRS. SMRF bars none.  "
+            "[default: as others]",
         ),
         click.Option(
             ["--extra"],

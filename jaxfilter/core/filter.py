@@ -181,7 +181,8 @@ class Filter:
         """Classify a cloud.
 
         Args:
-            cloud: a PointCloud, a ``laspy.LasData``, or coordinates f64[n, 3] in metres.
+            cloud: a PointCloud, a ``laspy.LasData``, a structured array with X, Y and Z (as of PDAL), or coordinates f64[n, 3];
+                arrays are in metres.
             key: a JAX random key; only methods that draw samples use it.
             workers: threads for triangulation; by default one per core.
             progress: called with the fraction done and the name of the step.
