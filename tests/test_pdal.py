@@ -3,6 +3,7 @@
 import itertools
 import json
 import shlex
+import types
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from click.testing import CliRunner
 
 import jaxfilter as jf
 from jaxfilter.cli import flags, main
+from jaxfilter.core.cloud import as_cloud
 from jaxfilter.pdal import STAGES, translate
 
 FOOT = 0.3048
@@ -187,5 +189,10 @@ def test_arrays_of_pdal_are_clouds(scene):
     labels = jf.SMRF()(points).ground
     np.testing.assert_array_equal(labels, jf.SMRF()(cloud).ground)
     assert labels.any() and jf.dtm(points).values.shape == jf.dtm(cloud).values.shape
+    x, y, z = scene.cloud.coordinates().T
+    echoes = {"return_number": points["ReturnNumber"], "number_of_returns": points["NumberOfReturns"]}
+    likewise = as_cloud(types.SimpleNamespace(x=x, y=y, z=z, intensity=z, **echoes))  # as the points of laspy
+    np.testing.assert_array_equal(likewise.xyz, scene.cloud.xyz)
+    np.testing.assert_array_equal(likewise.candidate, scene.cloud.candidate)
     with pytest.raises(jf.InputError, match="there is no field Z"):
         jf.SMRF()(points[["X", "Y", "Intensity"]])
