@@ -13,7 +13,8 @@ import pytest
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
 from jaxfilter.tiles import task
-from jaxfilter.tiles.ground import SCRATCH, ground
+from jaxfilter.tiles.folder import SCRATCH
+from jaxfilter.tiles.ground import ground
 from jaxfilter.tiles.pool import Outcome, Pool, attempt
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 

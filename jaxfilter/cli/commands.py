@@ -103,7 +103,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             ground_collection(ctx, method, changes, paths, **{"preset": None, **arguments})
             return
         source, target = file_names(ctx, paths)
-        for name in ("halo", "tile", "memory", "scheduler", "resume"):
+        for name in ("halo", *runs.RESOURCES):
             if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
                 raise BadUsage(f"--{name} is for a collection: name a folder as OUT")
             del arguments[name]
@@ -258,7 +258,7 @@ def _ground(
     review_area: float = 5.0,
     **options: Any,
 ) -> None:
-    from .. import class_changes, read, write
+    from .. import class_changes, cut_objects, read, write
     from .. import review as write_review
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
@@ -291,6 +291,8 @@ def _ground(
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground")}
         changed = class_changes(cloud, result, **how)
+        with session.step("border"):
+            cut = cut_objects(cloud, result)
     report = run_report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
@@ -299,6 +301,7 @@ def _ground(
         "ground_class": options["ground_class"],
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
+        "cut_objects": [dataclasses.asdict(one) for one in cut],
     }
     if places is not None:
         listed, expected = len(places), float(places["expected_errors"].sum())
@@ -403,6 +406,8 @@ def print_report(report: dict[str, Any]) -> None:
         )
     if report.get("classes"):
         print_classes(report["classes"])
+    for line in runs.cut_lines(report.get("cut_objects", ())):
+        click.echo(line, err=True)
 
 
 def print_classes(changes: list[dict[str, int]]) -> None:
