@@ -99,13 +99,13 @@ def cut_objects(
         return []
     frame = _Frame.of(cloud, valid)
     boxes = None if footprints is None else [frame.local(box) for box in footprints]
-    outside = frame.beyond(boxes, None if window is None else frame.local(window))
+    outside, unknown = frame.beyond(boxes, None if window is None else frame.local(window))
     if not outside.any():
         return []
     cell = frame.cells_of(cloud.xyz)
     covered = np.zeros(frame.shape, bool)
     covered.flat[cell[valid]] = True
-    outside = _connected(~_closed(covered), outside)
+    outside = _connected(~_closed(covered) & ~unknown, outside)
     rows = cloud.candidate
     z, is_ground = _surface(frame, cell[rows], cloud.xyz[rows, 2], ground[rows])
     found = _standing(_filled(z), outside, is_ground, frame.cell)
@@ -152,20 +152,24 @@ class _Frame:
         )
         return row * self.shape[1] + column
 
-    def beyond(self, boxes: list[_Box] | None, window: _Box | None) -> np.ndarray:
-        """bool[rows, columns]: cells that certainly lie outside of the data: the margin, or what no box meets."""
-        outside = np.ones(self.shape, bool)
+    def beyond(self, boxes: list[_Box] | None, window: _Box | None) -> tuple[np.ndarray, np.ndarray]:
+        """bool[rows, columns] twice: cells that certainly lie outside of the data, which are the margin, or what no box meets; and
+        those that the window cuts or leaves out, so that nothing is known of them."""
+        outside, unknown = np.ones(self.shape, bool), np.zeros(self.shape, bool)
         if boxes is None:
             outside[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = False
-            return outside
+            return outside, unknown
         (x, y), half = self.centres(), self.cell / 2
         for x0, y0, x1, y1 in boxes:
             outside[np.ix_((y + half > y0) & (y - half <= y1), (x + half > x0) & (x - half <= x1))] = False
-        if window is not None:  # further than the nearest cell nothing is known
+        if window is not None:
             x0, y0, x1, y1 = window
+            unknown[:, (x - half < x0) | (x + half > x1)] = True
+            unknown[(y - half < y0) | (y + half > y1)] = True
+            unknown &= ~outside  # boxes that are not known lie further than a cell from the window
             outside[:, (x + half < x0 - self.cell) | (x - half > x1 + self.cell)] = False
             outside[(y + half < y0 - self.cell) | (y - half > y1 + self.cell)] = False
-        return outside
+        return outside, unknown
 
     def local(self, box: Bounds) -> tuple[float, float, float, float]:
         """A box in file coordinates in local metres."""
