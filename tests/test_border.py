@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import laspy
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from test_tiles_run import Here
 
 import jaxfilter as jf
+from jaxfilter.cli import main
 from jaxfilter.tiles.ground import ground as classify
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -133,3 +136,17 @@ def test_a_neighbour_in_the_halo_decides(tmp_path):
     ] and reports[1].cut_objects == []
     ground = jf.read(tmp_path / "1" / "west.laz").classification == 2
     assert np.array_equal(ground, xyz[west, 2] < 104), "labels are right where the neighbour is seen"
+
+
+def test_the_command_tells_of_cut_roofs(tmp_path):
+    write(tmp_path / "in.laz", field(ROOF, (30, 48, 54, 60)))
+    words = ["ground", "smrf", str(tmp_path / "in.laz"), str(tmp_path / "out.laz"), "--window", "8", "--overwrite"]
+    told = CliRunner().invoke(main, [*words, "--json", "--quiet"])
+    cloud = jf.read(tmp_path / "in.laz")
+    cut = jf.cut_objects(cloud, jf.read(tmp_path / "out.laz").classification == 2)
+    assert json.loads(told.stdout)["cut_objects"] == [
+        dataclasses.asdict(one) | {"bounds": list(one.bounds)} for one in cut
+    ] and [one.is_ground for one in cut] == [False, True]
+    text = CliRunner().invoke(main, words)
+    assert "1 objects that the border of the data cuts are not ground" in text.stderr
+    assert "1 object at the border of the data may be cut roofs and became ground: 288 m2 at" in text.stderr

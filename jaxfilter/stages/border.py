@@ -153,8 +153,8 @@ class _Frame:
         return row * self.shape[1] + column
 
     def beyond(self, boxes: list[_Box] | None, window: _Box | None) -> tuple[np.ndarray, np.ndarray]:
-        """bool[rows, columns] twice: cells that certainly lie outside of the data, which are the margin, or what no box meets; and
-        those that the window cuts or leaves out, so that nothing is known of them."""
+        """bool[rows, columns] twice: cells that certainly lie outside of the data, which are the margin, or what no box meets;
+        and those that the window cuts or leaves out, so that nothing is known of them."""
         outside, unknown = np.ones(self.shape, bool), np.zeros(self.shape, bool)
         if boxes is None:
             outside[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = False

@@ -12,7 +12,7 @@ import os
 import time
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
 from ..core.result import FilterResult, Status
-from ..host.files import Bounds
+from ..host.files import Bounds, told_of
 from ..host.sources import Source
 from ..host.windows import read_window
 from ..host.writing import class_changes
@@ -300,15 +300,20 @@ def store(job: Job, number: int, around: Around, ground: np.ndarray, quantities:
         arrays[f"record_{one}"] = around.record[own[rows]]
         arrays[f"label_{one}"] = label[rows]
         arrays |= {f"{name}_{one}": values[rows] for name, values in quantities.items()}
-    path = labels_path(job.folder, number)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{uuid.uuid4().hex}.part")
-    try:
-        with open(part, "xb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    keep(labels_path(job.folder, number), lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+
+
+def keep(path: Path, save: Callable[[Any], None]) -> None:
+    """A file of a run that other processes read: whole or not at all, by ``save`` into an open file. Raises: OutputError."""
+    with told_of(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{uuid.uuid4().hex}.part")
+        try:
+            with open(part, "xb") as stream:
+                save(stream)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

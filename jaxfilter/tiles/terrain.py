@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +24,7 @@ from .journal import NAME, Journal
 from .pool import Executor
 from .run import Run, Standing, Step
 from .surroundings import Doubt, GroundJob, ground_job, surroundings
-from .task import Tile
+from .task import Tile, keep
 
 _PER_FOLDER = 1000
 
@@ -114,19 +113,12 @@ def model_tile(job: ModelJob, tile: Tile) -> ModelReport:
         around = found.around
         own = int(around.core.sum())
         if not own:
-            return ModelReport(tile.number, 0, 0, len(around.cloud), found.halo, 0, around.left_out)
+            values, doubtful = np.zeros((0, 0), np.float32), 0
+            break
         values, doubtful = _heights(job, around.cloud, found.usable, core, found.near)
         if not doubtful:
             break
-    path = values_path(job.folder, tile.number)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{tile.number}-{os.getpid()}.part")
-    try:
-        with open(part, "wb") as file:
-            np.save(file, values)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    keep(values_path(job.folder, tile.number), lambda file: np.save(file, values))
     ground = int((found.ground & around.core).sum())
     return ModelReport(tile.number, ground, own, len(around.cloud), found.halo, doubtful, around.left_out)
 
@@ -243,9 +235,10 @@ def terrain_model(
     def parts() -> Iterator[tuple[int, int, np.ndarray]]:
         for number in range(len(plan)):
             path = values_path(work, number)
-            if path.exists():
+            values = np.load(path) if path.exists() else np.zeros((0, 0))
+            if values.size:
                 x0, _, _, y1 = _clipped(plan.core(number), raster)
-                yield round((raster[3] - y1) / cell), round((x0 - raster[0]) / cell), np.load(path)
+                yield round((raster[3] - y1) / cell), round((x0 - raster[0]) / cell), values
 
     if not report.ground:
         more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
