@@ -21,7 +21,7 @@ from experiments.tiling import labels, robustness, scale
 from jaxfilter.core.compilation import use_persistent_cache
 
 HERE = Path(__file__).parent
-PARTS = ("labels", "halos", "scale", "kills", "cluster", "planning")
+PARTS = ("labels", "halos", "scale", "kills", "cluster", "tasks", "planning")
 HALOS = (0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
 
 
@@ -94,6 +94,7 @@ _WAYS = {
     "scale": scale.table,
     "kills": robustness.kills,
     "cluster": robustness.cluster,
+    "tasks": robustness.tasks,
     "planning": scale.planning,
 }
 
@@ -108,6 +109,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--side", type=int, default=1000, help="of the generated survey, metres [%(default)s]")
     parser.add_argument(
         "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
+    )
+    parser.add_argument(
+        "--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="empty ones, for tasks [%(default)s]"
     )
     parser.add_argument("--trials", type=int, default=30, help="kills [%(default)s]")
     return parser
