@@ -34,7 +34,7 @@ def kills(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     """The command is killed one to three times at random moments, then goes on."""
     from experiments.tiling.run import generated
 
-    inputs = [str(path) for path in generated(options.work, 600, 3, 1.0)]
+    inputs = [str(path) for path in generated(options.work, options.small, 3, 1.0)]
     undisturbed = options.work / "undisturbed"
     seconds = _run(inputs, undisturbed)
     rng = random.Random(1)
@@ -61,7 +61,7 @@ def cluster(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     """A scheduler and two workers as processes of their own, over TCP: left alone, and with a worker killed now and then."""
     from experiments.tiling.run import generated
 
-    inputs = [str(path) for path in generated(options.work, 600, 3, 1.0)]
+    inputs = [str(path) for path in generated(options.work, options.small, 3, 1.0)]
     undisturbed = options.work / "undisturbed"
     local = _run(inputs, undisturbed)
     rows: list[Row] = []

@@ -110,6 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
     )
+    parser.add_argument("--small", type=int, default=600, help="the same for kills and cluster [%(default)s]")
     parser.add_argument(
         "--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="empty ones, for tasks [%(default)s]"
     )
