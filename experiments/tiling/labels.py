@@ -15,6 +15,7 @@ from experiments.report import Row
 from jaxfilter.core.cloud import Whole
 from jaxfilter.tiles.collection import Collection
 from jaxfilter.tiles.plan import Plan, plan_tiles
+from jaxfilter.tiles.setup import Sample, whole_for
 from jaxfilter.tiles.task import ANCHOR, Job, Tile, read_tile, survey_tile
 
 READING = {"returns": "all", "ignore_classes": (7, 18), "keep_withheld": False, "drop_invalid": False}
@@ -86,7 +87,9 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     )
     width, height = plan.largest()
     spacing = filter_.points_of(one.cloud).spacing()
-    whole = Whole(spacing, width=width * files.metre, height=height * files.metre)
+    sample = Sample([], Whole(spacing))
+    whole = whole_for(filter_, sample, files, READING)
+    whole = dataclasses.replace(whole, width=width * files.metre, height=height * files.metre)
     job = Job(filter_, READING, {}, (), whole, folder, folder / "index")
     tiles = [_tile(plan, files, number) for number in range(len(plan))]
     if type(filter_).lowest is not jf.Filter.lowest:

@@ -137,7 +137,7 @@ def ground_collection(
         check_reading(options["units"], options["returns"])
         from ..tiles.collection import open as open_collection
         from ..tiles.ground import ground
-        from ..tiles.setup import filter_for, sampled
+        from ..tiles.setup import filter_for, sampled, whole_for
 
         with session.step("headers"):
             collection = open_collection(inputs, units=options["units"])
@@ -157,7 +157,7 @@ def ground_collection(
                 largest_building=options["largest_building"],
             )
             chosen.append(filter_)
-            return filter_, sample.whole
+            return filter_, whole_for(filter_, sample, files, how, index)
 
         with session.step("filter"), to_be_resumed():
             report = ground(

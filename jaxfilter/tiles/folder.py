@@ -201,6 +201,7 @@ def facts_of(collection: Collection, job: Job, cut: Layout, plan: Plan) -> dict[
         "classes": job.classes,
         "extra": list(job.extra),
         "spacing": whole["spacing"],
+        "rounds": whole["rounds"],
         "tiles": {
             "width": plan.width,
             "height": plan.height,

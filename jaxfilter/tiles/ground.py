@@ -17,7 +17,7 @@ from .outputs import write_file
 from .plan import Plan
 from .pool import Executor
 from .run import RunReport, Standing, Step
-from .setup import filter_for, sampled
+from .setup import filter_for, sampled, whole_for
 from .task import Job, filter_tile, labels_path
 
 GROUND = Step(filter_tile, labels_path, write_file)
@@ -95,7 +95,8 @@ def ground(
             chosen, whole = setup(collection, reading, index)
         else:
             sample = sampled(collection, reading, index)
-            chosen, whole = filter_ or filter_for(sample, None, {}), sample.whole
+            chosen = filter_ or filter_for(sample, None, {})
+            whole = whole_for(chosen, sample, collection, reading, index)
         cut = layout(
             collection,
             halo=chosen.tile_halo() if halo is None else halo,

@@ -18,7 +18,7 @@ from ..host.interpolation import Heights, Linear
 from .collection import Collection
 from .layout import Layout, layout
 from .plan import Plan, plan_with_halo, window_around
-from .setup import filter_for, sampled
+from .setup import filter_for, sampled, whole_for
 from .task import Around, Job, Tile, inside, read_tile
 
 HALOS = (40.0, 80.0, 160.0, 320.0)
@@ -93,7 +93,8 @@ def ground_job(
     if finder is not None:
         sample = sampled(collection, READING, index)
         filter_ = filter_for(sample, finder, changes, largest_building=largest_building)
-        whole, filter_halo, lattice = sample.whole, filter_.tile_halo(), filter_.lattice()
+        whole = whole_for(filter_, sample, collection, READING, index)
+        filter_halo, lattice = filter_.tile_halo(), filter_.lattice()
     cut = layout(
         collection,
         lattice=grain,
