@@ -149,4 +149,4 @@ def test_the_command_tells_of_cut_roofs(tmp_path):
     ] and [one.is_ground for one in cut] == [False, True]
     text = CliRunner().invoke(main, words)
     assert "1 objects that the border of the data cuts are not ground" in text.stderr
-    assert "1 object at the border of the data may be cut roofs and became ground: 288 m2 at" in text.stderr
+    assert "1 object at the border of the data may be a cut roof and became ground: 288 m2 at" in text.stderr

@@ -110,6 +110,29 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     return ground, plan
 
 
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """A picture of the share of labels that differ against the halo, a line for every method."""
+    from matplotlib.figure import Figure
+
+    axes = Figure(figsize=(7.0, 4.2), layout="constrained").subplots()
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    least = 1 / max(row["points"] for row in rows)
+    for number, name in enumerate(names):
+        own = [row for row in rows if row["method"] == name]
+        share = [max(100 * row["share"], 50 * least) for row in own]
+        axes.plot(
+            [row["halo"] for row in own], share, marker="os^Dv"[number // 10 % 5], ms=4, lw=1.2,
+            color=f"C{number % 10}", ls=("-", "--")[number // 10], label=name.upper(),
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.axhline(50 * least, color="0.8", lw=0.8, zorder=0)
+    axes.text(axes.get_xlim()[1], 50 * least, "none ", ha="right", va="bottom", color="0.4", fontsize=8)
+    axes.set_xlabel("halo, m")
+    axes.set_ylabel("labels that differ from the whole, %")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    axes.figure.savefig(path, dpi=150)
+
+
 def _tile(plan: Plan, files: Collection, number: int) -> Tile:
     near = tuple(plan.near[number].tolist())
     return Tile(number, plan.core(number), plan.window(number), near, tuple(files[n] for n in near))

@@ -22,7 +22,7 @@ from jaxfilter.core.compilation import use_persistent_cache
 
 HERE = Path(__file__).parent
 PARTS = ("labels", "halos", "scale", "kills", "cluster", "tasks", "planning")
-HALOS = (0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
+HALOS = (0.0, 15.0, 30.0, 60.0, 120.0)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -75,12 +75,21 @@ def _labels(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
 
 
 def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    one = labels.survey("generated, 16 files", generated(options.work, options.side, 4, 1.0))
-    return (
-        list(labels.rows(one, options.methods, 4, HALOS, options.work)),
-        _LABELS,
-        "Labels of tiles and of the whole, by halo",
-    )
+    one = labels.survey("generated, 9 files", generated(options.work, options.small, 3, 1.0))
+    rows = list(labels.rows(one, options.methods, 3, options.halos, options.work))
+    labels.draw(rows, options.out / "halos.png")
+    table: list[Row] = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        table.append(
+            {"method": method, "own": jf.FILTERS[method]().tile_halo(), **{f"{r['halo']:g}": r["differ"] for r in own}}
+        )
+    write_csv(options.out / "halos-all.csv", rows)
+    columns: list[Column] = [("method", "method", ""), ("own", "default halo, m", ".0f")]
+    columns += [(f"{halo:g}", f"{halo:g} m", ",d") for halo in options.halos]
+    side = options.small / 3
+    text = f"Labels that differ from those of the whole, of {len(one.cloud):,}, in tiles of {side:g} m, by halo"
+    return table, columns, text
 
 
 _LABELS: list[Column] = [
@@ -110,7 +119,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
     )
-    parser.add_argument("--small", type=int, default=600, help="the same for kills and cluster [%(default)s]")
+    parser.add_argument("--small", type=int, default=600, help="the same for halos, kills and cluster [%(default)s]")
+    parser.add_argument("--halos", type=float, nargs="+", default=HALOS, help="metres, for halos [%(default)s]")
     parser.add_argument(
         "--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="empty ones, for tasks [%(default)s]"
     )

@@ -270,9 +270,9 @@ def cut_lines(objects: Sequence[dict[str, Any]]) -> list[str]:
         return [rest]
     listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g}" for one in wrong[:_CUT_LISTED]]
     more = f" and {len(wrong) - len(listed):,} more (--json lists all)" if len(wrong) > len(listed) else ""
-    plural = "objects" if len(wrong) > 1 else "object"
+    what = "1 object" if len(wrong) == 1 else f"{len(wrong):,} objects"
+    may = "a cut roof" if len(wrong) == 1 else "cut roofs"
     return [
         rest,
-        f"warning: {len(wrong):,} {plural} at the border of the data may be cut roofs and became ground: "
-        f"{'; '.join(listed)}{more}",
+        f"warning: {what} at the border of the data may be {may} and became ground: {'; '.join(listed)}{more}",
     ]

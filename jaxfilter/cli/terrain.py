@@ -173,7 +173,7 @@ def _ground_options(*words: str) -> Callable[[Callable[..., None]], Callable[...
         for option in options:
             command = option(command)
         params = command.__click_params__  # type: ignore[attr-defined]
-        params[:0] = resources(words)  # which are listed from the last to the first
+        params[:0] = reversed(resources(words))  # the first is listed last
         return command
 
     return decorated

@@ -254,15 +254,16 @@ def _standing(z: np.ndarray, outside: np.ndarray, is_ground: np.ndarray, cell: f
     if count == 0:
         return []
     name[strip] = np.arange(count)
-    pairs, walls = [], np.zeros(z.shape, bool)
+    one_end, other_end, walls = [], [], np.zeros(z.shape, bool)
     for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:, :], np.s_[:-1, :])):
         both = strip[one] & strip[other]
         with np.errstate(invalid="ignore"):
             joined = both & (np.abs(z[one] - z[other]) < np.float32(STEP * cell))
-        pairs.append((name[one][joined], name[other][joined]))
+        one_end.append(name[one][joined])
+        other_end.append(name[other][joined])
         walls[one] |= both & ~joined
         walls[other] |= both & ~joined
-    segment = groups(*(np.concatenate(ends) for ends in zip(*pairs, strict=True)), count)
+    segment = groups(np.concatenate(one_end), np.concatenate(other_end), count)
     touching = _beside(outside)[strip]
     of = np.bincount(segment, touching)
     deep = np.bincount(segment, away[strip] > reach)

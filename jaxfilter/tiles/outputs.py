@@ -81,7 +81,7 @@ def collected(job: Job, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.n
     """
     source = task.source
     label = np.zeros(source.count, np.uint8)
-    quantities = {name: np.full(source.count, np.nan, kind) for name, kind in kinds.items()}
+    quantities: dict[str, np.ndarray] = {name: np.full(source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
         stored = load_labels(job.folder, number, task.number, quantities)
         if stored is None:
