@@ -126,7 +126,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         )  # fmt: skip
     axes.set_yscale("log")
     axes.axhline(50 * least, color="0.8", lw=0.8, zorder=0)
-    axes.text(axes.get_xlim()[1], 50 * least, "none ", ha="right", va="bottom", color="0.4", fontsize=8)
+    axes.text(axes.get_xlim()[0], 50 * least, " none", ha="left", va="bottom", color="0.4", fontsize=8)
     axes.set_xlabel("halo, m")
     axes.set_ylabel("labels that differ from the whole, %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from experiments.tiling import labels, robustness, scale
 from jaxfilter.core.compilation import use_persistent_cache
 
 HERE = Path(__file__).parent
-PARTS = ("labels", "halos", "scale", "kills", "cluster", "tasks", "planning")
+PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning")
 HALOS = (0.0, 15.0, 30.0, 60.0, 120.0)
 
 
@@ -92,6 +93,30 @@ def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     return table, columns, text
 
 
+def _border(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
+    rows: list[Row] = []
+    folder = samples.data_folder(options.data) / "tiles"
+    for name in TILES:
+        cloud = jf.read(next(folder.glob(f"{name}.la[sz]")), units="m")
+        objects = jf.cut_objects(cloud, cloud.classification == 2)
+        row: Row = {"survey": name, "objects": len(objects), "reference": sum(one.is_ground for one in objects)}
+        for method in options.methods:
+            result = jf.FILTERS[method].for_cloud(cloud)(cloud)
+            start = time.perf_counter()
+            row[method] = sum(one.is_ground for one in jf.cut_objects(cloud, result))
+            row["seconds"] = time.perf_counter() - start
+        rows.append(row)
+        print(row, file=sys.stderr, flush=True)
+    columns: list[Column] = [
+        ("survey", "survey", ""),
+        ("objects", "objects", "d"),
+        ("reference", "ground by reference", "d"),
+    ]
+    columns += [(method, f"by {method.upper()}", "d") for method in options.methods]
+    columns.append(("seconds", "seconds to find them", ".2f"))
+    return rows, columns, "Objects that the border of the data cuts"
+
+
 _LABELS: list[Column] = [
     ("survey", "survey", ""), ("method", "method", ""), ("points", "points", ",d"), ("tiles", "tiles", "d"),
     ("halo", "halo, m", ".0f"), ("differ", "labels that differ", ",d"), ("share", "share", ".5%"),
@@ -100,6 +125,7 @@ _LABELS: list[Column] = [
 _WAYS = {
     "labels": _labels,
     "halos": _halos,
+    "border": _border,
     "scale": scale.table,
     "kills": robustness.kills,
     "cluster": robustness.cluster,
