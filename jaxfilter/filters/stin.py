@@ -29,7 +29,12 @@ _SAMPLE = 2_000_000
 
 
 def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
-    """The candidates of several clouds as one, each moved by a multiple of ``cell`` metres, five cells from the next."""
+    """The candidates of several clouds as one, each moved by a multiple of ``cell`` metres, five cells from the next.
+
+    A single one stays where it is, as other lattices than that of ``cell`` would be moved against it.
+    """
+    if len(clouds) == 1:
+        return clouds[0]
     moved, east = [np.zeros((0, 3))], 0.0
     for cloud in clouds:
         factor = np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
