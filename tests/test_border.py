@@ -126,14 +126,13 @@ def test_a_neighbour_in_the_halo_decides(tmp_path):
     alone = jf.read(tmp_path / "west.laz", anchor=(0.0, 0.0))
     (cut,) = jf.cut_objects(alone, filter_(alone))
     assert cut.is_ground and cut.area == pytest.approx(300, rel=0.1) and cut.bounds[2] == pytest.approx(30, abs=1)
-    how = {"tile": 30.0, "workers": 1, "filter_": filter_}
+    both = [tmp_path / "west.laz", tmp_path / "east.laz"]
     reports = [
-        classify(files, tmp_path / str(k), executor=Here(), **how)
-        for k, files in enumerate((tmp_path / "west.laz", [tmp_path / "west.laz", tmp_path / "east.laz"]))
+        classify(files, tmp_path / str(k), filter_, tile=tile, workers=1, executor=Here())
+        for k, (files, tile) in enumerate(((both[0], 30.0), (both, 30.0), (both[0], 15.0)))
     ]
-    assert [dataclasses.asdict(cut)] == [
-        one | {"bounds": tuple(one["bounds"])} for one in reports[0].cut_objects
-    ] and reports[1].cut_objects == []
+    expected = [dataclasses.asdict(cut) | {"bounds": list(cut.bounds)}]
+    assert [report.cut_objects for report in reports] == [expected, [], expected] and reports[2].tiles == 8
     ground = jf.read(tmp_path / "1" / "west.laz").classification == 2
     assert np.array_equal(ground, xyz[west, 2] < 104), "labels are right where the neighbour is seen"
 

@@ -89,7 +89,7 @@ def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     columns: list[Column] = [("method", "method", ""), ("own", "default halo, m", ".0f")]
     columns += [(f"{halo:g}", f"{halo:g} m", ",d") for halo in options.halos]
     side = options.small / 3
-    text = f"Labels that differ from those of the whole, of {len(one.cloud):,}, in tiles of {side:g} m, by halo"
+    text = f"Labels that differ from those of the whole, of {len(one.cloud):,}, in tiles of about {side:g} m, by halo"
     return table, columns, text
 
 
