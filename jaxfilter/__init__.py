@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .pdal import from_pdal
     from .reports import report, review
     from .scoring import Scores, evaluate
+    from .stages.border import CutObject, cut_objects
     from .stages.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.comparison import Comparison, compare
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from .terrain import dtm, dtm_rmse, height_above_ground
     from .tiles.collection import Collection, open
     from .tiles.ground import ground
+    from .tiles.heights import heights
     from .tiles.terrain import terrain_model
 
 _HOMES = {
@@ -44,6 +46,7 @@ _HOMES = {
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",),
     "pdal": ("from_pdal",),
+    "stages.border": ("CutObject", "cut_objects"),
     "stages.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"),
     "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
@@ -52,18 +55,17 @@ _HOMES = {
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"),
     "reports": ("report", "review"),
-    "tiles.ground": ("ground",),
-    "tiles.terrain": ("terrain_model",),
+    "tiles.ground": ("ground",), "tiles.heights": ("heights",), "tiles.terrain": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Collection", "Comparison", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
+    "Calibration", "Collection", "Comparison", "CutObject", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
-    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "default_filter", "dtm", "dtm_rmse", "evaluate",
-    "from_pdal", "ground", "height_above_ground", "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels",
-    "sweep", "terrain_model", "write",
+    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "cut_objects", "default_filter", "dtm", "dtm_rmse",
+    "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "info", "open", "plots", "read", "report", "review",
+    "scenes", "soft_labels", "sweep", "terrain_model", "write",
 ]  # fmt: skip
 
 

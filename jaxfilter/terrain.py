@@ -86,12 +86,12 @@ def interpolated(
     power: float,
     workers: int | None,
     progress: Progress | None = None,
-    look: Callable[[slice, np.ndarray, Heights], None] | None = None,
+    look: Callable[[np.ndarray, Heights], None] | None = None,
 ) -> Raster:
     """The raster of :func:`dtm` with checked settings; ``ground``: bool[n].
 
-    ``look`` is called with some rows of the raster, from the top, the centres of their cells f64[q, 2], local metres, and
-    the surface that gives their heights.
+    ``look`` is called with the centres f64[q, 2], local metres, of the cells of some rows, and the surface that gives their
+    heights.
     """
     corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
@@ -119,7 +119,7 @@ def interpolated(
         at = np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
         z = surface(at)
         if look is not None:
-            look(slice(top, top + len(rows)), at, surface)
+            look(at, surface)
         if inside is not None:
             z[~inside(at)] = np.nan
         if nearest is not None:
@@ -158,6 +158,23 @@ def height_above_ground(
     ground = _ground(cloud, result)
     if not len(cloud):
         return np.zeros(0)
+    return heights_of(cloud, ground, np.arange(len(cloud)), workers=workers, progress=progress)
+
+
+def heights_of(
+    cloud: PointCloud,
+    ground: np.ndarray,
+    rows: np.ndarray,
+    *,
+    workers: int | None,
+    progress: Progress | None = None,
+    look: Callable[[np.ndarray, Heights], None] | None = None,
+) -> np.ndarray:
+    """f64[k]: what :func:`height_above_ground` returns for the points ``rows``, i64[k]; ``ground``: bool[n].
+
+    ``look`` is called with some of their positions f64[q, 2], local metres, and the surface that gives their heights, unless
+    all ground points lie on a line. Raises: InputError if no point is ground.
+    """
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
@@ -166,22 +183,24 @@ def height_above_ground(
     xyz = _lowest(points.xyz)
     surface = interpolator("tin", xyz, workers=workers) if points.has_area() else None
     nearest, low, high = nearest_point(xyz, workers), xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
-    heights = np.zeros(len(cloud))
-    for start in range(0, len(cloud), _CELLS):
-        report(start / len(cloud), "heights")
-        rows = slice(start, start + _CELLS)
-        at = cloud.xyz[rows, :2].astype(np.float64)
+    heights = np.zeros(len(rows))
+    for start in range(0, len(rows), _CELLS):
+        report(start / len(rows), "heights")
+        these = rows[start : start + _CELLS]
+        at = cloud.xyz[these, :2].astype(np.float64)
         z = np.full(len(at), np.nan)
         if surface is not None:
             among = ((at >= low) & (at <= high)).all(
                 axis=1
             )  # stray points may be farther than the lattice of triangles
             z[among] = surface(at[among])
+            if look is not None:
+                look(at, surface)
         beyond = np.flatnonzero(np.isnan(z))
         z[beyond] = xyz[nearest(at[beyond])[1], 2]
-        heights[rows] = (cloud.xyz[rows, 2] - z) / cloud.units.z
+        heights[start : start + _CELLS] = (cloud.xyz[these, 2] - z) / cloud.units.z
     if cloud.valid is not None:
-        heights[~cloud.valid] = 0.0
+        heights[~cloud.valid[rows]] = 0.0
     return heights
 
 

@@ -1,8 +1,9 @@
-"""A web server of a folder that knows ranges, counts what it sends, and fails when it is told to."""
+"""A web server of a folder that knows ranges, counts what it sends, and fails when it is told to; and failures for another."""
 
 from __future__ import annotations
 
 import http.server
+import socket
 import threading
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,30 @@ class RangeServer:
     def __exit__(self, *_: object) -> None:
         self.server.shutdown()
         self.server.server_close()
+
+
+class Faulty:
+    """A WSGI application that fails when it is told to.
+
+    Attributes:
+        failures: statuses to answer the next PUT requests with whose path ends with ``suffix``; 0 stands for a connection that
+            is cut.
+    """
+
+    def __init__(self, application: Any) -> None:
+        self.application = application
+        self.failures: list[int] = []
+        self.suffix = ""
+
+    def __call__(self, environ: Any, start_response: Any) -> Any:
+        hit = environ["REQUEST_METHOD"] == "PUT" and environ["PATH_INFO"].endswith(self.suffix)
+        if not self.failures or not hit:
+            return self.application(environ, start_response)
+        status = self.failures.pop(0)
+        if status == 0:
+            environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
+        start_response(f"{status or 500} Failure", [("Content-Length", "0")])
+        return [b""]
 
 
 def _handler(owner: RangeServer) -> type[http.server.BaseHTTPRequestHandler]:

@@ -109,6 +109,28 @@ def test_a_terrain_model_of_a_folder(done, tmp_path):
     assert run("dtm", done[0], tmp_path / "b.tif", "--set", "slope=2").exit_code == 2, "without --filter"
 
 
+def test_heights_of_a_folder(done, tmp_path):
+    result = run("height", done[0], tmp_path / "out", "--replace-z", "--workers", 1, "--json", "--quiet")
+    assert result.exit_code == 0, result.output
+    report, z = json.loads(result.stdout), []
+    for path in sorted(done[0].glob("*.laz")):
+        before, after = jf.read(path), jf.read(tmp_path / "out" / path.name)
+        assert np.array_equal(before.classification, after.classification)
+        z.append(after.coordinates()[:, 2])
+    assert report["complete"] and report["dimension"] == "Z" and report["ground"] == done[1]["ground"]
+    assert (report["lowest"], report["highest"]) == pytest.approx(
+        (np.concatenate(z).min(), np.concatenate(z).max()), abs=0.002
+    )
+    assert run("height", done[0], tmp_path / "out").exit_code == 1, "not empty"
+    for words, message in (
+        ((done[0], tmp_path / "new", "--in-place"), "--in-place is for a single file"),
+        ((done[0] / "west.laz", tmp_path / "a.laz", "--work", "x"), "--work is for a collection"),
+        ((done[0], "s3://bucket/out"), "pass --work"),
+    ):
+        wrong = run("height", *words)
+        assert wrong.exit_code == 2 and message in wrong.stderr, wrong.output
+
+
 def test_what_is_a_collection(tmp_path):
     (tmp_path / "a.laz").touch()
     one = str(tmp_path / "a.laz")

@@ -7,8 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 from las_files import OFFSETS, make_copc, make_deep_copc, make_las
-from servers import RangeServer
+from servers import Faulty, RangeServer
+from test_border import ROOF, field
+from test_border import write as write_field
 from test_read_window import assert_is_mask, boxes_of
+from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.host import storage
@@ -143,10 +146,13 @@ def bucket():
             ("AWS_ACCESS_KEY_ID", "testing"),
             ("AWS_SECRET_ACCESS_KEY", "testing"),
             ("AWS_DEFAULT_REGION", "us-east-1"),
+            ("AWS_MAX_ATTEMPTS", "1"),
         ):
             patch.setenv(name, value)
+        patch.setattr(s3fs.S3FileSystem, "retries", 1)  # beside our own
         system = s3fs.S3FileSystem(skip_instance_cache=True)
         system.mkdir("surveys")
+        system.faults = running._server.app = Faulty(running._server.app)
         yield system
     running.stop()
 
@@ -179,3 +185,51 @@ def test_in_and_out_of_an_object_store(tmp_path, bucket):
     for missing in ("s3://surveys/2024/absent.laz", "s3://surveys/empty/", "s3://no-such-bucket/"):
         with pytest.raises(jf.InputError, match=missing):
             jf.open(missing)
+
+
+@pytest.fixture(scope="module")
+def west_and_east(tmp_path_factory):
+    """A survey of two files."""
+    folder, xyz = tmp_path_factory.mktemp("survey"), field(ROOF, (35, 20, 45, 30))
+    west = xyz[:, 0] < 30
+    for name, rows in (("west", west), ("east", ~west)):
+        write_field(folder / f"{name}.laz", xyz[rows])
+    return folder
+
+
+def into(west_and_east, out, **how):
+    filter_ = jf.PMF(max_window=9.0, low_clusters=False)
+    return jf.ground(west_and_east, out, filter_, tile=30.0, executor=Here(), **how)
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
+    """What passes is tried again; what does not leaves nothing of the file, and the run goes on later."""
+    local, out, work = tmp_path / "local", "s3://surveys/run/2024", tmp_path / "work"
+    into(west_and_east, local)
+
+    def stored():
+        bucket.invalidate_cache()
+        return {name: bucket.cat_file(f"surveys/run/2024/{name}") for name in names()}
+
+    def names():
+        bucket.invalidate_cache()
+        return sorted(path.rpartition("/")[2] for path in bucket.ls("surveys/run/2024", detail=False))
+
+    with pytest.raises(jf.ParameterError, match="pass work="):
+        into(west_and_east, out)
+    bucket.faults.failures, bucket.faults.suffix = [503] * 500, "east.laz"
+    report = into(west_and_east, out, work=work)
+    assert [one["file"] for one in report.failed] == [str(west_and_east / "east.laz")]
+    assert "s3://surveys/run/2024/east.laz: failed 5 times" in report.failed[0]["reason"]
+    assert names() == ["jaxfilter-run.json", "jaxfilter-run.png", "west.laz"]
+    with pytest.raises(jf.OutputError, match="is not empty"):
+        into(west_and_east, out, work=work)
+    bucket.faults.failures, bucket.faults.suffix = [503, 0, 500, 0], "east.laz"
+    assert into(west_and_east, out, work=work, resume=True).complete and bucket.faults.failures == []
+    same = {path.name: path.read_bytes() for path in local.glob("*.laz")}
+    assert {name: data for name, data in stored().items() if name.endswith(".laz")} == same
+    assert [path.name for path in work.iterdir()] == ["jaxfilter-run.sqlite"]
+    assert into(west_and_east, out, work=work, overwrite=True).complete
+    with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
+        into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")

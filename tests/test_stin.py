@@ -1,11 +1,14 @@
 """STIN against plain loops, closed forms and the figures of Uray & Varlik (2024)."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from triangulation import Mesh
 
 import jaxfilter as jf
+from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
 from jaxfilter.host.tin import lattice
 from jaxfilter.host.trend import quadratic_trend
@@ -186,6 +189,29 @@ def test_only_low_points_are_outliers_of_the_local_surface():
     z[[3000, 3001]] += 25.0
     result = jf.STIN(low_clusters=False)(np.column_stack([x, y, z.round(2)]))
     assert np.flatnonzero(result.barred).tolist() == [7000]
+
+
+def test_parts_of_a_scene_do_as_many_rounds_as_the_whole():
+    """A part alone ends a grid too soon or too late, since it knows its own points only."""
+    f = jf.STIN(seed_cell=12.0, stop_ratio=0.012, low_clusters=False)
+    rough, level = scene(1), scene(2, n=15000)
+    level[:, 0], level[:, 2] = level[:, 0] + 96.0, 9.0  # adds all its points at once
+    cloud = jf.PointCloud.from_arrays(np.concatenate([rough, level]), anchor=(0.0, 0.0))
+
+    def rounds(result):
+        stages = [step["stage"] for step in result.trace]
+        return [stages.count(stage) for stage in range(4)]
+
+    whole, found = f(cloud), f.of_scene(lambda points: [cloud])
+    planned = list(found["rounds"][:4])
+    assert rounds(whole) == [1, *planned[1:]] and max(planned[1:]) < f.max_rounds == planned[0], "one was enough"
+    told = dataclasses.replace(cloud, whole=Whole(**found))
+    np.testing.assert_array_equal(f(told).ground, whole.ground)
+    part = jf.PointCloud.from_arrays(rough, anchor=(0.0, 0.0))
+    alone, beside = f(part), f(dataclasses.replace(part, whole=told.whole))
+    assert rounds(beside)[1:] == planned[1:] != rounds(alone)[1:]
+    apart = f.of_scene(lambda points: [part, dataclasses.replace(part, origin=part.origin + [9e5, 6e4, 0.0])])
+    assert apart == f.of_scene(lambda points: [part]), "windows far apart are put side by side"
 
 
 def test_what_contradicts_the_method_is_an_error():

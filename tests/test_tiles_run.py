@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -13,7 +15,8 @@ import pytest
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
 from jaxfilter.tiles import task
-from jaxfilter.tiles.ground import SCRATCH, ground
+from jaxfilter.tiles.folder import SCRATCH
+from jaxfilter.tiles.ground import ground
 from jaxfilter.tiles.pool import Outcome, Pool, attempt
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
@@ -382,3 +385,93 @@ def test_files_that_could_not_be_reached_are_tried_again(files, done, tmp_path, 
     monkeypatch.undo()
     assert run(files, tmp_path / "out", resume=True).complete
     assert contents(tmp_path / "out") == contents(done[0])
+
+
+def heights_of(paths):
+    return np.concatenate([laspy.read(path)["HeightAboveGround"] for path in paths])
+
+
+def far_from_the_edge(cloud):
+    xy = cloud.coordinates()[:, :2]
+    return ((xy > xy.min(axis=0) + 20) & (xy < xy.max(axis=0) - 20)).all(axis=1)
+
+
+def test_heights_of_tiles_are_those_of_the_whole_and_go_on_after_a_stop(done, tmp_path):
+    paths, out = sorted(done[0].glob("*.laz")), tmp_path / "out"
+    first = Here(2, stop_after=7)
+    with pytest.raises(KeyboardInterrupt):
+        jf.heights(str(done[0]), out, tile=40.0, executor=first)
+    with pytest.raises(jf.InputError, match="begun with other heights"):
+        jf.heights(str(done[0]), out, tile=40.0, executor=Here(), resume=True, replace_z=True)
+    second = Here(3)
+    report = jf.heights(str(done[0]), out, tile=40.0, executor=second, resume=True)
+    assert report.complete and not set(first.calls) & set(second.calls)
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in paths])
+    expected, inner = jf.height_above_ground(whole, whole.classification == 2), far_from_the_edge(whole)
+    found = heights_of(sorted(out.glob("*.laz")))
+    np.testing.assert_array_equal(found[inner], expected[inner].astype(np.float32))
+    assert inner.mean() > 0.2 and report.heights == pytest.approx((found.min(), found.max()), abs=1e-4)
+    assert (report.points, report.ground, report.uncertain) == (len(whole), (whole.classification == 2).sum(), 0)
+    for path in paths:
+        before, after = laspy.read(path), laspy.read(out / path.name)
+        for name in before.point_format.dimension_names:
+            assert np.array_equal(before[name], after[name]), name
+    assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
+
+
+def test_heights_find_the_ground_and_take_the_place_of_z(files, done, tmp_path):
+    found = jf.heights(str(files), tmp_path / "a", jf.PMF, PMF_FIELDS, replace_z=True, tile=60.0, executor=Here())
+    made = jf.heights(str(done[0]), tmp_path / "b", replace_z=True, tile=60.0, executor=Here())
+    assert contents(tmp_path / "a") == contents(tmp_path / "b") and found.classes == done[1].classes
+    assert found.heights == made.heights and made.classes == {}
+    z = np.concatenate([laspy.read(path).z for path in sorted((tmp_path / "a").glob("*.laz"))])
+    assert (z.min(), z.max()) == pytest.approx(found.heights, abs=0.006)
+
+
+def test_tiles_without_any_ground_are_set_aside(files, tmp_path):
+    report = jf.heights(str(files / "00.laz"), tmp_path / "out", executor=Here())
+    assert not report.complete and not report.files and "is ground" in report.set_aside[0]["reason"]
+
+
+def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
+    pytest.importorskip("rasterio")
+    target, how = tmp_path / "dtm.tif", {"cell": 1.0, "tile": 40.0}
+    survey = jf.open(str(files))
+    first, second = Here(1, stop_after=5), Here(2)
+    with pytest.raises(KeyboardInterrupt):
+        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=first, **how)
+    with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
+        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), **how)
+    with pytest.raises(jf.InputError, match="begun with other model"):
+        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), resume=True, fill=True, **how)
+    report = jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=second, resume=True, **how)
+    assert len(first.calls) == 5 and len(first.calls) + len(second.calls) == report.tiles
+    assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
+    whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))])
+    expected = jf.dtm(whole, PMF(whole).ground, cell=1.0).values[20:-20, 20:-20]
+    assert np.array_equal(jf.Raster.read(target).values[20:-20, 20:-20], expected)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk that holds half a run, and a function that makes it larger."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", folder]
+    if not sys.platform.startswith("linux") or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("a small disk cannot be mounted here")
+    yield folder, lambda: subprocess.run(["mount", "-o", "remount,size=50m", folder], check=True)
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_full_disk_ends_a_run_and_with_room_it_goes_on(files, done, small_disk):
+    folder, enlarge = small_disk
+    executor = Here()
+    with pytest.raises(jf.OutputError, match="disk is full"):
+        run(files, folder / "out", executor, resume=True)
+    tried = len(executor.calls)
+    assert tried < done[1].tiles, "it does not try all tiles in vain"
+    enlarge()
+    assert run(files, folder / "out", resume=True).complete
+    assert contents(folder / "out") == contents(done[0])
+    assert sorted(p.name for p in (folder / "out").iterdir() if p.suffix != ".laz") == LEFT

@@ -15,6 +15,7 @@ from experiments.report import Row
 from jaxfilter.core.cloud import Whole
 from jaxfilter.tiles.collection import Collection
 from jaxfilter.tiles.plan import Plan, plan_tiles
+from jaxfilter.tiles.setup import Sample, whole_for
 from jaxfilter.tiles.task import ANCHOR, Job, Tile, read_tile, survey_tile
 
 READING = {"returns": "all", "ignore_classes": (7, 18), "keep_withheld": False, "drop_invalid": False}
@@ -86,7 +87,9 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     )
     width, height = plan.largest()
     spacing = filter_.points_of(one.cloud).spacing()
-    whole = Whole(spacing, width=width * files.metre, height=height * files.metre)
+    sample = Sample([], Whole(spacing))
+    whole = whole_for(filter_, sample, files, READING)
+    whole = dataclasses.replace(whole, width=width * files.metre, height=height * files.metre)
     job = Job(filter_, READING, {}, (), whole, folder, folder / "index")
     tiles = [_tile(plan, files, number) for number in range(len(plan))]
     if type(filter_).lowest is not jf.Filter.lowest:
@@ -105,6 +108,29 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     if not (seen == 1).all():
         raise AssertionError(f"{int((seen != 1).sum())} points have not exactly one label")
     return ground, plan
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """A picture of the share of labels that differ against the halo, a line for every method."""
+    from matplotlib.figure import Figure
+
+    axes = Figure(figsize=(7.0, 4.2), layout="constrained").subplots()
+    names = list(dict.fromkeys(row["method"] for row in rows))
+    least = 1 / max(row["points"] for row in rows)
+    for number, name in enumerate(names):
+        own = [row for row in rows if row["method"] == name]
+        share = [max(100 * row["share"], 50 * least) for row in own]
+        axes.plot(
+            [row["halo"] for row in own], share, marker="os^Dv"[number // 10 % 5], ms=4, lw=1.2,
+            color=f"C{number % 10}", ls=("-", "--")[number // 10], label=name.upper(),
+        )  # fmt: skip
+    axes.set_yscale("log")
+    axes.axhline(50 * least, color="0.8", lw=0.8, zorder=0)
+    axes.text(axes.get_xlim()[0], 50 * least, " none", ha="left", va="bottom", color="0.4", fontsize=8)
+    axes.set_xlabel("halo, m")
+    axes.set_ylabel("labels that differ from the whole, %")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    axes.figure.savefig(path, dpi=150)
 
 
 def _tile(plan: Plan, files: Collection, number: int) -> Tile:

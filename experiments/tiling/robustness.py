@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import collections
 import filecmp
 import os
 import random
@@ -12,22 +13,28 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import psutil
 
 from experiments.report import Column, Row
 from experiments.tiling import scale
+from jaxfilter.tiles.dask import Cluster
+from jaxfilter.tiles.pool import Task, carried_out
 
 FLAGS = ["--tile", "150", "--halo", "40", "--quiet"]
 _KILL_EVERY = 20.0  # seconds
+_LOOK = 200  # tasks
 
 
 def kills(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     """The command is killed one to three times at random moments, then goes on."""
     from experiments.tiling.run import generated
 
-    inputs = [str(path) for path in generated(options.work, 600, 3, 1.0)]
+    inputs = [str(path) for path in generated(options.work, options.small, 3, 1.0)]
     undisturbed = options.work / "undisturbed"
     seconds = _run(inputs, undisturbed)
     rng = random.Random(1)
@@ -54,11 +61,11 @@ def cluster(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     """A scheduler and two workers as processes of their own, over TCP: left alone, and with a worker killed now and then."""
     from experiments.tiling.run import generated
 
-    inputs = [str(path) for path in generated(options.work, 600, 3, 1.0)]
+    inputs = [str(path) for path in generated(options.work, options.small, 3, 1.0)]
     undisturbed = options.work / "undisturbed"
     local = _run(inputs, undisturbed)
     rows: list[Row] = []
-    with _scheduler(options.work) as (address, workers, more):
+    with _scheduler(options.work) as (address, workers, more, _):
         for every in (None, _KILL_EVERY):
             out = options.work / "clustered"
             shutil.rmtree(out, ignore_errors=True)
@@ -88,6 +95,38 @@ def cluster(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     return rows, columns, "A Dask cluster of two workers"
 
 
+def tasks(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
+    """Tasks that do nothing, more and more of them, through a real scheduler: time, and what the scheduler holds."""
+    rows: list[Row] = []
+    for count in options.tasks:
+        with _scheduler(options.work) as (address, _, _, scheduler):
+            executor = Cluster(address)
+            held, peak, start = 0, 0, time.perf_counter()
+            todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
+            done = carried_out(executor, todo, collections.deque(), lambda: None)
+            for number, (task, outcome) in enumerate(done):
+                if outcome.value != task.number:
+                    raise AssertionError(f"task {task.number}: {outcome}")
+                if number % _LOOK == 0:
+                    held = max(held, executor._client.run_on_scheduler(_tasks_of))
+                    peak = max(peak, psutil.Process(scheduler.pid).memory_info().rss)
+            seconds = time.perf_counter() - start
+            executor.close()
+        rows.append(
+            {"tasks": count, "seconds": seconds, "each": 1000 * seconds / count, "held": held, "peak": peak / 1e6}
+        )
+        print(rows[-1], file=sys.stderr, flush=True)
+    columns: list[Column] = [
+        ("tasks", "tasks", ",d"), ("seconds", "seconds", ".1f"), ("each", "ms per task", ".2f"),
+        ("held", "most tasks in the scheduler", "d"), ("peak", "peak memory of the scheduler, MB", ".0f"),
+    ]  # fmt: skip
+    return rows, columns, "Empty tasks through the scheduler of a Dask cluster of two workers"
+
+
+def _tasks_of(dask_scheduler: Any) -> int:
+    return len(dask_scheduler.tasks)
+
+
 _COLUMNS: list[Column] = [
     ("trial", "trial", ""), ("kills", "kills", "d"), ("code", "exit code", "d"), ("same", "files with the same bytes", "d"),
     ("files", "files", "d"), ("left", "other files left", "d"),
@@ -114,7 +153,12 @@ def _run(inputs: list[str], out: Path) -> float:
 
 
 @contextmanager
-def _scheduler(work: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]], object]]:
+def _scheduler(
+    work: Path,
+) -> Iterator[
+    tuple[str, list[subprocess.Popen[bytes]], Callable[[], subprocess.Popen[bytes]], subprocess.Popen[bytes]]
+]:
+    """Address, two workers, what starts another, and the scheduler."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -132,7 +176,7 @@ def _scheduler(work: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]],
     workers = [worker(), worker()]
     try:
         time.sleep(6)
-        yield address, workers, worker
+        yield address, workers, worker, scheduler
     finally:
         for process in [*workers, scheduler]:
             process.kill()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -21,8 +22,8 @@ from experiments.tiling import labels, robustness, scale
 from jaxfilter.core.compilation import use_persistent_cache
 
 HERE = Path(__file__).parent
-PARTS = ("labels", "halos", "scale", "kills", "cluster", "planning")
-HALOS = (0.0, 15.0, 30.0, 60.0, 120.0, 240.0)
+PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning")
+HALOS = (0.0, 15.0, 30.0, 60.0, 120.0)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -75,12 +76,45 @@ def _labels(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
 
 
 def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    one = labels.survey("generated, 16 files", generated(options.work, options.side, 4, 1.0))
-    return (
-        list(labels.rows(one, options.methods, 4, HALOS, options.work)),
-        _LABELS,
-        "Labels of tiles and of the whole, by halo",
-    )
+    one = labels.survey("generated, 9 files", generated(options.work, options.small, 3, 1.0))
+    rows = list(labels.rows(one, options.methods, 3, options.halos, options.work))
+    labels.draw(rows, options.out / "halos.png")
+    table: list[Row] = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        table.append(
+            {"method": method, "own": jf.FILTERS[method]().tile_halo(), **{f"{r['halo']:g}": r["differ"] for r in own}}
+        )
+    write_csv(options.out / "halos-all.csv", rows)
+    columns: list[Column] = [("method", "method", ""), ("own", "default halo, m", ".0f")]
+    columns += [(f"{halo:g}", f"{halo:g} m", ",d") for halo in options.halos]
+    side = options.small / 3
+    text = f"Labels that differ from those of the whole, of {len(one.cloud):,}, in tiles of about {side:g} m, by halo"
+    return table, columns, text
+
+
+def _border(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
+    rows: list[Row] = []
+    folder = samples.data_folder(options.data) / "tiles"
+    for name in TILES:
+        cloud = jf.read(next(folder.glob(f"{name}.la[sz]")), units="m")
+        objects = jf.cut_objects(cloud, cloud.classification == 2)
+        row: Row = {"survey": name, "objects": len(objects), "reference": sum(one.is_ground for one in objects)}
+        for method in options.methods:
+            result = jf.FILTERS[method].for_cloud(cloud)(cloud)
+            start = time.perf_counter()
+            row[method] = sum(one.is_ground for one in jf.cut_objects(cloud, result))
+            row["seconds"] = time.perf_counter() - start
+        rows.append(row)
+        print(row, file=sys.stderr, flush=True)
+    columns: list[Column] = [
+        ("survey", "survey", ""),
+        ("objects", "objects", "d"),
+        ("reference", "ground by reference", "d"),
+    ]
+    columns += [(method, f"by {method.upper()}", "d") for method in options.methods]
+    columns.append(("seconds", "seconds to find them", ".2f"))
+    return rows, columns, "Objects that the border of the data cuts"
 
 
 _LABELS: list[Column] = [
@@ -91,9 +125,11 @@ _LABELS: list[Column] = [
 _WAYS = {
     "labels": _labels,
     "halos": _halos,
+    "border": _border,
     "scale": scale.table,
     "kills": robustness.kills,
     "cluster": robustness.cluster,
+    "tasks": robustness.tasks,
     "planning": scale.planning,
 }
 
@@ -108,6 +144,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--side", type=int, default=1000, help="of the generated survey, metres [%(default)s]")
     parser.add_argument(
         "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
+    )
+    parser.add_argument("--small", type=int, default=600, help="the same for halos, kills and cluster [%(default)s]")
+    parser.add_argument("--halos", type=float, nargs="+", default=HALOS, help="metres, for halos [%(default)s]")
+    parser.add_argument(
+        "--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="empty ones, for tasks [%(default)s]"
     )
     parser.add_argument("--trials", type=int, default=30, help="kills [%(default)s]")
     return parser

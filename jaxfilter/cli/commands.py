@@ -104,7 +104,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             ground_collection(ctx, method, changes, paths, **{"preset": None, **arguments})
             return
         source, target = file_names(ctx, paths)
-        for name in ("halo", "tile", "memory", "scheduler", "resume"):
+        for name in ("halo", *runs.RESOURCES):
             if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
                 raise BadUsage(f"--{name} is for a collection: name a folder as OUT")
             del arguments[name]
@@ -265,7 +265,7 @@ def _ground(
     review_area: float = 5.0,
     **options: Any,
 ) -> None:
-    from .. import class_changes, read, write
+    from .. import class_changes, cut_objects, read, write
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -297,7 +297,10 @@ def _ground(
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
         changed = class_changes(cloud, result, **how)
+        with session.step("border"):
+            cut = [dataclasses.asdict(one) for one in cut_objects(cloud, result)]
         logger.info(f"{target}: {int(result.ground.sum()):,} of {len(cloud):,} points are ground")
+        runs.tell_cut(session, cut)
     report = run_report(filter_, result, session) | {
         "input": str(source),
         "output": str(target),
@@ -308,6 +311,7 @@ def _ground(
         "low_noise": int(result.low_noise.sum()),
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
+        "cut_objects": cut,
     }
     if places is not None:
         listed, expected = len(places), float(places["expected_errors"].sum())

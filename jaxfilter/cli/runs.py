@@ -1,4 +1,4 @@
-"""``jaxfilter ground`` for collections: folders, patterns, several files, virtual point clouds, URLs."""
+"""What commands share on collections (folders, patterns, several files, virtual point clouds, URLs), and ``ground`` of them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..tiles.run import RunReport, Standing
 
+_CUT_LISTED = 5
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+LAS = (".las", ".laz")
 _SINGLE = ("bounds", "in_place", "review", "review_area")
 """Options that only a single file takes."""
 
@@ -41,24 +43,46 @@ class Bytes(click.ParamType):
 
 def options() -> list[click.Parameter]:
     """The options that only collections take."""
-    metres: dict[str, Any] = {"metavar": "METRES"}
-    positive = click.FloatRange(0, min_open=True)
     return [
         click.Option(
             ["--halo"],
             type=click.FloatRange(0),
+            metavar="METRES",
             help=of_collections("width read around each tile", "by METHOD"),
-            **metres,
         ),
-        click.Option(["--tile"], type=positive, help=of_collections("side of the tiles", "by the memory"), **metres),
-        click.Option(
+        *resources(RESOURCES),
+    ]
+
+
+RESOURCES = ("tile", "memory", "scheduler", "work", "resume")
+"""Options on where and in which pieces a collection is worked on."""
+
+
+def resources(names: Sequence[str]) -> list[click.Option]:
+    """Those of :data:`RESOURCES` that a command takes."""
+    made = {
+        "tile": click.Option(
+            ["--tile"],
+            type=click.FloatRange(0, min_open=True),
+            metavar="METRES",
+            help=of_collections("side of the tiles", "by the memory"),
+        ),
+        "memory": click.Option(
             ["--memory"], type=Bytes(), help=of_collections("for all processes, such as 4GB", "70 % of what is free")
         ),
-        click.Option(
+        "scheduler": click.Option(
             ["--scheduler"], metavar="ADDRESS", help=of_collections("a Dask scheduler that has the work done")
         ),
-        click.Option(["--resume"], is_flag=True, help=of_collections("go on with the run that was begun in OUT")),
-    ]
+        "work": click.Option(
+            ["--work"],
+            metavar="FOLDER",
+            help=of_collections("for the journal; needed if OUT is a URL", "OUT"),
+        ),
+        "resume": click.Option(
+            ["--resume"], is_flag=True, help=of_collections("go on with the run that was begun for OUT")
+        ),
+    }
+    return [made[name] for name in names]
 
 
 def of_collections(words: str, default: str = "") -> str:
@@ -72,7 +96,12 @@ def is_collection(paths: Sequence[str]) -> bool:
     if len(inputs) != 1:
         return len(inputs) > 1
     name = inputs[0]
-    many = "://" in name or os.path.isdir(name) or name.lower().endswith(".vpc")
+    many = (
+        "://" in name
+        or ("://" in last and not last.lower().endswith(LAS))
+        or os.path.isdir(name)
+        or name.lower().endswith(".vpc")
+    )
     pattern = any(c in name for c in "*?[") and not os.path.exists(name)
     return many or pattern or os.path.isdir(last) or last.endswith(("/", "\\"))
 
@@ -93,21 +122,19 @@ def ground_collection(
 
     for name in _SINGLE:
         if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
-            raise BadUsage(
-                f"--{name.replace('_', '-')} is for a single file, and {', '.join(paths[:-1])} is a collection"
-            )
+            raise BadUsage(f"--{name.replace('_', '-')} is for a single file, and {named(paths)} is a collection")
     *inputs, out = paths
     check_named(inputs, method is None)
     reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
-    kept = ("halo", "tile", "memory", "workers", "resume", "overwrite", "ground_class", "other_class", "reset")
+    kept = ("halo", "tile", "memory", "workers", "work", "resume", "overwrite", "ground_class", "other_class", "reset")
     with Session(quiet=quiet, debug=debug) as session:
         if method is not None:  # what is wrong with the parameters is said before anything is read
             method.preset(options["preset"], **changes) if options["preset"] else method(**changes)
         check_reading(options["units"], options["returns"])
         from ..tiles.collection import open as open_collection
         from ..tiles.ground import ground
-        from ..tiles.setup import filter_for, sampled
+        from ..tiles.setup import filter_for, sampled, whole_for
 
         with session.step("headers"):
             collection = open_collection(inputs, units=options["units"])
@@ -127,12 +154,12 @@ def ground_collection(
                 largest_building=options["largest_building"],
             )
             chosen.append(filter_)
-            return filter_, sample.whole
+            return filter_, whole_for(filter_, sample, files, how, index)
 
-        with session.step("filter", collection.count), _to_be_resumed():
+        with session.step("filter", collection.count), to_be_resumed():
             report = ground(
                 collection,
-                Path(out),
+                out,
                 setup=setup,
                 client=options["scheduler"],
                 only_ground=options["only_ground"],
@@ -142,8 +169,7 @@ def ground_collection(
                 **{name: options[name] for name in kept},
                 **reading,
             )
-        for line in _faults(report):
-            session.warn(line)
+        tell(session, report)
         logger.info(f"{out}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground")
     facts = report.as_dict() | {
         "method": type(chosen[0]).__name__,
@@ -182,8 +208,14 @@ def shown(session: Session) -> Any:
     return show
 
 
+def named(paths: Sequence[str]) -> str:
+    """The words IN of IN... OUT."""
+    return ", ".join(paths[:-1])
+
+
 @contextlib.contextmanager
-def _to_be_resumed() -> Iterator[None]:
+def to_be_resumed() -> Iterator[None]:
+    """A block of which whoever stops it is told how it goes on."""
     try:
         yield
     except KeyboardInterrupt as stop:
@@ -207,11 +239,29 @@ def _print(report: RunReport, facts: dict[str, Any]) -> None:
         print_classes(facts["classes"])
 
 
-def _faults(report: RunReport) -> list[str]:
-    """A line on everything that was warned of, or could not be done."""
-    lines = [remark + (f" ({times} times)" if times > 1 else "") for remark, times in report.remarks.items()]
-    lines += [f"tile {one['tile']} {one['core']} was set aside: {one['reason']}" for one in report.set_aside]
-    lines += [
-        f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}" for one in report.left_out
-    ]
-    return lines + [f"not written: {one['file']}: {one['reason']}" for one in report.failed]
+def tell(session: Session, report: RunReport) -> None:
+    """Lines on what a run warned of, and what it could not do."""
+    tell_cut(session, report.cut_objects)
+    for remark, times in report.remarks.items():
+        session.warn(remark + (f" ({times} times)" if times > 1 else ""))
+    for one in report.set_aside:
+        session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
+    for one in report.left_out:
+        session.warn(f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}")
+    for one in report.failed:
+        session.warn(f"not written: {one['file']}: {one['reason']}")
+
+
+def tell_cut(session: Session, objects: Sequence[dict[str, Any]]) -> None:
+    """Lines on objects that the border of the data cuts, given as dicts of ``jaxfilter.CutObject``."""
+    if not objects:
+        return
+    wrong = sorted((one for one in objects if one["ground"] >= 0.5), key=lambda one: -one["area"])
+    session.note(f"{len(objects) - len(wrong):,} objects that the border of the data cuts are not ground")
+    if not wrong:
+        return
+    listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g}" for one in wrong[:_CUT_LISTED]]
+    more = f" and {len(wrong) - len(listed):,} more (--json lists all)" if len(wrong) > len(listed) else ""
+    what = "1 object" if len(wrong) == 1 else f"{len(wrong):,} objects"
+    may = "a cut roof" if len(wrong) == 1 else "cut roofs"
+    session.warn(f"{what} at the border of the data may be {may} and became ground: {'; '.join(listed)}{more}")

@@ -309,6 +309,12 @@ class Session:
         if not self.quiet and not self._console.is_terminal:
             self._console.print(text)
 
+    def note(self, text: str) -> None:
+        """A line for the log and for standard error that is no warning."""
+        logger.info(text)
+        if not self.quiet:
+            self._console.print(text)
+
     def warn(self, text: str) -> None:
         """A line of warning."""
         logger.warning(text)

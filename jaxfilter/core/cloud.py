@@ -54,12 +54,14 @@ class Whole:
     Attributes:
         spacing: mean point spacing of the candidates, metres; None = each part has its own.
         lowest: elevation of the lowest point that a method lets count (``Filter.lowest``), file units; None likewise.
+        rounds: of growth on each of STIN's grids, and with the suspected outliers; None likewise.
         width, height: of the largest part, metres: arrays of all parts get the shape that this one needs, so that they share
             compilations; 0 = each has its own.
     """
 
     spacing: float | None = None
     lowest: float | None = None
+    rounds: tuple[int, ...] | None = None
     width: float = 0.0
     height: float = 0.0
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -127,6 +127,13 @@ class Filter:
     def lowest(self, points: Points) -> np.ndarray | None:
         """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does."""
         return None
+
+    def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
+        """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
+
+        ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
+        """
+        return {}
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.

@@ -3,22 +3,49 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
+from ..core.filter import degenerate
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..core.result import Progress
+from ..core.result import Progress, silent
 from ..host.trend import low_trend, quadratic_trend
 from ..ops.facets import Rule
+from ..stages.densify import densify
 from ..stages.growth import Adaptive, Growth, Network, Vertices
 from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_on_grid
 from ..stages.tin_filter import SlopeMirroring
 from . import papers
+
+_SAMPLE = 2_000_000
+"""Points that tell how many rounds there are on each grid."""
+
+
+def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
+    """The candidates of several clouds as one, each moved by a multiple of ``cell`` metres, five cells from the next.
+
+    A single one stays where it is, as other lattices than that of ``cell`` would be moved against it.
+    """
+    if len(clouds) == 1:
+        return clouds[0]
+    moved, east = [np.zeros((0, 3))], 0.0
+    for cloud in clouds:
+        factor = np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
+        xyz = cloud.origin * factor + cloud.xyz[cloud.candidate]
+        if not len(xyz):
+            continue
+        corner = np.floor(xyz[:, :2].min(axis=0) / cell) * cell
+        moved.append(xyz - [corner[0] - east, corner[1], 0.0])
+        east += (math.ceil(np.ptp(xyz[:, 0]) / cell) + 6) * cell
+    whole = next((cloud.whole for cloud in clouds if cloud.whole is not None), None)
+    return PointCloud.from_arrays(np.concatenate(moved), anchor=(0.0, 0.0), whole=whole)
 
 
 def _sample(number: int, grid: float, slope: float, distance: float, angle: float, outlier_distance: float) -> Preset:
@@ -145,8 +172,28 @@ class STIN(SlopeMirroring):
 
     def schedule(self, network: Network, **changes: Any) -> Growth:
         stop = math.inf if self.passes == "one" else float(self.stop_ratio)
-        own = {"vertices": Vertices(grids=self.grids(network.points), stop_share=stop), "review": self.retest}
+        whole = network.points.cloud.whole
+        planned = None if whole is None or self.passes == "one" else whole.rounds
+        vertices = Vertices(grids=self.grids(network.points), stop_share=stop, rounds=planned)
+        own = {"vertices": vertices, "review": self.retest}
         return super().schedule(network, **own | changes)
+
+    def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
+        """The number of rounds on each grid: a part does not know what share of *all* points a round adds."""
+        if self.passes == "one":
+            return {}
+        points = self.points_of(_side_by_side(some(_SAMPLE), self.seed_cell))
+        if degenerate(points.cloud, points) is not None:
+            return {}
+        network = self.settled(self.start(points, None, silent))
+        out = densify(network, self.schedule(network), scores=False, heights=False)
+        rounds = [self.max_rounds] * (len(self.grids(points)) + 1)
+        for step in out.trace:
+            if "stage" in step and not step["enough"]:  # else the stage ended since nothing was left to be tested
+                rounds[step["stage"]] = 1 + sum(
+                    s.get("stage") == step["stage"] for s in out.trace[: out.trace.index(step)]
+                )
+        return {"rounds": tuple(rounds)}
 
     def adaptive(self) -> Adaptive | None:
         return Adaptive(self.lowered, "ground", "grid") if self.thresholds == "quantile" else None

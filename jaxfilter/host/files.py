@@ -224,7 +224,7 @@ def new_file(
             yield part
         return
     final = Path(os.path.realpath(path)) if os.path.islink(path) else path
-    try:
+    with told_of(path):
         status = existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
@@ -244,6 +244,13 @@ def new_file(
                 _name_exclusively(part, final)
             with contextlib.suppress(OSError):  # not every system can
                 _sync(final.parent)
+
+
+@contextlib.contextmanager
+def told_of(path: Path) -> Iterator[None]:
+    """A block that writes ``path``. Raises: OutputError that names it, when the operating system refuses."""
+    try:
+        yield
     except OSError as error:
         if isinstance(error, OutputError):
             raise

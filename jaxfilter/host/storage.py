@@ -62,6 +62,9 @@ class Remote:
     def suffix(self) -> str:
         return posixpath.splitext(self.name)[1]
 
+    def __truediv__(self, name: str) -> Remote:
+        return Remote(f"{self.uri.rstrip('/')}/{name}")
+
     def absolute(self) -> Remote:
         """Itself."""
         return self
@@ -113,6 +116,19 @@ class Remote:
         return sorted(
             system.unstrip_protocol(found) for found in _persistent(self.uri, find) if found.lower().endswith(suffixes)
         )
+
+    def held(self) -> list[str]:
+        """Names in this folder, sorted; none if there is no such folder. Raises InputError if the store cannot be reached."""
+        if not self.exists():
+            return []
+        system, path = self._system()
+        found = _persistent(self.uri, lambda: system.ls(path, detail=False))
+        return sorted({name for one in found if (name := posixpath.basename(one.rstrip("/")))})
+
+    def remove(self) -> None:
+        """Remove the file. Raises InputError."""
+        system, path = self._system()
+        _persistent(self.uri, lambda: system.rm_file(path))
 
     def exists(self) -> bool:
         """Whether there is such a file. Raises InputError if the store cannot be reached."""

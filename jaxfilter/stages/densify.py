@@ -109,7 +109,8 @@ class Densification:
         waiting = net.open & ~self.ground
         total, enough = max(1, int(waiting.sum())), self.growth.vertices.stop_share * int((net.row >= 0).sum())
         todo = rest = np.flatnonzero(waiting & ~net.late)
-        all_admitted = not net.late.any()
+        all_admitted, stage, within = not net.late.any(), 0, 0
+        planned = self.growth.vertices.rounds
         self._adapt("round")
         for _ in range(self.growth.max_rounds):
             progress(1.0 - len(rest) / total, "densify")
@@ -120,24 +121,29 @@ class Densification:
                 {"tested": len(todo), "accepted": len(accepted), "inserted": inserted, "facets": len(tin)}
             )
             if isinstance(self.choice, LowestPerCell):
-                self.trace[-1]["cell"] = self.choice.cell
+                self.trace[-1] |= {
+                    "cell": self.choice.cell,
+                    "stage": stage,
+                    "enough": len(accepted) + len(put_off) >= enough,
+                }
             if adaptive is not None:  # the limits that were applied
                 self.trace[-1] |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
             if self.keep_labels:
                 self.trace[-1]["ground"] = self.ground.copy()
+            within += 1
             loosened = self._adapt("round")
             rest = rest[waiting[rest]]
             todo = rest[loosened | self._again(rest, put_off)]
-            done = len(accepted) + len(put_off) < enough
+            done = len(accepted) + len(put_off) < enough if planned is None else within >= planned[stage]
             while isinstance(self.choice, LowestPerCell) and self.choice.finer and (done or len(todo) == 0):
-                done = False
+                done, stage, within = False, stage + 1, 0
                 self.choice.refine(self.ground, tin)
                 loosened |= self._adapt("grid")
                 todo = rest[loosened | self._again(rest, put_off)]
             if done:
                 todo = rest[:0]
             if len(todo) == 0 and not all_admitted:
-                all_admitted = True
+                all_admitted, stage, within = True, stage + 1, 0
                 todo, rest = np.flatnonzero(waiting & net.late), np.flatnonzero(waiting)
                 tin.locate(todo)
             if len(todo) == 0:

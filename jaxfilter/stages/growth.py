@@ -75,11 +75,13 @@ class Vertices:
         grids: from coarse to fine. A lower point that is accepted later takes the place of the vertex of its cell.
         stop_share: go on to the next grid, or end, when a round accepts fewer than this share of all points; below any
             share it still has to accept one. Infinity = one round on each grid.
+        rounds: in place of ``stop_share``, rounds on each grid, and with the suspected low outliers.
     """
 
     spacing: float = 0.0
     grids: Sequence[Grid] = ()
     stop_share: float = 0.0
+    rounds: Sequence[int] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

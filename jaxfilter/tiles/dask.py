@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import queue
+import time
 import uuid
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +14,9 @@ from .pool import Outcome, attempt
 
 _AHEAD = 2
 """Tasks in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
+
+
+_ASK = 1.0  # seconds between questions for the workers there are
 
 
 class Cluster:
@@ -40,6 +45,8 @@ class Cluster:
         self._run = uuid.uuid4().hex[:12]
         self._tasks = 0
         self._flying: dict[str, tuple[Any, Any]] = {}
+        self._known: list[int] = []
+        self._asked = -math.inf
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
         threads = self._threads()
         if threads and max(threads) > 1:
@@ -85,4 +92,7 @@ class Cluster:
             self._client.close()
 
     def _threads(self) -> list[int]:
-        return list(self._client.nthreads().values())
+        """Of each worker, as of a second ago at most: it is a question to the scheduler, and asked before every task."""
+        if time.monotonic() - self._asked > _ASK:
+            self._known, self._asked = list(self._client.nthreads().values()), time.monotonic()
+        return self._known

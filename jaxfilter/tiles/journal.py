@@ -56,7 +56,7 @@ class Journal:
 
     def close(self) -> None:
         """Commit, and let go."""
-        with contextlib.suppress(sqlite3.Error):
+        with contextlib.suppress(OutputError):
             self.commit()
         self._base.close()
         Path(f"{self.path}-journal").unlink(

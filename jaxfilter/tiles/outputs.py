@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ..host.las import open_las
 from ..host.sources import Source
 from ..host.storage import Place
 from ..host.writing import write
-from .task import CANDIDATE, GROUND, NOISE, Job, _heard, labelled, load_labels
+from .task import CANDIDATE, GROUND, NOISE, Job, heard, labelled, load_labels
 
 _STORED = 0x80
 
@@ -62,16 +63,30 @@ def write_file(job: Job, task: FileTask) -> FileReport:
 
     Raises: InputError if a point has no label, or the file has changed; OutputError.
     """
+    label, extra = collected(job, task, dict.fromkeys(job.extra, np.float32))
+    with heard() as remarks:
+        cloud = handle_of(task.source, (label & CANDIDATE) > 0)
+        ground = (label & GROUND) > 0
+        result = labelled(ground, (label & NOISE) > 0, extra)
+        write(task.target, cloud, result, overwrite=task.overwrite, extra=job.extra, **job.classes)
+    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks))
+
+
+def collected(job: Job, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """u8[n]: the labels of all points of a file, from its tiles, and f[n]: quantities of such ``kinds``.
+
+    Raises: InputError if a point has none.
+    """
     source = task.source
     label = np.zeros(source.count, np.uint8)
-    extra = {name: np.full(source.count, np.nan, np.float32) for name in job.extra}
+    quantities: dict[str, np.ndarray] = {name: np.full(source.count, np.nan, kind) for name, kind in kinds.items()}
     for number in task.tiles:
-        stored = load_labels(job.folder, number, task.number, job.extra)
+        stored = load_labels(job.folder, number, task.number, quantities)
         if stored is None:
             continue
-        record, value, *quantities = stored
+        record, value, *columns = stored
         label[record] = value | _STORED
-        for array, values in zip(extra.values(), quantities, strict=True):
+        for array, values in zip(quantities.values(), columns, strict=True):
             array[record] = values
     missing = int(np.count_nonzero(label == 0))
     if missing:
@@ -79,15 +94,10 @@ def write_file(job: Job, task: FileTask) -> FileReport:
             f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile holds "
             "them: correct the header"
         )
-    with _heard() as remarks:
-        cloud = _handle_of(source, (label & CANDIDATE) > 0)
-        ground = (label & GROUND) > 0
-        result = labelled(ground, (label & NOISE) > 0, extra)
-        write(task.target, cloud, result, overwrite=task.overwrite, extra=job.extra, **job.classes)
-    return FileReport(task.number, source.count, int(ground.sum()), tuple(remarks))
+    return label, quantities
 
 
-def _handle_of(source: Source, candidate: np.ndarray) -> PointCloud:
+def handle_of(source: Source, candidate: np.ndarray) -> PointCloud:
     """The cloud of a file, without its coordinates, which stay in the file. Raises: InputError if the file has changed."""
     place = source.place
     identity = Identity.of(place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import errno
 import multiprocessing
 import os
 import signal
@@ -12,6 +13,8 @@ from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
+from ..core.errors import OutputError
+
 RETRIES = 2
 """Times that a task that failed is tried again before it is set aside."""
 _WAIT = 0.25  # seconds between ticks
@@ -19,10 +22,11 @@ _WAIT = 0.25  # seconds between ticks
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its value, or why there is none."""
+    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better."""
 
     value: Any = None
     reason: str | None = None
+    full: bool = False
 
 
 class Executor(Protocol):
@@ -65,6 +69,8 @@ def carried_out(
     """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
 
     ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
+
+    Raises: OutputError when a disk is full.
     """
     running, tries = 0, collections.Counter[tuple[str, int]]()
     while True:
@@ -79,6 +85,8 @@ def carried_out(
             return
         for task, outcome in executor.completed(_WAIT):
             running -= 1
+            if outcome.full:
+                raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
             key = task.function.__name__, task.number
             if outcome.reason is not None and tries[key] < RETRIES:
                 tries[key] += 1
@@ -97,7 +105,18 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
         return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
     except Exception as error:
         own = type(error).__module__.startswith("jaxfilter")
-        return Outcome(reason=" ".join((str(error) if own else f"{type(error).__name__}: {error}").split()))
+        return Outcome(
+            reason=" ".join((str(error) if own else f"{type(error).__name__}: {error}").split()), full=_is_full(error)
+        )
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether an error, or what it comes from, is that of a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__
+    return False
 
 
 class Pool:

@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 import json
 import math
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,13 +22,28 @@ from ..host.files import new_file
 from ..host.storage import Place
 from .collection import Collection
 from .journal import Journal
-from .outputs import FileReport, FileTask, write_file
+from .outputs import FileReport, FileTask
 from .plan import Plan
 from .pool import Executor, Outcome, Task, carried_out
-from .task import Job, Tile, TileReport, filter_tile, labels_path, survey_tile
+from .task import Job, Tile, survey_tile
 
 _WAIT = 0.25  # seconds between looks at the progress
 _MOST_DRAWN = 100_000  # tiles
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """What a run does.
+
+    Attributes:
+        tile: with each tile: from job and :class:`Tile` to a dataclass with ``number``, ``points``, ``read`` and ``left_out``.
+        kept: where that puts what it found, by folder and number.
+        file: with each file whose tiles are done: from job and :class:`FileTask` to a FileReport; None = nothing.
+    """
+
+    tile: Callable[[Any, Tile], Any]
+    kept: Callable[[Path, int], Path]
+    file: Callable[[Any, FileTask], FileReport] | None
 
 
 @dataclasses.dataclass
@@ -65,13 +79,17 @@ class RunReport:
     """What a run, with those that it went on from, has done.
 
     Attributes:
-        tiles: number of them; set_aside: number, core and reason of those without labels.
+        tiles: number of them; set_aside: number, core and reason of those that failed.
         files: written; failed: URI and reason of those that were not; left_out: URI and reason of files that could not be
             read, so that tiles beside them had no halo there.
-        points, candidates, ground: of all labelled tiles; read: with halos.
+        points, candidates, ground: of all tiles that are done; read: with halos.
         seconds: of this process; tile_seconds: sum over the tiles.
         classes: points by (old class, new class).
         statuses: tiles by the filter's status; remarks: what was warned of, with how often.
+        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.stages.border.CutObject` each,
+            from south to north.
+        heights: lowest and highest height above ground, units of Z, where these were asked for; uncertain: points whose
+            height may be another in the whole.
         cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
             tiles that were set aside. For the map.
     """
@@ -90,6 +108,9 @@ class RunReport:
     classes: dict[tuple[int, int], int]
     statuses: dict[str, int]
     remarks: dict[str, int]
+    cut_objects: list[dict[str, Any]]
+    heights: tuple[float, float] | None
+    uncertain: int
     cores: np.ndarray
     state: np.ndarray
 
@@ -105,6 +126,27 @@ class RunReport:
         found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
         return found | {"complete": self.complete}
 
+    def draw(self, place: Place) -> None:
+        """Write a map, if matplotlib is there: share of ground of each tile, those set aside with dashes, and objects that the
+        border cuts as dots, large ones for those that are ground. Raises: OutputError."""
+        if not 0 < len(self.cores) <= _MOST_DRAWN:
+            return
+        try:
+            from ..plots import footprints
+        except ImportError:
+            return
+        shares = np.where(self.state >= 0, 100 * self.state, np.nan)
+        aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
+        ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)
+        for is_ground, size, name in ((False, 6.0, "cut by the border"), (True, 30.0, "the same, and ground")):
+            shown = [(one["x"], one["y"]) for one in self.cut_objects if (one["ground"] >= 0.5) == is_ground]
+            if shown:
+                ax.scatter(*zip(*shown, strict=True), s=size, c="red", edgecolors="black", linewidths=0.5, label=name)
+        if self.cut_objects:
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
+        with new_file(place, overwrite=True) as part:
+            ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
+
 
 class Run:
     """Tiles of a plan on their way through an executor."""
@@ -118,15 +160,16 @@ class Run:
         journal: Journal,
         executor: Executor,
         *,
+        step: Step,
         overwrite: bool = False,
         progress: Callable[[Standing], None] | None = None,
     ) -> None:
-        """``targets``: where each source is written to; ``overwrite``: replace what is there.
+        """``targets``: where each source is written to, if ``step`` does; ``overwrite``: replace what is there.
 
         ``sources`` is indexed when a task is made, so that it may make them as they are needed.
         """
         self.job, self.plan, self.sources, self.targets = job, plan, sources, targets
-        self.journal, self.executor, self.overwrite = journal, executor, overwrite
+        self.journal, self.executor, self.step, self.overwrite = journal, executor, step, overwrite
         self._progress = progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
@@ -134,19 +177,20 @@ class Run:
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
         self._hopeless: dict[int, str] = {}
 
-    def __call__(self) -> RunReport:
+    def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if the journal cannot be written."""
         try:
             if type(self.job.filter).lowest is not Filter.lowest:
                 self._survey()
-            self._filter()
+            self._carry_out()
         finally:
             self.executor.close()
             self.journal.commit()
-        report = report_of(self.plan, self.sources, self.targets, self.journal, time.perf_counter() - self._start)
-        if report.complete:
-            shutil.rmtree(self.job.folder, ignore_errors=True)
-        return report
+
+    @property
+    def seconds(self) -> float:
+        """Since it was made."""
+        return time.perf_counter() - self._start
 
     def _survey(self) -> None:
         """The elevation of the lowest point of the collection, once."""
@@ -171,7 +215,7 @@ class Run:
             self.journal.forget("files", np.unique(np.concatenate([self.plan.home[n] for n in poor])).tolist())
             self.journal.forget("tiles", poor)
 
-    def _filter(self) -> None:
+    def _carry_out(self) -> None:
         plan, journal = self.plan, self.journal
         self._try_again()
         written = journal.done("files")
@@ -179,7 +223,7 @@ class Run:
             self._needs_no_more(file)
         is_done = np.zeros(len(plan), bool)
         done = np.array(journal.done("tiles"), np.int64)
-        lost = [int(n) for n in done if self._unwritten[n] > 0 and not labels_path(self.job.folder, int(n)).exists()]
+        lost = [int(n) for n in done if self._needed(n) and not self._kept(n).exists()]
         if lost:
             journal.forget("tiles", lost)
         is_done[done] = True
@@ -189,15 +233,16 @@ class Run:
         is_written = np.zeros(len(self._missing), bool)
         is_written[written] = True
         standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
-        complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist()
+        writes = self.step.file is not None
+        complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist() if writes else []
         todo = itertools.chain(
             (self._writing(f) for f in complete),
-            (Task(filter_tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
+            (Task(self.step.tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
         )
         now: collections.deque[Task] = collections.deque()
         before = standing.tiles_done
         for task, outcome in carried_out(self.executor, todo, now, lambda: self._show(standing)):
-            if task.function is write_file:
+            if task.function is self.step.file:
                 self._took_file(task.number, outcome, standing)
             else:
                 now += self._took_tile(task.number, outcome, standing)
@@ -214,7 +259,8 @@ class Run:
             tiles = tuple(self.plan.tiles_of[number].tolist())
             return self.job, FileTask(number, self.sources[number], tiles, self.targets[number], self.overwrite)
 
-        return Task(write_file, number, arguments)
+        assert self.step.file is not None
+        return Task(self.step.file, number, arguments)
 
     def _took_tile(self, number: int, outcome: Outcome, standing: Standing) -> list[Task]:
         """Record a tile; the files that are complete with it."""
@@ -225,12 +271,14 @@ class Run:
             for file in homes:
                 self._hopeless.setdefault(file, f"tile {number} was set aside: {outcome.reason}")
         else:
-            report: TileReport = outcome.value
+            report = outcome.value
             standing.points += report.points
             standing.read += report.read
             self.journal.record("tiles", number, True, _facts_of(report))
             for file, reason in report.left_out:
                 self._hopeless.setdefault(file, reason)
+        if self.step.file is None:
+            return []
         self._missing[homes] -= 1
         complete = [file for file in homes if self._missing[file] == 0]
         for file in complete:
@@ -257,7 +305,14 @@ class Run:
         tiles = self.plan.tiles_of[file]
         self._unwritten[tiles] -= 1
         for number in tiles[self._unwritten[tiles] == 0]:
-            labels_path(self.job.folder, int(number)).unlink(missing_ok=True)
+            self._kept(number).unlink(missing_ok=True)
+
+    def _needed(self, tile: int) -> bool:
+        """Whether what a tile found is still to be used: by a file that is not written, or at the end."""
+        return self.step.file is None or bool(self._unwritten[tile] > 0)
+
+    def _kept(self, tile: int) -> Path:
+        return self.step.kept(self.job.folder, int(tile))
 
     def _show(self, standing: Standing) -> None:
         now = time.perf_counter()
@@ -272,62 +327,56 @@ def tile_of(plan: Plan, sources: Collection, number: int, patient: bool = False)
     return Tile(number, plan.core(number), plan.window(number), files, tuple(sources[f] for f in files), patient)
 
 
-def report_of(plan: Plan, sources: Collection, targets: Sequence[Place], journal: Journal, seconds: float) -> RunReport:
-    """What the journal knows."""
+def report_of(run: Run) -> RunReport:
+    """What the journal knows of a run that labels points."""
+    plan, sources, journal = run.plan, run.sources, run.journal
     report = RunReport(
         tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], points=0, candidates=0, ground=0, read=0,
-        seconds=seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
-        remarks=collections.Counter(),
-        cores=plan.cores(),
+        seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
+        remarks=collections.Counter(), cut_objects=[], heights=None, uncertain=0, cores=plan.cores(),
         state=np.full(len(plan), np.nan),
     )  # fmt: skip
     left_out: dict[int, str] = {}
+    heights: list[float] = []
     for number, done, facts in journal.reports("tiles"):
         if not done:
             report.state[number] = -1
             report.set_aside.append({"tile": number, "core": plan.core(number), "reason": facts["reason"]})
             continue
-        for name in ("points", "candidates", "ground", "read"):
+        for name in ("points", "candidates", "ground", "read", "uncertain"):
             setattr(report, name, getattr(report, name) + facts[name])
         report.tile_seconds += facts["seconds"]
         for old, new, n in facts["classes"]:
             report.classes[old, new] += n
         report.statuses[facts["status"]] += 1
         report.remarks.update(facts["remarks"])
+        report.cut_objects += facts["cut_objects"]
+        heights += facts["heights"] or ()
         left_out |= dict(facts["left_out"])
         if facts["points"]:
             report.state[number] = facts["ground"] / facts["points"]
     for number, done, facts in journal.reports("files"):
         if done:
-            report.files.append(str(targets[number]))
+            report.files.append(str(run.targets[number]))
             report.remarks.update(facts["remarks"])
         else:
             report.failed.append({"file": sources[number].uri, "reason": facts["reason"]})
     report.left_out = [{"file": sources[n].uri, "reason": reason} for n, reason in sorted(left_out.items())]
     report.classes = dict(sorted(report.classes.items()))
+    report.cut_objects.sort(key=lambda one: (one["y"], one["x"]))
+    report.heights = (min(heights), max(heights)) if heights else None
     return report
 
 
-def _facts_of(report: TileReport) -> dict[str, Any]:
+def _facts_of(report: Any) -> dict[str, Any]:
     facts = dataclasses.asdict(report)
     del facts["number"]
-    return facts | {"classes": [[old, new, n] for (old, new), n in report.classes.items()]}
+    if "classes" in facts:
+        facts["classes"] = [[old, new, n] for (old, new), n in report.classes.items()]
+    return facts
 
 
-def write_report(report: RunReport, path: Path) -> None:
-    """Put a report beside the output, as JSON and, if matplotlib is there, as a map: share of ground of each tile, those set
-    aside with dashes. Raises: OutputError."""
-    with new_file(path, overwrite=True) as part:
-        part.write_text(json.dumps(report.as_dict(), indent=1) + "\n")
-    if not 0 < len(report.cores) <= _MOST_DRAWN:
-        return
-    try:
-        from ..plots import footprints
-
-        shares = np.where(report.state >= 0, 100 * report.state, np.nan)
-        aside = [tuple(core) for core in report.cores[report.state < 0].tolist()]
-        figure = footprints(report.cores, shares, label="ground, % of the points", gaps=aside).figure
-    except ImportError:
-        return
-    with new_file(path.with_suffix(".png"), overwrite=True) as part:
-        figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
+def write_report(facts: dict[str, Any], place: Place) -> None:
+    """Put a report beside the output. Raises: OutputError."""
+    with new_file(place, overwrite=True) as part:
+        part.write_text(json.dumps(facts, indent=1) + "\n")

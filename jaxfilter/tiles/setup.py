@@ -37,11 +37,15 @@ class Sample:
         return dataclasses.replace(most, whole=self.whole)
 
 
-def sampled(collection: Collection, reading: dict[str, Any], index: Path | None = None) -> Sample:
-    """Windows in the middle of files that are spread evenly over the points of a collection.
+def sampled(
+    collection: Collection, reading: dict[str, Any], index: Path | None = None, each: int = _POINTS, most: int = 0
+) -> Sample:
+    """Windows in the middle of files that are spread evenly over the points of a collection, with about ``each`` points.
 
-    ``reading``: as in :class:`jaxfilter.tiles.task.Job`. Files that cannot be read are passed over.
+    A collection of ``most`` points or fewer is its own sample, in one piece. ``reading``: as in
+    :class:`jaxfilter.tiles.task.Job`. Files that cannot be read are passed over.
     """
+    entire = collection.count <= most
     total = collection.counts.cumsum()
     clouds: list[PointCloud] = []
     area = members = 0.0
@@ -49,10 +53,11 @@ def sampled(collection: Collection, reading: dict[str, Any], index: Path | None 
     if collection.count:
         shares = (np.arange(_WINDOWS) + 0.5) / _WINDOWS * total[-1]
         picked = dict.fromkeys(int(i) for i in np.searchsorted(total, shares, side="right"))
+        picked = dict.fromkeys(np.flatnonzero(collection.counts).tolist()) if entire else picked
     for number in picked:
         source = collection[number]
         x0, y0, x1, y1 = source.bounds
-        share = math.sqrt(min(1.0, _POINTS / source.count))
+        share = 1.0 if entire else math.sqrt(min(1.0, each / source.count))
         middle, half = ((x0 + x1) / 2, (y0 + y1) / 2), (share * (x1 - x0) / 2, share * (y1 - y0) / 2)
         slack = 0.001 / source.metre  # the box is half open
         box = (middle[0] - half[0], middle[1] - half[1], middle[0] + half[0] + slack, middle[1] + half[1] + slack)
@@ -66,7 +71,19 @@ def sampled(collection: Collection, reading: dict[str, Any], index: Path | None 
             area += points.spacing() ** 2 * len(points)
             members += len(points)
     spacing = math.sqrt(area / members) if members else None
-    return Sample(clouds, Whole(spacing))
+    return Sample([joined(clouds)] if entire and clouds else clouds, Whole(spacing))
+
+
+def whole_for(
+    filter_: Filter, sample: Sample, collection: Collection, reading: dict[str, Any], index: Path | None = None
+) -> Whole:
+    """What the filter takes from the collection as a whole (``Filter.of_scene``); the arguments are those of ``sampled``."""
+
+    def some(points: int) -> list[PointCloud]:
+        clouds = sampled(collection, reading, index, points // _WINDOWS, points).clouds
+        return [dataclasses.replace(cloud, whole=sample.whole) for cloud in clouds]
+
+    return dataclasses.replace(sample.whole, **filter_.of_scene(some))
 
 
 def filter_for(

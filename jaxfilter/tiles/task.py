@@ -12,7 +12,7 @@ import os
 import time
 import uuid
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,10 +23,11 @@ from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
 from ..core.result import Decision, FilterResult, Status
-from ..host.files import Bounds
+from ..host.files import Bounds, told_of
 from ..host.sources import Source
 from ..host.windows import read_window
 from ..host.writing import class_changes
+from ..stages.border import CutObject, cut_objects
 
 ANCHOR = (0.0, 0.0)
 """File coordinates that all grids of a run are aligned to: the same tile gets the same labels in any collection."""
@@ -91,6 +92,9 @@ class TileReport:
         status: name of the filter's :class:`jaxfilter.Status`.
         remarks: what was warned of.
         left_out: numbers of files that could not be read, with the reason.
+        cut_objects: what the border of the data cuts, where the core holds the first place that touches it.
+        heights: lowest and highest height above ground in the core, units of Z; uncertain: points of the core whose height may
+            be another in the whole.
     """
 
     number: int
@@ -103,6 +107,9 @@ class TileReport:
     status: str
     remarks: tuple[str, ...] = ()
     left_out: tuple[tuple[int, str], ...] = ()
+    cut_objects: tuple[CutObject, ...] = ()
+    heights: tuple[float, float] | None = None
+    uncertain: int = 0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,13 +136,15 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
     Raises: InputError, if a file cannot be read and the tile is not ``patient``; ParameterError.
     """
     start = time.perf_counter()
-    with _heard() as remarks:
+    with heard() as remarks:
         around = read_tile(job, tile)
         result = job.filter(around.cloud, workers=1)
         own = np.flatnonzero(around.core)
         cloud, labels, noise = part_of(around.cloud, own), result.ground[own], result.low_noise[own]
-        _store(job, tile.number, around, own, result)
+        quantities = {name: getattr(result, name)[own] for name in job.extra}
+        store(job, tile.number, around, result.ground, quantities, result.low_noise)
         changes = class_changes(cloud, labelled(labels, noise), **job.classes)
+        cut = cut_at_border(around.cloud, result, tile)
     return TileReport(
         tile.number,
         len(own),
@@ -147,7 +156,14 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
         Status(result.status).name,
         tuple(remarks),
         around.left_out,
+        tuple(cut),
     )
+
+
+def cut_at_border(cloud: PointCloud, result: FilterResult, tile: Tile) -> list[CutObject]:
+    """Objects of a tile and its halo that the border of the data cuts, as far as they are this tile's to list."""
+    footprints = [source.bounds for source in tile.sources if source.count]
+    return cut_objects(cloud, result, footprints=footprints, window=tile.window, core=tile.core)
 
 
 def survey_tile(job: Job, tile: Tile) -> float | None:
@@ -155,7 +171,7 @@ def survey_tile(job: Job, tile: Tile) -> float | None:
 
     Raises: as :func:`filter_tile`.
     """
-    with _heard():
+    with heard():
         around = read_tile(job, tile)
         points = job.filter.points_of(around.cloud)
         if len(points) == 0 or not points.has_area():
@@ -287,39 +303,55 @@ def labels_path(folder: Path, number: int) -> Path:
     return folder / "labels" / str(number // _PER_FOLDER) / f"{number}.npz"
 
 
-def load_labels(folder: Path, number: int, file: int, extra: Sequence[str]) -> tuple[np.ndarray, ...] | None:
-    """Records i64[k] of a file, labels u8[k], and f32[k] of every extra quantity, as a tile has them; None if it has none."""
+def load_labels(folder: Path, number: int, file: int, names: Iterable[str]) -> tuple[np.ndarray, ...] | None:
+    """Records i64[k] of a file, labels u8[k], and f[k] of every further quantity, as a tile has them; None if it has none."""
     with np.load(labels_path(folder, number)) as stored:
         if f"record_{file}" not in stored:
             return None
-        return tuple(stored[f"{name}_{file}"] for name in ("record", "label", *extra))
+        return tuple(stored[f"{name}_{file}"] for name in ("record", "label", *names))
 
 
-def _store(job: Job, number: int, around: Around, own: np.ndarray, result: FilterResult) -> None:
-    """Write the labels of a tile, whole or not at all."""
+def store(
+    job: Job,
+    number: int,
+    around: Around,
+    ground: np.ndarray,
+    quantities: dict[str, np.ndarray],
+    noise: np.ndarray | None = None,
+) -> None:
+    """Write what was found of a tile, whole or not at all.
+
+    ``ground``, ``noise``: bool[n], of all its points; ``quantities``: f[k], of points of the core.
+    """
     arrays: dict[str, np.ndarray] = {}
-    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | result.ground[own] * np.uint8(GROUND)
-    label |= result.low_noise[own] * np.uint8(NOISE)
+    own = np.flatnonzero(around.core)
+    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | ground[own] * np.uint8(GROUND)
+    if noise is not None:
+        label |= noise[own] * np.uint8(NOISE)
     file = around.file[own]
     for one in np.unique(file):
         rows = file == one
-        at = own[rows]
-        arrays[f"record_{one}"] = around.record[at]
+        arrays[f"record_{one}"] = around.record[own[rows]]
         arrays[f"label_{one}"] = label[rows]
-        arrays |= {f"{name}_{one}": getattr(result, name)[at] for name in job.extra}
-    path = labels_path(job.folder, number)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{uuid.uuid4().hex}.part")
-    try:
-        with open(part, "xb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+        arrays |= {f"{name}_{one}": values[rows] for name, values in quantities.items()}
+    keep(labels_path(job.folder, number), lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+
+
+def keep(path: Path, save: Callable[[Any], None]) -> None:
+    """A file of a run that other processes read: whole or not at all, by ``save`` into an open file. Raises: OutputError."""
+    with told_of(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f"{uuid.uuid4().hex}.part")
+        try:
+            with open(part, "xb") as stream:
+                save(stream)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
-def _heard() -> Iterator[list[str]]:
+def heard() -> Iterator[list[str]]:
     """A block whose warnings of this package are listed, each once, instead of being shown."""
     remarks: list[str] = []
     with warnings.catch_warnings(record=True) as caught:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import collections
 import dataclasses
 import math
-import os
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,56 +12,46 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, Whole
-from ..core.errors import InputError, ParameterError
+from ..core.cloud import GROUND_CLASS, PointCloud
+from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
-from ..filters import PMF
-from ..host.files import Bounds, remove_dead, workplace
-from ..host.interpolation import Heights, Linear
+from ..host.files import Bounds, existing
 from ..host.raster import write_mosaic
 from ..terrain import interpolated
 from .collection import Collection
-from .dask import Cluster
-from .ground import layout
-from .plan import Plan, plan_with_halo, window_around
-from .pool import Executor, Pool, Task, carried_out
-from .run import Standing, tile_of
-from .setup import filter_for, sampled
-from .task import Job, Tile, inside, read_tile
+from .folder import executor_of, facts_of
+from .journal import NAME, Journal
+from .pool import Executor
+from .run import Run, Standing, Step
+from .surroundings import Doubt, GroundJob, ground_job, surroundings
+from .task import Tile, keep
 
-HALOS = (40.0, 80.0, 160.0, 320.0)
-"""Metres around a tile whose ground points take part: the first that suffices, by the circles of the triangles."""
-_READING = {"returns": "last,only", "ignore_classes": KEPT_CLASSES, "keep_withheld": False, "drop_invalid": False}
-_EDGE = 20.0
-"""Metres along the edge of the data where triangles at the hull of a tile are let stand."""
+_PER_FOLDER = 1000
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
+class ModelJob(GroundJob):
     """What all tiles of a terrain model have in common.
 
     Attributes:
         cell: file units; settings: those of :func:`jaxfilter.dtm` but ``bounds``.
-        raster, data: bounds of the whole raster, and of all points; file units.
-        ground_classes: classes of ground points; None: the filter finds them.
-        lattice, filter_halo: of the filter; file units.
+        raster: bounds of the whole raster, file units.
     """
 
     cell: float
     settings: dict[str, Any]
     raster: Bounds
-    data: Bounds
-    ground_classes: tuple[int, ...] | None
-    lattice: float
-    filter_halo: float
 
 
 @dataclasses.dataclass(frozen=True)
 class ModelReport:
-    """What became of a tile: ground points of its core, halo in metres, and cells whose triangles reach beyond it."""
+    """What became of a tile: ground points and points of its core, points that were read, halo in metres, and cells whose
+    triangles reach beyond it."""
 
+    number: int
     ground: int
     points: int
+    read: int
     halo: float
     uncertain: int
     left_out: tuple[tuple[int, str], ...] = ()
@@ -94,6 +83,11 @@ class TerrainReport:
     left_out: list[dict[str, str]] = dataclasses.field(default_factory=list)
     seconds: float = 0.0
 
+    @property
+    def complete(self) -> bool:
+        """Whether no tile was set aside and no file left out."""
+        return not (self.set_aside or self.left_out)
+
 
 def raster_bounds(data: Bounds, cell: float) -> Bounds:
     """The whole cells that hold all points."""
@@ -106,7 +100,7 @@ def raster_bounds(data: Bounds, cell: float) -> Bounds:
     )
 
 
-def model_tile(job: Job, model: Model, tile: Tile) -> ModelReport:
+def model_tile(job: ModelJob, tile: Tile) -> ModelReport:
     """Heights of the cells of a core, put into the folder of the job.
 
     A triangle is that of the whole if the circle through its corners holds no place that has data and was not read. Where
@@ -114,87 +108,49 @@ def model_tile(job: Job, model: Model, tile: Tile) -> ModelReport:
 
     Raises: as :func:`jaxfilter.tiles.task.filter_tile`.
     """
-    core = _clipped(tile.core, model.raster)
-    metre = tile.sources[0].metre
-    for halo in HALOS:
-        near = window_around(tile.core, halo / metre, model.cell)
-        wide = window_around(near, model.filter_halo, model.lattice)
-        around = read_tile(job, dataclasses.replace(tile, window=wide))
-        cloud = around.cloud
+    core = _clipped(tile.core, job.raster)
+    for found in surroundings(job, tile):
+        around = found.around
         own = int(around.core.sum())
         if not own:
-            return ModelReport(0, 0, halo, 0, around.left_out)
-        ground = _ground(job, model, cloud)
-        ground_own = int((ground & around.core).sum())
-        ground &= inside(cloud, near)
-        values, doubtful = _heights(model, cloud, ground, core, near)
+            values, doubtful = np.zeros((0, 0), np.float32), 0
+            break
+        values, doubtful = _heights(job, around.cloud, found.usable, core, found.near)
         if not doubtful:
             break
-    path = _path(job.folder, tile.number)
-    part = path.with_suffix(".part")
-    with open(part, "wb") as file:
-        np.save(file, values)
-    os.replace(part, path)
-    return ModelReport(ground_own, own, halo, doubtful, around.left_out)
+    keep(values_path(job.folder, tile.number), lambda file: np.save(file, values))
+    ground = int((found.ground & around.core).sum())
+    return ModelReport(tile.number, ground, own, len(around.cloud), found.halo, doubtful, around.left_out)
 
 
-def _ground(job: Job, model: Model, cloud: PointCloud) -> np.ndarray:
-    if model.ground_classes is None:
-        return job.filter(cloud, workers=1).ground.copy()
-    assert cloud.classification is not None
-    ground = np.isin(cloud.classification, model.ground_classes)
-    return ground if cloud.withheld is None else ground & ~cloud.withheld
+def values_path(folder: Path, number: int) -> Path:
+    """Where the heights of a tile are."""
+    return folder / "values" / str(number // _PER_FOLDER) / f"{number}.npy"
 
 
-def _heights(model: Model, cloud: PointCloud, ground: np.ndarray, core: Bounds, near: Bounds) -> tuple[np.ndarray, int]:
+MODEL = Step(model_tile, values_path, None)
+
+
+def _heights(
+    job: ModelJob, cloud: PointCloud, ground: np.ndarray, core: Bounds, near: Bounds
+) -> tuple[np.ndarray, int]:
     """f32[rows, columns] of a core, and the number of cells whose triangles might be others in the whole."""
-    strips = _unread(model, cloud, near)
-    doubtful = 0
-
-    def look(rows: slice, at: np.ndarray, surface: Heights) -> None:
-        nonlocal doubtful
-        if not isinstance(surface, Linear) or not strips:
-            return
-        centre, radius = surface.circles(at)
-        meets = np.zeros(len(at), bool)
-        for low, high in strips:
-            away = np.maximum(np.maximum(low - centre, centre - high), 0.0)
-            meets |= np.hypot(away[:, 0], away[:, 1]) < radius
-        doubtful += int(meets.sum())
-
-    method, settings = model.settings["method"], {k: v for k, v in model.settings.items() if k != "method"}
+    doubt = Doubt(cloud, job.data, near)
+    method, settings = job.settings["method"], {k: v for k, v in job.settings.items() if k != "method"}
     try:
-        raster = interpolated(cloud, ground, model.cell, method, core, workers=1, look=look, **settings)
+        raster = interpolated(cloud, ground, job.cell, method, core, workers=1, look=doubt.look, **settings)
     except InputError:
         if int(ground.sum()) > 100:
             raise
-        size = (round((core[3] - core[1]) / model.cell), round((core[2] - core[0]) / model.cell))
-        return np.full(size, np.nan, np.float32), size[0] * size[1] if strips else 0
-    return raster.values, doubtful
-
-
-def _unread(model: Model, cloud: PointCloud, near: Bounds) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rectangles, low and high f64[2] in local metres, that have data and were not read; without the edge of the data."""
-    factor, edge = cloud.units.xy, _EDGE / cloud.units.xy
-    x0, y0, x1, y1 = model.data
-    x0, y0, x1, y1 = x0 + edge, y0 + edge, x1 - edge, y1 - edge
-    boxes = ((x0, y0, near[0], y1), (near[2], y0, x1, y1), (x0, y0, x1, near[1]), (x0, near[3], x1, y1))
-    origin = cloud.origin[:2]
-    return [
-        ((np.array(box[:2]) - origin) * factor, (np.array(box[2:]) - origin) * factor)
-        for box in boxes
-        if box[0] < box[2] and box[1] < box[3]
-    ]
+        size = (round((core[3] - core[1]) / job.cell), round((core[2] - core[0]) / job.cell))
+        return np.full(size, np.nan, np.float32), size[0] * size[1] if doubt.reaches else 0
+    return raster.values, doubt.count
 
 
 def _clipped(box: Bounds, limits: Bounds) -> Bounds:
     low = (max(v, limit) for v, limit in zip(box[:2], limits[:2], strict=True))
     high = (min(v, limit) for v, limit in zip(box[2:], limits[2:], strict=True))
     return (*low, *high)  # type: ignore[return-value]
-
-
-def _path(folder: Path, number: int) -> Path:
-    return folder / f"{number}.npy"
 
 
 def terrain_model(
@@ -212,111 +168,124 @@ def terrain_model(
     client: Any = None,
     executor: Executor | None = None,
     bounds: Bounds | None = None,
+    resume: bool = False,
     overwrite: bool = False,
-    progress: Callable[[Standing], None] = lambda standing: None,
+    progress: Callable[[Standing], None] | None = None,
     **settings: Any,
 ) -> TerrainReport:
     """Make one terrain model of a collection and write it as a Cloud Optimized GeoTIFF.
+
+    Tiles and a journal lie in a hidden folder beside ``target`` until the model is complete, so that a run that was stopped, in
+    whatever way, goes on with ``resume``.
 
     Args:
         finder: the method that finds the ground; by default the points of ``ground_classes`` are it, less withheld ones.
         changes: its fields. largest_building: as in ``Filter.for_cloud``.
         cell, bounds, settings: as in :func:`jaxfilter.dtm`, in file units.
-        tile, memory, workers, client, executor, progress: as in :func:`jaxfilter.tiles.ground.ground`.
+        resume: go on with the run that was begun for ``target``. overwrite: begin anew; replace ``target``.
+        tile, memory, workers, client, executor, progress: as in :func:`jaxfilter.ground`.
 
     Raises: InputError if no tile has ground; ParameterError; OutputError.
     """
     settings = {"method": "tin", "max_gap": None, "fill": False, "neighbours": 12, "power": 2.0} | settings
     metre, start = collection.metre, time.perf_counter()
-    data = collection.bounds
-    raster = raster_bounds(data if bounds is None else bounds, cell)
+    raster = raster_bounds(collection.bounds if bounds is None else bounds, cell)
     shape = (round((raster[3] - raster[1]) / cell), round((raster[2] - raster[0]) / cell))
-    parent = target.absolute().parent
-    remove_dead(parent)
-    with workplace(parent) as folder:
-        filter_, whole, filter_halo = None, Whole(), 0.0
-        if finder is not None:
-            sample = sampled(collection, _READING, folder / "index")
-            filter_ = filter_for(sample, finder, changes or {}, largest_building=largest_building)
-            whole, filter_halo = sample.whole, filter_.tile_halo()
-            if type(filter_).lowest is not Filter.lowest:
-                raise ParameterError(
-                    f"{finder.__name__} looks at the whole survey first: run jaxfilter ground, then dtm"
-                )
-        lattice = cell * metre if filter_ is None else filter_.lattice()
-        cut = layout(
-            collection, lattice=cell * metre, halo=HALOS[0] + filter_halo, tile=tile, memory=memory, workers=workers
-        )
-        plan = plan_with_halo(cut.plan, collection, HALOS[-1] + filter_halo + lattice)
-        model = Model(
-            cell,
-            settings,
-            raster,
-            data,
-            None if filter_ is not None else ground_classes,
-            lattice / metre,
-            filter_halo / metre,
-        )
-        job = Job(filter_ or PMF(), _READING, {}, (), whole, folder, folder / "index")
+    work = _prepared(target, resume=resume, overwrite=overwrite)
+    with Journal(work / NAME) as journal:
+        try:
+            job, cut, plan = ground_job(
+                ModelJob,
+                collection,
+                finder,
+                changes or {},
+                largest_building=largest_building,
+                ground_classes=ground_classes,
+                grain=cell * metre,
+                tile=tile,
+                memory=memory,
+                workers=workers,
+                most_points=(journal.fact("tiles") or {}).get("most_points"),
+                classes={},
+                scratch=work,
+                cell=cell,
+                settings=settings,
+                raster=raster,
+            )
+            executor = executor_of(executor, client, cut)
+            try:
+                model = {"ground_classes": job.ground_classes, "cell": cell, "raster": raster, **settings}
+                journal.begin(facts_of(collection, job, cut, plan) | {"model": model})
+            except BaseException:
+                executor.close()
+                raise
+        except BaseException:
+            if journal.fact("version") is None:
+                journal.close()
+                shutil.rmtree(work, ignore_errors=True)
+            raise
+        run = Run(job, plan, collection, [], journal, executor, step=MODEL, progress=progress)
+        run()
         report = TerrainReport(
             rows=shape[0], columns=shape[1], tiles=len(plan), transform=(cell, 0.0, raster[0], 0.0, -cell, raster[3]),
             bounds=raster,
         )  # fmt: skip
-        if executor is None:
-            executor = Pool(cut.workers) if client is None else Cluster(client)
-        try:
-            _carry_out(job, model, plan, collection, executor, report, progress)
-        finally:
-            executor.close()
+        _add(report, run)
 
-        def parts() -> Iterator[tuple[int, int, np.ndarray]]:
-            for number in range(len(plan)):
-                path = _path(folder, number)
-                if path.exists():
-                    x0, _, _, y1 = _clipped(plan.core(number), raster)
-                    yield round((raster[3] - y1) / cell), round((x0 - raster[0]) / cell), np.load(path)
+    def parts() -> Iterator[tuple[int, int, np.ndarray]]:
+        for number in range(len(plan)):
+            path = values_path(work, number)
+            values = np.load(path) if path.exists() else np.zeros((0, 0))
+            if values.size:
+                x0, _, _, y1 = _clipped(plan.core(number), raster)
+                yield round((raster[3] - y1) / cell), round((x0 - raster[0]) / cell), values
 
-        report.empty = shape[0] * shape[1] - sum(int(np.isfinite(values).sum()) for _, _, values in parts())
-        write_mosaic(target, shape, report.transform, collection.crs, parts, overwrite=overwrite)
+    if not report.ground:
+        more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
+        shutil.rmtree(work, ignore_errors=True)
+        raise InputError(
+            f"{collection!r}: no point is ground; classify it first, or pass filter= to find the ground{more}"
+        )
+    report.empty = shape[0] * shape[1] - sum(int(np.isfinite(values).sum()) for _, _, values in parts())
+    write_mosaic(target, shape, report.transform, collection.crs, parts, overwrite=overwrite or resume)
+    if report.complete:
+        shutil.rmtree(work, ignore_errors=True)
     report.seconds = time.perf_counter() - start
     return report
 
 
-def _carry_out(
-    job: Job,
-    model: Model,
-    plan: Plan,
-    collection: Collection,
-    executor: Executor,
-    report: TerrainReport,
-    progress: Callable[[Standing], None],
-) -> None:
-    """All tiles; what becomes of them goes into the report. Raises: InputError if none has ground."""
-    start, standing = time.perf_counter(), Standing("tiles", len(plan), 0, 0)
+def _prepared(target: Path, *, resume: bool, overwrite: bool) -> Path:
+    """The folder of a run for ``target``, made. Raises: OutputError if something is there that would be lost."""
+    target = target.absolute()
+    work = target.with_name(f".{target.name}.jaxfilter-run")
+    begun = (work / NAME).exists()
+    if existing(target) is not None and not overwrite and not (resume and begun):
+        raise OutputError(f"{target}: the file exists; pass overwrite=True to replace it")
+    if begun and not resume:
+        if not overwrite:
+            raise OutputError(
+                f"{target}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass "
+                "overwrite=True to begin anew"
+            )
+        with Journal(work / NAME):  # nobody else is at it
+            pass
+        shutil.rmtree(work)
+    try:
+        work.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+    return work
 
-    def tick() -> None:
-        standing.seconds = time.perf_counter() - start
-        progress(standing)
 
-    def arguments(number: int) -> Callable[[bool], tuple[Any, ...]]:
-        return lambda last: (job, model, tile_of(plan, collection, number, patient=last))
-
-    todo = (Task(model_tile, number, arguments(number)) for number in range(len(plan)))
-    left_out = dict(collection.unreadable)
-    for task, outcome in carried_out(executor, todo, collections.deque(), tick):
-        standing.tiles_done += 1
-        if outcome.reason is not None:
-            report.set_aside.append({"tile": task.number, "core": plan.core(task.number), "reason": outcome.reason})
+def _add(report: TerrainReport, run: Run) -> None:
+    """What the journal knows."""
+    left_out: dict[str, str] = dict(run.sources.unreadable)
+    for number, done, facts in run.journal.reports("tiles"):
+        if not done:
+            report.set_aside.append({"tile": number, "core": run.plan.core(number), "reason": facts["reason"]})
             continue
-        found: ModelReport = outcome.value
-        standing.points += found.points
-        report.points, report.ground = report.points + found.points, report.ground + found.ground
-        report.uncertain += found.uncertain
-        report.halos[found.halo] = report.halos.get(found.halo, 0) + 1
-        left_out |= {collection[number].uri: reason for number, reason in found.left_out}
+        for name in ("points", "ground", "uncertain"):
+            setattr(report, name, getattr(report, name) + facts[name])
+        report.halos[facts["halo"]] = report.halos.get(facts["halo"], 0) + 1
+        left_out |= {run.sources[file].uri: reason for file, reason in facts["left_out"]}
     report.left_out = [{"file": uri, "reason": reason} for uri, reason in left_out.items()]
-    if not report.ground:
-        more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
-        raise InputError(
-            f"{collection!r}: no point is ground; classify it first, or pass filter= to find the ground{more}"
-        )

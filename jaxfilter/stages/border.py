@@ -1,0 +1,305 @@
+"""Objects that the border of the data cuts: what stands there above its surroundings, and how it is labelled.
+
+A roof of which only a part was surveyed has ground on one side only. A method may take it for a terrace, and nothing in its
+labels says so. Here the surface of the lowest points is looked at, whatever the method, and then the labels on it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.cloud import PointCloud, as_cloud
+from ..core.errors import InputError
+from ..core.grid import grid_over
+from ..core.points import plain_points
+from ..core.result import FilterResult
+from ..host.files import Bounds
+from ..host.neighbours import groups
+from .surfaces import cell_for
+
+REACH = 100.0
+"""Metres that a cut object reaches into the data at most; what reaches further is taken for terrain."""
+STEP = 0.7
+"""Rise over run between neighbouring cells of one object, at most: roofs are seldom steeper than 35 degrees."""
+DROP, DROP_SHARE = 2.5, 0.5
+"""Metres that the surface falls by within two cells, and the share of the inner border of an object where it falls so."""
+AREA, TOUCH = 20.0, 3.0
+"""Square metres, and metres along the border of the data, that an object has at least."""
+_CELLS = 6  # that it has at least
+_CLOSED = 2  # cells: voids of up to twice as many are no border
+_MARGIN = 2 * _CLOSED + 1
+
+_Box = tuple[float, float, float, float]
+"""xmin, ymin, xmax, ymax, local metres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CutObject:
+    """An object that touches the border of the data.
+
+    Attributes:
+        x, y: middle of its cells, file coordinates; bounds: (xmin, ymin, xmax, ymax) of them.
+        area: square metres that are in the data. touch: metres along the border.
+        fall: metres from it to what surrounds it, the median along its inner border.
+        ground: share of its cells whose lowest point is ground.
+    """
+
+    x: float
+    y: float
+    bounds: Bounds
+    area: float
+    touch: float
+    fall: float
+    ground: float
+
+    @property
+    def is_ground(self) -> bool:
+        """Whether most of it is labelled ground, which is wrong if it is a roof."""
+        return self.ground >= 0.5
+
+
+def cut_objects(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    *,
+    footprints: Iterable[Bounds] | None = None,
+    window: Bounds | None = None,
+    core: Bounds | None = None,
+) -> list[CutObject]:
+    """Objects that touch the border of the data and may be cut roofs, by the lowest points and labels of a classification.
+
+    The surface of the lowest candidates, in cells of at least a metre, is cut into segments whose neighbouring cells differ by
+    less than :data:`STEP` times the cell. A segment is listed if it touches the border, reaches no further than
+    :data:`REACH` into the data, has :data:`AREA` and :data:`TOUCH`, and if the surface falls by :data:`DROP` along
+    :data:`DROP_SHARE` of its border with other segments. So dense trees and cliffs are listed as well as roofs.
+
+    The border is where data end to the outside: voids, such as water, that ``footprints`` enclose are none.
+
+    Args:
+        cloud: n points, a PointCloud or a ``laspy.LasData``.
+        result: what is ground: a FilterResult, or bool[n].
+        footprints: rectangles that are known to hold all data, file coordinates; by default the extent of the cloud.
+        window: of a cloud that was cut out of more data: the box that was read; its edges are no border.
+        core: only objects whose southernmost touching cell (of several, the westernmost) has its middle in this box.
+
+    Returns: list of CutObject, from south to north.
+    Raises: InputError for labels that do not fit, or as grids do for an extent that is too large.
+    """
+    cloud = as_cloud(cloud)
+    ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
+    if ground.shape != (len(cloud),) or ground.dtype != bool:
+        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
+    valid = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    if not cloud.candidate.any():
+        return []
+    frame = _Frame.of(cloud, valid)
+    boxes = None if footprints is None else [frame.local(box) for box in footprints]
+    outside, unknown = frame.beyond(boxes, None if window is None else frame.local(window))
+    if not outside.any():
+        return []
+    cell = frame.cells_of(cloud.xyz)
+    covered = np.zeros(frame.shape, bool)
+    covered.flat[cell[valid]] = True
+    outside = _connected(~_closed(covered) & ~unknown, outside)
+    rows = cloud.candidate
+    z, is_ground = _surface(frame, cell[rows], cloud.xyz[rows, 2], ground[rows])
+    found = _standing(_filled(z), outside, is_ground, frame.cell)
+    objects = [(frame.place(one), one) for one in found]
+    if core is not None:
+        x0, y0, x1, y1 = core
+        objects = [(at, one) for at, one in objects if x0 <= at[0] < x1 and y0 <= at[1] < y1]
+    return [frame.described(one) for _, one in sorted(objects, key=lambda pair: (pair[0][1], pair[0][0]))]
+
+
+class _Found(NamedTuple):
+    """Rows and columns i64[k] of the cells of an object, its first touching cell, and what is measured of it."""
+
+    row: np.ndarray
+    column: np.ndarray
+    first: tuple[int, int]
+    touching: int
+    fall: float
+    ground: float
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    """Cells of ``cell`` metres around a cloud, with a margin; (``x0``, ``y0``): local metres of the corner."""
+
+    cloud: PointCloud
+    x0: float
+    y0: float
+    cell: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, cloud: PointCloud, valid: np.ndarray) -> _Frame:
+        cell = cell_for(plain_points(cloud).spacing(), 1.5)
+        grid = grid_over(cloud.xyz[valid], cell, cloud.grid_offset(cell), name="cut_objects: cell")
+        lag = _MARGIN * cell
+        return cls(cloud, grid.x0 - lag, grid.y0 - lag, cell, (grid.ny + 2 * _MARGIN, grid.nx + 2 * _MARGIN))
+
+    def cells_of(self, xyz: np.ndarray) -> np.ndarray:
+        """i64[n]: the cell that each of the local points f32[n, 3] is in, row by row."""
+        row, column = (
+            np.floor((xyz[:, axis] - corner) / self.cell).astype(np.int64)
+            for axis, corner in ((1, self.y0), (0, self.x0))
+        )
+        return row * self.shape[1] + column
+
+    def beyond(self, boxes: list[_Box] | None, window: _Box | None) -> tuple[np.ndarray, np.ndarray]:
+        """bool[rows, columns] twice: cells that certainly lie outside of the data, which are the margin, or what no box meets;
+        and those that the window cuts or leaves out, so that nothing is known of them."""
+        outside, unknown = np.ones(self.shape, bool), np.zeros(self.shape, bool)
+        if boxes is None:
+            outside[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = False
+            return outside, unknown
+        (x, y), half = self.centres(), self.cell / 2
+        for x0, y0, x1, y1 in boxes:
+            outside[np.ix_((y + half > y0) & (y - half <= y1), (x + half > x0) & (x - half <= x1))] = False
+        if window is not None:
+            x0, y0, x1, y1 = window
+            unknown[:, (x - half < x0) | (x + half > x1)] = True
+            unknown[(y - half < y0) | (y + half > y1)] = True
+            unknown &= ~outside  # boxes that are not known lie further than a cell from the window
+            outside[:, (x + half < x0 - self.cell) | (x - half > x1 + self.cell)] = False
+            outside[(y + half < y0 - self.cell) | (y - half > y1 + self.cell)] = False
+        return outside, unknown
+
+    def local(self, box: Bounds) -> tuple[float, float, float, float]:
+        """A box in file coordinates in local metres."""
+        factor, (x, y) = self.cloud.units.xy, self.cloud.origin[:2]
+        return (box[0] - x) * factor, (box[1] - y) * factor, (box[2] - x) * factor, (box[3] - y) * factor
+
+    def centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """f64[columns], f64[rows]: middles of the cells, local metres."""
+        rows, columns = self.shape
+        return self.x0 + (np.arange(columns) + 0.5) * self.cell, self.y0 + (np.arange(rows) + 0.5) * self.cell
+
+    def place(self, one: _Found) -> tuple[float, float]:
+        """File coordinates of the middle of the first touching cell."""
+        x, y = self.centres()
+        return self._file(float(x[one.first[1]]), float(y[one.first[0]]))
+
+    def described(self, one: _Found) -> CutObject:
+        """An object in file coordinates and metres."""
+        x, y = self.centres()
+        half = self.cell / 2
+        low = self._file(float(x[one.column.min()]) - half, float(y[one.row.min()]) - half)
+        high = self._file(float(x[one.column.max()]) + half, float(y[one.row.max()]) + half)
+        middle = self._file(float(x[one.column].mean()), float(y[one.row].mean()))
+        return CutObject(
+            *middle, (*low, *high), len(one.row) * self.cell**2, one.touching * self.cell, one.fall, one.ground
+        )
+
+    def _file(self, x: float, y: float) -> tuple[float, float]:
+        factor, origin = self.cloud.units.xy, self.cloud.origin
+        return float(origin[0]) + x / factor, float(origin[1]) + y / factor
+
+
+def _surface(frame: _Frame, cell: np.ndarray, level: np.ndarray, ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f32, bool[rows, columns]: the lowest elevation in each cell, infinite without any, and whether it is ground."""
+    z = np.full(frame.shape, np.inf, np.float32)
+    np.minimum.at(z.ravel(), cell, level)
+    is_ground = np.zeros(frame.shape, bool)
+    is_ground.flat[cell[ground & (level == z.flat[cell])]] = True
+    return z, is_ground
+
+
+def _closed(known: np.ndarray) -> np.ndarray:
+    """bool[rows, columns]: cells with data, and those between them."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = 2 * _CLOSED + 1
+    return minimum_filter(maximum_filter(known.view(np.uint8), size), size).astype(bool)
+
+
+def _filled(z: np.ndarray) -> np.ndarray:
+    """f32[rows, columns]: cells between cells with an elevation get the lowest beside them."""
+    from scipy.ndimage import minimum_filter
+
+    known = np.isfinite(z)
+    inside = _closed(known)
+    for _ in range(_CLOSED):
+        z = np.where(known | ~inside, z, minimum_filter(z, 3))
+        known = np.isfinite(z)
+    return z
+
+
+def _connected(free: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """bool[rows, columns]: the components of ``free`` that hold a cell of ``start``."""
+    from scipy.ndimage import label
+
+    name, count = label(free)
+    held = np.zeros(count + 1, bool)
+    held[name[start & free]] = True
+    held[0] = False
+    return held[name]
+
+
+def _standing(z: np.ndarray, outside: np.ndarray, is_ground: np.ndarray, cell: float) -> list[_Found]:
+    """The segments that touch the outside and stand above what surrounds them."""
+    from scipy.ndimage import distance_transform_cdt, minimum_filter
+
+    reach = math.ceil(REACH / cell)
+    away = distance_transform_cdt(~outside, "chessboard")
+    strip = np.isfinite(z) & (away <= reach + 1)
+    name = np.full(z.shape, -1, np.int32)
+    count = int(strip.sum())
+    if count == 0:
+        return []
+    name[strip] = np.arange(count)
+    one_end, other_end, walls = [], [], np.zeros(z.shape, bool)
+    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:, :], np.s_[:-1, :])):
+        both = strip[one] & strip[other]
+        with np.errstate(invalid="ignore"):
+            joined = both & (np.abs(z[one] - z[other]) < np.float32(STEP * cell))
+        one_end.append(name[one][joined])
+        other_end.append(name[other][joined])
+        walls[one] |= both & ~joined
+        walls[other] |= both & ~joined
+    segment = groups(np.concatenate(one_end), np.concatenate(other_end), count)
+    touching = _beside(outside)[strip]
+    of = np.bincount(segment, touching)
+    deep = np.bincount(segment, away[strip] > reach)
+    cells = np.bincount(segment)
+    with np.errstate(invalid="ignore"):
+        fall = (z - minimum_filter(z, 5))[strip]
+    wall = walls[strip]
+    border = np.bincount(segment, wall)
+    falling = np.bincount(segment, wall & (fall > np.float32(DROP)))
+    large = (of * cell >= TOUCH) & (cells >= max(_CELLS, AREA / cell**2))
+    listed = large & (deep == 0) & (border > 0) & (falling >= DROP_SHARE * border)
+    rows, columns = np.nonzero(strip)
+    ground, found = is_ground[strip], []
+    order = np.argsort(segment, kind="stable")  # within a segment by row and column
+    ends = np.cumsum(cells)
+    for number in np.flatnonzero(listed).tolist():
+        at = order[ends[number] - cells[number] : ends[number]]
+        first = at[touching[at]][0]
+        found.append(
+            _Found(
+                rows[at],
+                columns[at],
+                (int(rows[first]), int(columns[first])),
+                int(of[number]),
+                float(np.median(fall[at][wall[at]])),
+                float(ground[at].mean()),
+            )
+        )
+    return found
+
+
+def _beside(outside: np.ndarray) -> np.ndarray:
+    """bool[rows, columns]: cells that share an edge with a cell of ``outside``."""
+    near = np.zeros_like(outside)
+    near[1:] |= outside[:-1]
+    near[:-1] |= outside[1:]
+    near[:, 1:] |= outside[:, :-1]
+    near[:, :-1] |= outside[:, 1:]
+    return near
