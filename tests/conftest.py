@@ -2,6 +2,8 @@
 
 import os
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -54,3 +56,20 @@ def compilation_cache(tmp_path_factory):
 @pytest.fixture
 def rng():
     return np.random.default_rng(20210)
+
+
+@pytest.fixture
+def disk(tmp_path):
+    """A function that mounts a disk of a size, such as "32k", or makes it larger, and returns its folder."""
+    folder = tmp_path / "disk"
+
+    def mounted(size):
+        options = f"remount,size={size}" if folder.exists() else f"size={size}"
+        folder.mkdir(exist_ok=True)
+        mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder]
+        if not sys.platform.startswith("linux") or subprocess.run(mount, capture_output=True).returncode:
+            pytest.skip("a small disk cannot be mounted here")
+        return folder
+
+    yield mounted
+    subprocess.run(["umount", folder], capture_output=True)

@@ -108,6 +108,11 @@ def test_labels_must_fit():
     assert jf.cut_objects(jf.PointCloud.from_arrays(np.zeros((0, 3))), np.zeros(0, bool)) == []
 
 
+def test_stray_points_are_no_error():
+    with pytest.warns(jf.JaxfilterWarning, match="are not looked for: .* remove stray points"):
+        assert found(np.concatenate([field(ROOF), [[90_000.0, 80_000.0, 100.0]]])) == []
+
+
 def write(path, xyz):
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
     las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)

@@ -524,18 +524,8 @@ def test_a_file_that_may_grow_no_further(tmp_path, large, suffix):
     assert names(tmp_path) == [path.name] and path.read_bytes() == b"older"
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=32k", "tmpfs", folder]
-    if not sys.platform.startswith("linux") or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("a small disk cannot be mounted here")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
-
-
-def test_a_full_disk(small_disk, large):
+def test_a_full_disk(disk, large):
+    small_disk = disk("32k")
     for suffix in OUTPUTS:
         with pytest.raises(OutputError, match=r"the disk is full \(No space left on device\)"):
             output(small_disk / f"out{suffix}", large)

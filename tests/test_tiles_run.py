@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 
 import laspy
 import numpy as np
@@ -452,26 +450,37 @@ def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
     assert np.array_equal(jf.Raster.read(target).values[20:-20, 20:-20], expected)
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk that holds half a run, and a function that makes it larger."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", folder]
-    if not sys.platform.startswith("linux") or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("a small disk cannot be mounted here")
-    yield folder, lambda: subprocess.run(["mount", "-o", "remount,size=50m", folder], check=True)
-    subprocess.run(["umount", folder], check=True)
-
-
-def test_a_full_disk_ends_a_run_and_with_room_it_goes_on(files, done, small_disk):
-    folder, enlarge = small_disk
+def test_a_full_disk_ends_a_run_and_with_room_it_goes_on(files, done, disk):
+    folder = disk("100k")
     executor = Here()
     with pytest.raises(jf.OutputError, match="disk is full"):
         run(files, folder / "out", executor, resume=True)
     tried = len(executor.calls)
     assert tried < done[1].tiles, "it does not try all tiles in vain"
-    enlarge()
+    disk("50m")
     assert run(files, folder / "out", resume=True).complete
     assert contents(folder / "out") == contents(done[0])
     assert sorted(p.name for p in (folder / "out").iterdir() if p.suffix != ".laz") == LEFT
+
+
+def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
+    pytest.importorskip("rasterio")
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 61.0, 2.0), np.arange(0.0, 61.0, 2.0)))
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
+    las.x, las.y, las.z = x, y, 0.1 * x
+    las.classification = np.full(len(x), 2)
+    las.write(tmp_path / "in.laz")
+    target = tmp_path / "dtm.tif"
+    report = jf.terrain_model(jf.open(str(tmp_path / "in.laz")), target, cell=2.0, tile=30.0, executor=Here())
+    assert report.tiles == 16 and report.complete and report.points == report.ground == len(x)
+    centres = np.arange(1.0, 60.0, 2.0)
+    np.testing.assert_allclose(jf.Raster.read(target).values, np.tile(0.1 * centres, (30, 1)), atol=1e-3)
+
+
+def test_a_terrain_model_by_a_method_that_looks_at_the_whole_first(files, tmp_path):
+    pytest.importorskip("rasterio")
+    csf = {"iterations": 60, "smooth": False}
+    report = jf.terrain_model(jf.open(str(files)), tmp_path / "dtm.tif", jf.CSF, csf, tile=50.0, executor=Here())
+    clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
+    assert report.complete and report.ground == jf.CSF(**csf)(joined(clouds)).ground.sum()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.grid import grid_over
 from ..core.points import plain_points
 from ..core.result import FilterResult
@@ -88,7 +88,7 @@ def cut_objects(
         core: only objects whose southernmost touching cell (of several, the westernmost) has its middle in this box.
 
     Returns: list of CutObject, from south to north.
-    Raises: InputError for labels that do not fit, or as grids do for an extent that is too large.
+    Raises: InputError for labels that do not fit. Warns: if the extent is too large for a grid, and returns none.
     """
     cloud = as_cloud(cloud)
     ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
@@ -97,7 +97,11 @@ def cut_objects(
     valid = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     if not cloud.candidate.any():
         return []
-    frame = _Frame.of(cloud, valid)
+    try:
+        frame = _Frame.of(cloud, valid)
+    except InputError as error:  # labels are none the worse for it
+        warn(f"objects that the border of the data cuts are not looked for: {error}")
+        return []
     boxes = None if footprints is None else [frame.local(box) for box in footprints]
     outside, unknown = frame.beyond(boxes, None if window is None else frame.local(window))
     if not outside.any():

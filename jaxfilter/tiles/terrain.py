@@ -112,7 +112,9 @@ def model_tile(job: ModelJob, tile: Tile) -> ModelReport:
     for found in surroundings(job, tile):
         around = found.around
         own = int(around.core.sum())
-        if not own:
+        if (
+            not own or core[0] >= core[2] or core[1] >= core[3]
+        ):  # points on the very edge of the raster have no cell beyond it
             values, doubtful = np.zeros((0, 0), np.float32), 0
             break
         values, doubtful = _heights(job, around.cloud, found.usable, core, found.near)
