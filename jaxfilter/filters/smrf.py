@@ -151,9 +151,9 @@ class SMRF(GridFilter):
     def surface(self, prepared: Opened, share: float = 1.0) -> Surface:
         """Step 5, the provisional terrain, at a share of the slope. Pure."""
         cells, surface, steepest, bare, counts = prepared
-        terrain, slope, objects = _terrain(
-            surface, steepest, bare, cells.valid, cells.extent, cells.frame[2], jnp.float32(share) * self.slope
-        )
+        known, objects = _kept(steepest, bare, cells.frame[2], jnp.float32(share) * self.slope)
+        terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
+        slope = steepness(terrain, cells.extent, cells.frame[2])
         return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
@@ -217,19 +217,10 @@ def _open(
 
 
 @jax.jit
-def _terrain(
-    surface: jax.Array,
-    steepest: jax.Array,
-    bare: jax.Array,
-    valid: jax.Array,
-    extent: jax.Array,
-    cell: jax.Array,
-    slope: jax.Array,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Elevation and slope of the terrain without objects, f32[rows, columns], and their number, net included."""
+def _kept(steepest: jax.Array, bare: jax.Array, cell: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cells that the terrain goes through, bool[rows, columns], and the number of objects, net included."""
     objects = steepest > slope * cell
-    terrain = fill_membrane(surface, bare & ~objects, valid).z
-    return terrain, steepness(terrain, extent, cell), objects.sum(dtype=jnp.int32)
+    return bare & ~objects, objects.sum(dtype=jnp.int32)
 
 
 @jax.jit
