@@ -82,6 +82,11 @@ class PointCloud:
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
         source: a handle to the file (see ``jaxfilter.host.files``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
+
+    >>> cloud.xyz.shape == (len(cloud), 3), cloud.xyz.dtype, cloud.units.name
+    (True, dtype('float32'), 'metre')
+    >>> round(float(cloud.origin[0]))
+    512000
     """
 
     origin: np.ndarray
@@ -145,6 +150,11 @@ class PointCloud:
         resolve :data:`QUANTUM`; for NaN and infinite coordinates, and for an extent above :data:`LARGEST_SPAN`, unless
         ``drop_invalid``: then points that are not numbers, or lie farther than half of that from the median of a
         coordinate, become non-ground, and a warning gives their number.
+
+        >>> xyz = [[512000.0, 5403000.0, 350.0], [512001.0, 5403002.0, 350.5]]
+        >>> made = jf.PointCloud.from_arrays(np.array(xyz), classification=np.array([2, 6], np.uint8))
+        >>> made.xyz.tolist()
+        [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]
         """
         try:
             xyz = np.asarray(xyz)
@@ -198,6 +208,11 @@ class PointCloud:
 
         ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
         (see :func:`check_scales`) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
+
+        >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
+        >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))
+        >>> made.coordinates().tolist()
+        [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
         """
         scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
         check_scales(scales, offsets, name)
@@ -229,6 +244,11 @@ class PointCloud:
         reference. To keep all that the points hold, give labels back to laspy: ``las.classification[result.ground] = 2``.
 
         Raises: InputError as :meth:`from_arrays`, and where X and Y are angles. Warns: as :func:`jaxfilter.read`.
+
+        >>> import laspy
+        >>> made = jf.PointCloud.from_laspy(laspy.read("scene.laz"), units="m")
+        >>> len(made) == len(cloud), bool((made.reference == truth).all())
+        (True, True)
         """
         evlrs = las.evlrs if las.header.version.minor >= 4 else None
         stated = {
@@ -295,6 +315,10 @@ class PointCloud:
             ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
                 default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
             keep_withheld: take points that carry the withheld flag as well.
+
+        >>> everything = cloud.select(returns="all", ignore_classes=())
+        >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
+        (True, False)
         """
         candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()
         candidate &= _echo_mask(self.return_number, self.number_of_returns, returns, len(self), name)
@@ -306,7 +330,11 @@ class PointCloud:
         return dataclasses.replace(self, candidate=candidate)
 
     def coordinates(self) -> np.ndarray:
-        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file)."""
+        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file).
+
+        >>> bool(np.allclose(cloud.coordinates(), scene.xyz, atol=0.001))
+        True
+        """
         factor = np.array([self.units.xy, self.units.xy, self.units.z])
         return self.origin + self.xyz.astype(np.float64) / factor
 
@@ -314,6 +342,11 @@ class PointCloud:
         """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size.
 
         Without an anchor it is the cloud's own corner (0, 0); with one, the multiple of ``cell`` counted from the anchor.
+
+        >>> cloud.grid_offset(10.0)
+        (0.0, 0.0)
+        >>> jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]), anchor=(0, 0)).grid_offset(10.0)
+        (-2.0, -7.0)
         """
         if self.anchor is None:
             return 0.0, 0.0

@@ -56,6 +56,12 @@ class PMF(GridFilter):
     "paper" and "recommended" take these three thresholds, since the originals are set site by site.
 
     Departures: docs/fidelity.md.
+
+    >>> jf.PMF(max_window=33.0).radii()
+    [1, 2, 4, 8, 16]
+    >>> result = jf.PMF(max_window=33.0)(cloud)
+    >>> bool((result.ground == (result.margin <= 0)).all())
+    True
     """
 
     cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")

@@ -61,6 +61,12 @@ class SMRF(GridFilter):
     kappa of ISPRS samples 11 to 42 by at most 0.2 points and needs a quarter of the memory accesses; cells are
     centred on the nodes of a lattice that starts at the cloud's lower left corner, or at its anchor, where the authors
     count from zero of the coordinate system (a cloud with anchor (0, 0) is gridded in their way).
+
+    >>> result = jf.SMRF(slope=0.2, threshold=0.5)(cloud)
+    >>> result.info["object_cells"] > 0
+    True
+    >>> bool((result.ground == (result.margin <= 0)).all())
+    True
     """
 
     cell: float = static(default=1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)

@@ -48,6 +48,10 @@ class SPF(Mirroring):
 
     Departures (docs/fidelity.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
     stand beside the data, not a buffer's width away.
+
+    >>> result = jf.SPF(window=30.0)(cloud)
+    >>> result.info["potential_seeds"] > result.info["removed_seeds"]
+    True
     """
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")

@@ -49,6 +49,12 @@ def settle(
 
     Returns: Cloth; height 0 and not pinned where no particle is. ``steps`` is i32[].
     Raises: InputError if ``limit`` and ``inside`` differ in shape.
+
+    >>> from jaxfilter.ops import cloth
+    >>> limit = jnp.full((5, 5), -1.0)
+    >>> rest = cloth.settle(limit, jnp.ones((5, 5), bool), (0.3, 0.4), 0.01, 0.005, 50)
+    >>> float(rest.height.min()), bool(rest.pinned.all())
+    (-1.0, True)
     """
     if limit.shape != inside.shape:
         raise InputError(f"settle: limit {limit.shape} and inside {inside.shape} must be grids of one shape")
@@ -153,6 +159,12 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
 
     Args: z f32, known bool, inside bool (nodes that exist), each [rows, columns].
     Returns: f32[rows, columns].
+
+    >>> from jaxfilter.ops import cloth
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> cloth.fill_along_lines(z, known, jnp.ones((1, 3), bool)).tolist()
+    [[1.0, 3.0, 3.0]]
     """
     known = known & inside
 

@@ -29,6 +29,11 @@ def footprints(
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: ImportError if matplotlib is missing.
+
+    >>> bounds = np.array([[0.0, 0.0, 50.0, 50.0], [40.0, 0.0, 90.0, 50.0]])
+    >>> ax = jf.plots.footprints(bounds, np.array([4.0, 6.0]), label="points per m2", overlaps=np.array([[0, 1]]))
+    >>> ax.get_aspect()
+    1.0
     """
     ax = axes_or_new(ax, (5.0, 5.0))
     from matplotlib.collections import PolyCollection
