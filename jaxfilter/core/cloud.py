@@ -32,7 +32,15 @@ Below 16 km from the origin such values, and all differences between them, are e
 lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
 """
 
-KEPT_CLASSES = (7, 9, *range(17, 256))
+
+class _KeptClasses(tuple[int, ...]):
+    """Short where signatures show it as a default."""
+
+    def __repr__(self) -> str:
+        return "(7, 9, 17, 18, ..., 255)"
+
+
+KEPT_CLASSES = _KeptClasses((7, 9, *range(17, 256)))
 """ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
 by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
@@ -207,7 +215,8 @@ class PointCloud:
         """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
 
         ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (see :func:`check_scales`) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
+        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. The rest is as in
+        :meth:`from_arrays`.
 
         >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
         >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))

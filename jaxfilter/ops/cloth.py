@@ -157,7 +157,7 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
     The next to the right is taken, else to the left, else below, else above; where row and column are empty, the nearest
     known node. As in the program of Zhang et al. (2016).
 
-    Args: z f32, known bool, inside bool (nodes that exist), each [rows, columns].
+    Args: z f32 (metres), known bool, inside bool (nodes that exist), each [rows, columns].
     Returns: f32[rows, columns].
 
     >>> from jaxfilter.ops import cloth

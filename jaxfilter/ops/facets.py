@@ -157,9 +157,16 @@ def judge(
     *,
     names: tuple[str, ...] = QUANTITIES,
 ) -> dict[str, jax.Array]:
-    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; those of :data:`QUANTITIES` that are named, [N] each.
+    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3], local metres.
 
-    ``two_sided``: bool[N]; ``counted``: bool[N, 3], see :func:`facet_score`. What is not named is not computed.
+    Args:
+        two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
+        counted: bool[N, 3], vertices that can be the nearest and the highest; None, or none of them = all.
+        names: which of :data:`QUANTITIES` to return; what is not named is not computed.
+
+    Returns: arrays [N] by name: ``accepted`` bool, ``decision`` (:class:`jaxfilter.Decision`), ``margin`` in the unit of the
+        deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees; ``planar``
+        bool, False for facets without a plane and for vertical ones.
 
     >>> from jaxfilter.ops import facets
     >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
@@ -175,7 +182,7 @@ def judge(
 
 @jax.jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
-    """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3] in the plane; the elevation stays.
+    """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 
     ``about_highest`` (bool scalar): about the highest vertex (Zhang & Lin 2013), else about the nearest in 3-D (Axelsson 2000).
 

@@ -106,7 +106,7 @@ def window_minima(
     """Lowest elevation in every window, and the point that has it.
 
     Args:
-        lowest: f32[rows, columns], block minima as from :func:`jaxfilter.ops.grid.block_minima`; +inf where empty or
+        lowest: f32[rows, columns], metres, block minima as from :func:`jaxfilter.ops.grid.block_minima`; +inf where empty or
             padding.
         first: i32[rows, columns], the points they belong to.
         counts: i32[2], number of windows (rows, columns).

@@ -22,7 +22,7 @@ def footprints(
     """Rectangles, coloured by a value each, with what they share and what they leave open.
 
     Args:
-        bounds: f64[n, 4], xmin, ymin, xmax, ymax; rows with NaN are not drawn.
+        bounds: f64[n, 4], xmin, ymin, xmax, ymax in file units; rows with NaN are not drawn.
         values: f64[n], shown as colours with a bar named ``label``; by default all are grey.
         overlaps: i64[m, 2], pairs of rows whose common area is outlined.
         gaps: rectangles that are outlined by dashes.

@@ -39,7 +39,8 @@ class Layout:
     """Terrain and objects of a scene; zero leaves a thing out.
 
     Linear features (cutting, scarp, river, embankment) and pits recur every 520 m across a common meandering course,
-    bridges every 220 m along it, so every scene of about that size has them, and a larger one has more.
+    bridges every 220 m along it, so every scene of about that size has them, and a larger one has more. Lengths in metres,
+    shares and probabilities from 0 to 1. Raises: ParameterError for a value out of range.
 
     >>> flat = jf.scenes.Layout(relief=0.0, forest=0.0)
     >>> jf.scenes.make(flat, size=20, density=1)

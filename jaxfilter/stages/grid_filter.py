@@ -169,7 +169,7 @@ class GridFilter(Filter):
         raise TypeError(f"{type(self).__name__} does not define test()")
 
     def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
-        """:func:`soft_labels` of what ``prepare`` has made. Pure.
+        """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure.
 
         >>> points = jf.PMF().points_of(cloud)
         >>> prepared = jf.PMF().prepare(jf.PMF().cells(points))

@@ -265,7 +265,7 @@ class Study:
             yield np.array(kind), np.column_stack(columns)
 
     def best(self, expected: np.ndarray) -> np.ndarray:
-        """i64[...]: numbers of the best sets by scores f64[..., s]; of equal ones the first.
+        """i64[...]: numbers of the best sets by scores f64[..., s], percent; of equal ones the first.
 
         >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
         >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
@@ -348,7 +348,7 @@ def calibrate(
     ``size`` sets are spread over the ranges by a Sobol sequence; then, ``rounds`` - 1 times, as many over a quarter of each
     range around the best. A set is judged by the score to expect on the whole cloud, and by those of sets like it: labels
     count as they are and say what points without a label are likely to be, and where they say little the given filter is
-    believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned is cross-validated: labelled points are cut
+    believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned, percent, is cross-validated: labelled points are cut
     into folds of whole blocks, and each fold is scored with the set that the other folds would have chosen among those that
     were tried, since points next to each other share their fate. With ``rounds`` above 1 all labels decide where the search
     goes on, so that it is a little too good.
