@@ -34,10 +34,15 @@ def is_described(member):
     return inspect.isroutine(member) or isinstance(member, (property, functools.cached_property, classmethod))
 
 
+def is_plain(member):
+    """Whether it takes nothing but the object."""
+    return isinstance(member, property) or list(inspect.signature(member).parameters) == ["self"]
+
+
 def public():
     """Names with what they stand for: of the package, its modules, and the methods and properties of its classes.
 
-    The steps that a method adds to those of all filters are for people who change it; they are in test_steps below.
+    Of what a method adds to those of all filters: what takes no arguments. Its steps are for people who change it.
     """
     found = {name: getattr(jf, name) for name in jf.__all__} | {"GridFilter": GridFilter}
     for module in (jf.plots, jf.scenes):
@@ -50,6 +55,12 @@ def public():
             shown = {key for base in value.__mro__[1:] if base in found.values() for key in vars(base)}
             own = {key: member for key, member in vars(value).items() if is_described(member) and key not in shown}
             found |= {f"{name}.{key}": member for key, member in own.items() if key[0] != "_"}
+    shared = {*dir(jf.Filter), *dir(GridFilter)}
+    for method in METHODS:
+        own = {key: member for key, member in vars(method).items() if is_described(member) and key not in shared}
+        found |= {
+            f"{method.__name__}.{key}": member for key, member in own.items() if key[0] != "_" and is_plain(member)
+        }
     return found | {"Filter.__call__": jf.Filter.__call__}
 
 

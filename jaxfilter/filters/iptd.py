@@ -118,7 +118,11 @@ class IPTD(Mirroring):
 
     @property
     def reach(self) -> int:
-        """Half the window of the opening, cells: the square is wider than the largest object."""
+        """Half the window of the opening, cells: the square is wider than the largest object.
+
+        >>> jf.IPTD(cell=2.0, window=30.0).reach
+        8
+        """
         return math.ceil(self.window / self.cell / 2 - 1e-6)
 
     def halo(self) -> float:

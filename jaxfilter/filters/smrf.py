@@ -124,12 +124,20 @@ class SMRF(GridFilter):
 
     @property
     def reach(self) -> int:
-        """Radius of the largest disk, cells."""
+        """Radius of the largest disk, cells.
+
+        >>> jf.SMRF(cell=2.0, window=15.0).reach
+        8
+        """
         return math.ceil(self.window / self.cell - 1e-6)
 
     @property
     def mesh(self) -> int:
-        """Spacing of the net, cells; 0 without one."""
+        """Spacing of the net, cells; 0 without one.
+
+        >>> jf.SMRF(cell=2.0, cut=20.0).mesh
+        10
+        """
         return math.ceil(self.cut / self.cell - 1e-6)
 
     def halo(self) -> float:
