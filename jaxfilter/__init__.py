@@ -1,6 +1,8 @@
 """Ground filtering of airborne lidar on JAX arrays: LAS in, classified LAS out.
 
-Public names are loaded when they are first used, so that ``jaxfilter --help`` does not wait for JAX.
+Public names are loaded when they are first used, so that ``jaxfilter --help`` does not wait for JAX. Examples begin with
+``scene = jf.scenes.make("mixed", size=60, density=1, seed=3)``, ``cloud, truth = scene.cloud, scene.truth`` and
+``result = jf.default_filter(cloud)(cloud)``; ``scene.laz`` is that scene with its true classes, ``survey`` its two halves.
 """
 
 from importlib import import_module

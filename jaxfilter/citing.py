@@ -11,6 +11,9 @@ def citation(method: Any) -> str:
     """BibTeX for a method, given as its name, its class or an instance: what the class has in ``BIBTEX``.
 
     Raises: ParameterError if there is none.
+
+    >>> print(jf.citation("smrf").partition(",")[0])
+    @article{pingel2013improved
     """
     if isinstance(method, str):
         from .filters import FILTERS

@@ -149,6 +149,11 @@ def from_pdal(what: Any, *, units: str | Units = "m") -> Filter:
     does not have, and for a value out of range.
     Warns: JaxfilterWarning for each option of the stage that a filter does not have, with its counterpart in
     :func:`jaxfilter.read` or :func:`jaxfilter.write`, if any.
+
+    >>> jf.from_pdal({"type": "filters.smrf", "cell": 2.0})
+    SMRF(cell=2.0, slope=0.15, window=36.0, threshold=0.5, scaling=1.25, cut=0.0)
+    >>> jf.from_pdal({"type": "filters.smrf", "cell": 10.0}, units="ft").cell
+    3.048
     """
     found = translate(what, units=units)
     for function, arguments in (("read", found.reading), ("write", found.writing)):

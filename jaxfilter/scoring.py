@@ -37,6 +37,13 @@ class Scores:
         recall: a / (a + b), for ground; 100 - type1.
         f1: 2a / (2a + b + c), for ground.
         confusion: i64[2, 2] = [[a, b], [c, d]]; rows reference ground and object, columns labelled ground and object.
+
+    >>> scores = jf.Scores.from_confusion([[90, 10], [5, 95]])
+    >>> print(scores)
+    Type I 10.00   Type II 5.00   total 7.50   kappa 85.00   F1 92.31  (percent)
+                        as ground  as object
+    reference ground           90         10
+    reference object            5         95
     """
 
     type1: float
@@ -51,7 +58,11 @@ class Scores:
 
     @classmethod
     def from_confusion(cls, confusion: Any) -> Scores:
-        """Scores of a 2 x 2 matrix of counts laid out as ``confusion`` is. Raises InputError."""
+        """Scores of a 2 x 2 matrix of counts laid out as ``confusion`` is. Raises InputError.
+
+        >>> jf.Scores.from_confusion([[90, 10], [5, 95]]).total
+        7.5
+        """
         matrix = np.asarray(confusion)
         if matrix.shape != (2, 2) or not np.issubdtype(matrix.dtype, np.integer) or (matrix < 0).any():
             raise InputError(f"confusion must hold 2 x 2 counts, not {matrix.dtype} of shape {matrix.shape}")
@@ -71,7 +82,11 @@ class Scores:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain Python numbers by name, ``confusion`` as nested lists; ready for JSON but for NaN."""
+        """Plain Python numbers by name, ``confusion`` as nested lists; ready for JSON but for NaN.
+
+        >>> jf.Scores.from_confusion([[90, 10], [5, 95]]).as_dict()["type1"]
+        10.0
+        """
         figures = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return figures | {"confusion": self.confusion.tolist()}
 
@@ -121,6 +136,11 @@ def evaluate(
 
     Returns: Scores. Unlabelled points never count.
     Raises: InputError for a missing reference, or for arrays of the wrong length or dtype.
+
+    >>> jf.evaluate(np.array([True, True, False]), np.array([True, False, False])).type2
+    50.0
+    >>> jf.evaluate(result, cloud, candidates_only=True).kappa > 80
+    True
     """
     ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
     if ground.ndim != 1 or ground.dtype != bool:

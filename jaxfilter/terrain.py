@@ -65,6 +65,12 @@ def dtm(
     all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, if points lie more
     than 131 km from the corner of the cloud, unless ``bounds`` are given, or if more than 400 million cells would be needed;
     ImportError if a library is missing.
+
+    >>> model = jf.dtm(cloud, result, cell=2.0, max_gap=10.0)
+    >>> x, y = model.centres()
+    >>> terrain = scene.terrain(*np.meshgrid(x, y))
+    >>> bool(np.nanmedian(np.abs(model.values - terrain)) < 0.1)
+    True
     """
     check_settings(cell, method, max_gap, neighbours, power)
     cloud = as_cloud(cloud)
@@ -153,6 +159,10 @@ def height_above_ground(
     Returns: f64[n], in the units of Z of the cloud's own coordinate system, for **all** points, whether they were judged or
     not; those without valid coordinates have 0.
     Raises: InputError if no point is ground, or as :func:`dtm` for labels that do not fit.
+
+    >>> height = jf.height_above_ground(cloud, truth)
+    >>> bool((height[truth] == 0).all()), bool(np.median(height[~truth]) > 0.5)
+    (True, True)
     """
     cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
@@ -244,6 +254,10 @@ def dtm_rmse(
 
     Returns: HeightErrors, in metres whatever the units of the cloud.
     Raises: what :func:`dtm` raises.
+
+    >>> errors = jf.dtm_rmse(cloud, result, cell=2.0)
+    >>> round(jf.dtm_rmse(cloud, truth, cell=2.0).rmse, 6), errors.rmse < 1.0
+    (0.0, True)
     """
     cloud = as_cloud(cloud)
     model, truth = (dtm(cloud, labels, cell, method, **settings).values for labels in (result, reference))

@@ -1,5 +1,7 @@
 """Where the ISPRS samples are, if they are anywhere; filters from other files."""
 
+import dataclasses
+import functools
 import os
 import runpy
 import subprocess
@@ -27,6 +29,20 @@ def data():
         if place and (Path(place) / "isprs" / "samp11.txt").exists():
             return Path(place)
     pytest.skip("the ISPRS samples are not here: point JAXFILTER_DATA to a folder with isprs/samp11.txt and the rest")
+
+
+@pytest.fixture(scope="session")
+def sample(data):
+    """Reads an ISPRS sample by its number. Arrays of all samples get one shape, so that they share compilations."""
+    import jaxfilter as jf
+    from jaxfilter.core.cloud import Whole
+
+    @functools.cache
+    def read(number, anchor=None):
+        cloud = jf.read(data / "isprs" / f"samp{number}.txt", anchor=anchor)
+        return dataclasses.replace(cloud, whole=Whole(width=480.0, height=480.0))
+
+    return read
 
 
 @pytest.fixture(scope="session")

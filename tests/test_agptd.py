@@ -207,9 +207,9 @@ def test_presets_hold_the_values_of_table_1():
 @pytest.mark.data
 @pytest.mark.parametrize("number, share, total, kappa", [(21, 89.50, 0.97, 97.05), (24, 83.92, 4.14, 89.34),
                                                          (41, 97.66, 1.50, 96.78), (71, 70.06, 1.66, 91.57)])  # fmt: skip
-def test_the_printed_errors_need_the_labels(data, number, share, total, kappa):
+def test_the_printed_errors_need_the_labels(sample, number, share, total, kappa):
     """Tables 3 and 6: within half a point of the printed error with the objects of Table 3 taken away, far off without."""
-    cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+    cloud = sample(number)
     method = jf.AGPTD.preset(f"samp{number}")
     left = without_labelled_objects(cloud, share / 100, jax.random.key(0))
     with_labels, without = (jf.evaluate(method(seen), cloud.reference) for seen in (left, cloud))
@@ -218,10 +218,10 @@ def test_the_printed_errors_need_the_labels(data, number, share, total, kappa):
 
 
 @pytest.mark.data
-def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(data):
+def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(sample):
     """Table 4 prints 1071 and 876 primary seeds for samples 11 and 22: cells of 6 m that hold reference ground."""
     for number, printed in ((11, 1071), (22, 876)):
-        cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+        cloud = sample(number)
         points = canonical_points(cloud)
         is_object = np.ones(len(points), bool)
         is_object[points.member[cloud.reference[points.index]]] = False
@@ -230,8 +230,8 @@ def test_seed_cells_of_the_paper_count_as_table_4_does_on_the_reference_ground(d
 
 
 @pytest.mark.data
-def test_without_labels_a_second_level_helps_where_ptd_has_too_few_seeds(data):
+def test_without_labels_a_second_level_helps_where_ptd_has_too_few_seeds(sample):
     for number, at_most in ((41, 5.0), (52, 16.0)):
-        cloud = jf.read(data / "isprs" / f"samp{number}.txt")
+        cloud = sample(number)
         one, two = (jf.evaluate(jf.AGPTD(levels=n)(cloud), cloud.reference).total for n in (1, 2))
         assert two < one - 2.0 and two < at_most

@@ -76,11 +76,11 @@ def test_border_switch_changes_the_number_of_simulated_points(rough):
     assert corners.info["border_points"] == 4 and perimeter.info["border_points"] == 2 * (4 + 4)
 
 
-def test_adaptive_thresholds_accept_fewer_objects_on_the_samples(data):
+def test_adaptive_thresholds_accept_fewer_objects_on_the_samples(sample):
     adaptive, constant = [], []
-    for name in ("samp12", "samp71"):
-        cloud = jf.read(data / "isprs" / f"{name}.txt")
-        f = jf.ATIN.preset(name, mirror="off", deviations=4.0)
+    for number in (12, 71):
+        cloud = sample(number)
+        f = jf.ATIN.preset(f"samp{number}", mirror="off", deviations=4.0)
         adaptive.append(jf.evaluate(f(cloud), cloud.reference).type2)
         constant.append(jf.evaluate(f.replace(thresholds="constant")(cloud), cloud.reference).type2)
     assert (np.array(adaptive) < np.array(constant)).all()

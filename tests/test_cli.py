@@ -378,7 +378,7 @@ def test_methods_and_info_speak_json(folder, scene):
 
 def demo(folder, cache, *arguments):
     code = "from jaxfilter.cli import main; main()"
-    call = [sys.executable, "-c", code, "demo", str(folder), "--size", "120", "120", *arguments]
+    call = [sys.executable, "-c", code, "demo", str(folder), "--method", "msf", "--size", "120", "120", *arguments]
     own = {key: value for key, value in os.environ.items() if not key.startswith("JAX_COMPILATION_CACHE")}
     return subprocess.run(call, capture_output=True, text=True, env=own | {"JAXFILTER_CACHE": str(cache)})
 

@@ -1,6 +1,7 @@
 """Pages list parameters as they are declared; the skeleton of a filter is one; the code of a page prints what it says."""
 
 import contextlib
+import functools
 import io
 import re
 import subprocess
@@ -142,11 +143,13 @@ def derivatives(function, at):
     along = np.float32(rng.normal(size=np.shape(at)))
     weights = np.float32(rng.normal(size=jax.eval_shape(function, at).shape))
 
-    @jax.jit
+    quick = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # to compile
+
+    @quick
     def forward(x):
         return jax.jvp(function, (x,), (along,))
 
-    @jax.jit
+    @quick
     def reverse(x):
         return jnp.vdot(jax.grad(lambda x: (weights * function(x)).sum())(x), along)
 

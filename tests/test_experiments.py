@@ -573,12 +573,10 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     scene = jf.scenes.make("mixed", size=60.0, density=1.0, seed=2)
     path = tmp_path / "scene.txt"
     np.savetxt(path, np.column_stack([scene.cloud.coordinates(), ~scene.truth]), fmt="%.3f")
-    row = sweep_speed.measured(
-        path, "scene", ("SMRF", jf.SMRF(), {"slope": [0.1, 0.2], "threshold": [0.3, 0.6]}, {}), 1
-    )
+    row = sweep_speed.measured(path, "scene", ("MSF", jf.MSF(), {"slope": [0.1, 0.2], "max_height": [3.0, 6.0]}, {}), 1)
     assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
     assert min(row["seconds"], row["singly"], row["pool"]) > 0
-    assert "SMRF" in sweep_speed.report([row], [], "command", 1)
+    assert "MSF" in sweep_speed.report([row], [], "command", 1)
 
 
 def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):

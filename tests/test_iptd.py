@@ -97,8 +97,8 @@ def test_presets_hold_the_printed_parameters():
 
 
 @pytest.mark.data
-def test_the_operators_parameters_reach_the_printed_mean(data):
-    clouds = {s: jf.read(data / "isprs" / f"samp{s}.txt") for s in PRINTED}
+def test_the_operators_parameters_reach_the_printed_mean(sample):
+    clouds = {s: sample(s) for s in PRINTED}
     total = {s: jf.evaluate(jf.IPTD.preset(f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
     assert np.mean(list(total.values())) <= 7.0
     assert max(abs(total[s] - PRINTED[s]) for s in PRINTED) < 2.0

@@ -38,8 +38,8 @@ PTD_PRINTED = (
 
 
 @pytest.fixture(scope="module")
-def samples(data):
-    return {s: jf.read(data / "isprs" / f"samp{s}.txt") for s in SAMPLES}
+def samples(sample):
+    return {s: sample(s) for s in SAMPLES}
 
 
 @functools.cache

@@ -316,11 +316,11 @@ def test_low_clusters_name_the_wrong_parameter():
 
 
 @pytest.mark.data
-def test_low_outliers_of_sample_41(data):
+def test_low_outliers_of_sample_41(sample):
     """Objects that lie more than 1 m below every reference ground point within 20 m."""
     from scipy.spatial import cKDTree
 
-    cloud = jf.read(data / "isprs" / "samp41.txt")
+    cloud = sample(41)
     xyz, ground = cloud.xyz.astype(np.float64), cloud.reference
     near = cKDTree(xyz[ground, :2]).query_ball_point(xyz[~ground, :2], 20.0)
     floor = np.array([xyz[ground, 2][i].min() if i else -np.inf for i in near])

@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -195,9 +193,6 @@ def test_a_cluster_of_low_points_is_barred(changes):
 
 @pytest.mark.data
 @pytest.mark.parametrize("preset", MEASURED)
-def test_presets_of_programs_come_close_to_what_the_programs_gave(data, preset):
-    errors = []
-    for number in SAMPLES:
-        table = np.loadtxt(Path(data) / "isprs" / f"samp{number}.txt")
-        errors.append(evaluate(PMF.preset(preset)(table[:, :3]).ground, table[:, 3] == 0).total)
+def test_presets_of_programs_come_close_to_what_the_programs_gave(sample, preset):
+    errors = [evaluate(PMF.preset(preset)(cloud), cloud.reference).total for cloud in map(sample, SAMPLES)]
     assert np.abs(np.subtract(errors, MEASURED[preset])).mean() <= 1.0, np.round(errors, 2)

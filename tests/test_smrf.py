@@ -11,9 +11,9 @@ from jaxfilter.filters.smrf import SMRF
 from jaxfilter.scoring import evaluate
 
 # kappa of the reference Python implementation with the single parameter set (Pingel et al.'s smrf-tools table)
-REFERENCE_KAPPA = {"samp12": 93.60, "samp31": 94.72, "samp41": 77.34}
+REFERENCE_KAPPA = {12: 93.60, 31: 94.72, 41: 77.34}
 # total error and kappa of another Python implementation with the authors' optima per sample
-OPTIMUM = {"samp31": (0.95, 98.1)}
+OPTIMUM = {31: (0.95, 98.1)}
 
 
 def village(seed=0, size=70.0, count=9000):
@@ -145,25 +145,16 @@ def test_one_stray_point_far_away_is_an_error_before_anything_is_allocated():
         SMRF()(xyz)
 
 
-@pytest.fixture(scope="module")
-def sample(data):
-    def read(name, anchor=None):
-        table = np.loadtxt(data / "isprs" / f"{name}.txt")
-        return PointCloud.from_arrays(table[:, :3], anchor=anchor), table[:, 3] == 0
-
-    return read
+@pytest.mark.data
+@pytest.mark.parametrize("number", REFERENCE_KAPPA)
+def test_single_set_is_within_two_points_of_the_reference_series(sample, number):
+    cloud = sample(number, anchor=(0, 0))  # the authors' lattice: sample 41 moves by 8 points of kappa with it
+    assert evaluate(SMRF()(cloud), cloud.reference).kappa == pytest.approx(REFERENCE_KAPPA[number], abs=2.0)
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("name", REFERENCE_KAPPA)
-def test_single_set_is_within_two_points_of_the_reference_series(sample, name):
-    cloud, reference = sample(name, anchor=(0, 0))  # the authors' lattice: sample 41 moves by 8 points of kappa with it
-    assert evaluate(SMRF()(cloud), reference).kappa == pytest.approx(REFERENCE_KAPPA[name], abs=2.0)
-
-
-@pytest.mark.data
-@pytest.mark.parametrize("name", OPTIMUM)
-def test_published_optima_reach_their_figures(sample, name):
-    cloud, reference = sample(name)
-    scores = evaluate(SMRF.preset(name)(cloud), reference)
-    assert scores.total <= OPTIMUM[name][0] + 0.3 and scores.kappa >= OPTIMUM[name][1] - 0.8
+@pytest.mark.parametrize("number", OPTIMUM)
+def test_published_optima_reach_their_figures(sample, number):
+    cloud = sample(number)
+    scores = evaluate(SMRF.preset(f"samp{number}")(cloud), cloud.reference)
+    assert scores.total <= OPTIMUM[number][0] + 0.3 and scores.kappa >= OPTIMUM[number][1] - 0.8

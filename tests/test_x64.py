@@ -29,10 +29,11 @@ np.savez(sys.argv[1], **results())
 
 
 def cloud():
+    """As large as that of test_filters.py, so that its compilations serve here."""
     rng = np.random.default_rng(6)
-    xy = rng.uniform(0, 40, (1000, 2)).round(1)
+    xy = rng.uniform(0, 80, (6000, 2)).round(1)
     z = 0.05 * xy[:, 0] + rng.normal(0, 0.03, len(xy))
-    z[(np.abs(xy - 20) < 5).all(axis=1)] += 5
+    z[(np.abs(xy - 40) < 8).all(axis=1)] += 5
     z[rng.random(len(xy)) < 0.1] += 2
     z[:3] -= 9
     return np.column_stack([xy, z]).round(2)

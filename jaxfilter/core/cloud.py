@@ -32,7 +32,15 @@ Below 16 km from the origin such values, and all differences between them, are e
 lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
 """
 
-KEPT_CLASSES = (7, 9, *range(17, 256))
+
+class _KeptClasses(tuple[int, ...]):
+    """Short where signatures show it as a default."""
+
+    def __repr__(self) -> str:
+        return "(7, 9, 17, 18, ..., 255)"
+
+
+KEPT_CLASSES = _KeptClasses((7, 9, *range(17, 256)))
 """ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
 by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
@@ -84,6 +92,11 @@ class PointCloud:
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
         source: a handle to the file (see ``jaxfilter.host.files``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
+
+    >>> cloud.xyz.shape == (len(cloud), 3), cloud.xyz.dtype, cloud.units.name
+    (True, dtype('float32'), 'metre')
+    >>> round(float(cloud.origin[0]))
+    512000
     """
 
     origin: np.ndarray
@@ -147,6 +160,11 @@ class PointCloud:
         resolve :data:`QUANTUM`; for NaN and infinite coordinates, and for an extent above :data:`LARGEST_SPAN`, unless
         ``drop_invalid``: then points that are not numbers, or lie farther than half of that from the median of a
         coordinate, become non-ground, and a warning gives their number.
+
+        >>> xyz = [[512000.0, 5403000.0, 350.0], [512001.0, 5403002.0, 350.5]]
+        >>> made = jf.PointCloud.from_arrays(np.array(xyz), classification=np.array([2, 6], np.uint8))
+        >>> made.xyz.tolist()
+        [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]
         """
         try:
             xyz = np.asarray(xyz)
@@ -199,7 +217,13 @@ class PointCloud:
         """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
 
         ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (see :func:`check_scales`) and ``offsets`` are f64[3], as in a LAS header. The rest is as in :meth:`from_arrays`.
+        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. The rest is as in
+        :meth:`from_arrays`.
+
+        >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
+        >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))
+        >>> made.coordinates().tolist()
+        [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
         """
         scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
         check_scales(scales, offsets, name)
@@ -231,6 +255,11 @@ class PointCloud:
         reference. To keep all that the points hold, give labels back to laspy: ``las.classification[result.ground] = 2``.
 
         Raises: InputError as :meth:`from_arrays`, and where X and Y are angles. Warns: as :func:`jaxfilter.read`.
+
+        >>> import laspy
+        >>> made = jf.PointCloud.from_laspy(laspy.read("scene.laz"), units="m")
+        >>> len(made) == len(cloud), bool((made.reference == truth).all())
+        (True, True)
         """
         evlrs = las.evlrs if las.header.version.minor >= 4 else None
         stated = {
@@ -274,6 +303,11 @@ class PointCloud:
         :meth:`from_arrays`. Points that are a record, or an object with such attributes, will do as well.
 
         Raises: InputError as :meth:`from_arrays`, and if a coordinate is missing.
+
+        >>> kind = [("X", "f8"), ("Y", "f8"), ("Z", "f8"), ("Classification", "u1")]
+        >>> points = np.array([(512000.0, 5403000.0, 350.0, 2), (512001.0, 5403002.0, 355.0, 6)], kind)
+        >>> jf.PointCloud.from_structured(points).reference.tolist()
+        [True, False]
         """
         named = {_plain(key): key for key in _names_of(points)}
         if missing := [axis for axis in "xyz" if axis not in named]:
@@ -326,6 +360,10 @@ class PointCloud:
             ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
                 default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
             keep_withheld: take points that carry the withheld flag as well.
+
+        >>> everything = cloud.select(returns="all", ignore_classes=())
+        >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
+        (True, False)
         """
         candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()
         candidate &= _echo_mask(self.return_number, self.number_of_returns, returns, len(self), name)
@@ -337,7 +375,11 @@ class PointCloud:
         return dataclasses.replace(self, candidate=candidate)
 
     def coordinates(self) -> np.ndarray:
-        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file)."""
+        """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file).
+
+        >>> bool(np.allclose(cloud.coordinates(), scene.xyz, atol=0.001))
+        True
+        """
         factor = np.array([self.units.xy, self.units.xy, self.units.z])
         return self.origin + self.xyz.astype(np.float64) / factor
 
@@ -345,6 +387,11 @@ class PointCloud:
         """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size.
 
         Without an anchor it is the cloud's own corner (0, 0); with one, the multiple of ``cell`` counted from the anchor.
+
+        >>> cloud.grid_offset(10.0)
+        (0.0, 0.0)
+        >>> jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]), anchor=(0, 0)).grid_offset(10.0)
+        (-2.0, -7.0)
         """
         if self.anchor is None:
             return 0.0, 0.0

@@ -5,27 +5,64 @@ import warnings
 
 
 class JaxfilterError(Exception):
-    """Base of every error that jaxfilter raises on purpose."""
+    """Base of every error that jaxfilter raises on purpose.
+
+    >>> try:
+    ...     jf.read("no_such_file.laz")
+    ... except jf.JaxfilterError as error:
+    ...     print(type(error).__name__)
+    InputError
+    """
 
 
 class ParameterError(JaxfilterError, ValueError):
-    """A filter or function parameter is out of range, unknown or contradictory."""
+    """A filter or function parameter is out of range, unknown or contradictory.
+
+    >>> jf.SMRF(cell=-1)
+    Traceback (most recent call last):
+        ...
+    jaxfilter.core.errors.ParameterError: SMRF(cell=-1): must be > 0 m
+    """
 
 
 class InputError(JaxfilterError, ValueError):
-    """A file or an array cannot be used as a point cloud."""
+    """A file or an array cannot be used as a point cloud.
+
+    >>> jf.PointCloud.from_arrays(np.full((3, 3), np.nan))
+    Traceback (most recent call last):
+        ...
+    jaxfilter.core.errors.InputError: xyz: 3 of 3 points have NaN or infinite coordinates; remove them, or pas...
+    """
 
 
 class OutputError(JaxfilterError, OSError):
-    """An output cannot be written: it exists, cannot hold the values, or the disk refused."""
+    """An output cannot be written: it exists, cannot hold the values, or the disk refused.
+
+    >>> jf.write("scene.laz", cloud, result)
+    Traceback (most recent call last):
+        ...
+    jaxfilter.core.errors.OutputError: scene.laz: the file exists; pass overwrite=True to replace it
+    """
 
 
 class ForkError(JaxfilterError, RuntimeError):
-    """The process was forked after threads had been started that it needs."""
+    """The process was forked after threads had been started that it needs.
+
+    >>> issubclass(jf.ForkError, (jf.JaxfilterError, RuntimeError))
+    True
+    """
 
 
 class JaxfilterWarning(UserWarning):
-    """Something unusual was met and handled as the message says."""
+    """Something unusual was met and handled as the message says.
+
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     nothing = jf.SMRF()(np.zeros((0, 3)))
+    >>> given[0].category.__name__, nothing.status.name
+    ('JaxfilterWarning', 'NO_POINTS')
+    """
 
 
 def warn(message: str) -> None:

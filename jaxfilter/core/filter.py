@@ -57,6 +57,11 @@ class Filter:
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
     that has such defines ``passed``.
     ``DOUBTS`` methods state for every label how likely it is to be wrong.
+
+    >>> issubclass(jf.SMRF, jf.Filter), isinstance(jf.SMRF(), jf.GroundFilter)
+    (True, True)
+    >>> jf.SMRF()(cloud.coordinates())
+    FilterResult(2521 of 5033 ground, 50.1 %; finished)
     """
 
     BIBTEX: ClassVar[str] = ""
@@ -70,12 +75,25 @@ class Filter:
         self.check()
 
     def check(self) -> None:
-        """Validate the fields and their combination. Raises ParameterError."""
+        """Validate the fields and their combination. Raises ParameterError.
+
+        >>> jf.SMRF(slope=0.2).check()
+        >>> jf.SMRF(slope=-1)
+        Traceback (most recent call last):
+            ...
+        jaxfilter.core.errors.ParameterError: SMRF(slope=-1): must be > 0 rise/run
+        """
         check_fields(self)
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> Self:
-        """The filter with a named set of parameters, and with ``changes`` on top. Raises ParameterError."""
+        """The filter with a named set of parameters, and with ``changes`` on top. Raises ParameterError.
+
+        >>> list(jf.FPTD.PRESETS)
+        ['recommended', 'paper', 'D1', 'D2', 'D3', 'D4']
+        >>> jf.FPTD.preset("D4", max_angle=40.0).max_angle
+        40.0
+        """
         if name not in cls.PRESETS:
             raise ParameterError(f"{cls.__name__} has no preset {name!r}; it has {', '.join(cls.PRESETS)}")
         return cls(**{**cls.PRESETS[name], **changes})
@@ -88,6 +106,10 @@ class Filter:
 
         Without it windows and seed cells keep their defaults. They replace those of ``preset``; ``changes`` come on top.
         Raises ParameterError.
+
+        >>> filter_ = jf.SMRF.for_cloud(cloud, largest_building=30.0)
+        >>> filter_.cell, filter_.window
+        (1.0, 15.0)
         """
         if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
@@ -97,35 +119,67 @@ class Filter:
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known."""
+        """Field values for a mean point spacing and a largest building, both in metres; None = its size is not known.
+
+        >>> jf.SMRF.from_spacing(2.4, 30.0)
+        {'window': 15.0, 'cell': 1.5}
+        """
         return {}
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed."""
+        """A copy with some fields changed.
+
+        >>> jf.SMRF().replace(slope=0.3).slope
+        0.3
+        """
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
     def points_of(self, cloud: PointCloud) -> Points:
         """The candidates of a cloud as ``classify`` takes them. Raises InputError if the extent is
-        beyond measure, ForkError in a forked process without the threads of JAX."""
+        beyond measure, ForkError in a forked process without the threads of JAX.
+
+        >>> points = jf.PTD().points_of(cloud)
+        >>> len(points) <= int(cloud.candidate.sum())
+        True
+        >>> points.xyz.dtype, points.xyz.shape[1]
+        (dtype('float32'), 3)
+        """
         need_threads()
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         check_extent(cloud, points.xyz)
         return points
 
     def halo(self) -> float:
-        """Metres beyond a region that can change labels inside it."""
+        """Metres beyond a region that can change labels inside it.
+
+        >>> jf.PMF(max_window=33.0).halo() > 33.0
+        True
+        """
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
     def tile_halo(self) -> float:
-        """Metres around a tile that are filtered with it by default: ``halo()``, or less where more changes next to nothing."""
+        """Metres around a tile that are filtered with it by default: ``halo()``, or less where more changes next to nothing.
+
+        >>> filter_ = jf.SMRF(window=18.0)
+        >>> filter_.tile_halo() <= filter_.halo()
+        True
+        """
         return self.halo()
 
     def lattice(self) -> float:
-        """Side of the squares that the method begins with, metres: tiles that end at multiples of it cut none of them."""
+        """Side of the squares that the method begins with, metres: tiles that end at multiples of it cut none of them.
+
+        >>> jf.SMRF(cell=2.0).lattice()
+        2.0
+        """
         return 1.0
 
     def lowest(self, points: Points) -> np.ndarray | None:
-        """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does."""
+        """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does.
+
+        >>> jf.SMRF().lowest(jf.SMRF().points_of(cloud)) is None
+        True
+        """
         return None
 
     def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
@@ -139,6 +193,12 @@ class Filter:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
 
         There are at least four positions, not on a line, and not all of one elevation.
+
+        >>> points = jf.SMRF().points_of(cloud)
+        >>> quiet = lambda share, step: None
+        >>> labels = jf.SMRF().classify(points, key=None, workers=1, progress=quiet, trace=False)
+        >>> bool((labels.ground[points.member] == jf.SMRF()(cloud).ground[points.index]).all())
+        True
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
 
@@ -146,6 +206,12 @@ class Filter:
         """bool[m], ground by the thresholds in ``LAST``; ``labels`` are those of a set that may differ in these.
 
         Of a FilterResult: bool[n].
+
+        >>> jf.CSF.LAST
+        ('threshold',)
+        >>> other = jf.CSF(threshold=0.3)
+        >>> bool((other.passed(jf.CSF(threshold=0.5)(cloud)) == other(cloud).ground).all())
+        True
         """
         raise TypeError(f"{type(self).__name__} does not define passed()")
 
@@ -159,6 +225,12 @@ class Filter:
         arithmetic. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
 
         Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
+
+        >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5)]
+        >>> points = sets[0].points_of(cloud)
+        >>> found = dict(sets[0].ground_each(points, sets, key=None, workers=1, memory=1e9))
+        >>> bool((found[0] <= found[1]).all())
+        True
         """
         names = [field.name for field in declared(self) if field.name not in self.LAST]
         alike: dict[tuple[Any, ...], list[int]] = {}
@@ -197,6 +269,9 @@ class Filter:
 
         Returns: FilterResult of length n, in input order.
         Raises: ParameterError, InputError, ForkError.
+
+        >>> jf.SMRF(slope=0.2)(cloud, workers=1).status.message
+        'finished'
         """
         self.check()
         check_resources(workers)

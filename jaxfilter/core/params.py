@@ -82,6 +82,9 @@ class _Registry(Mapping[str, type[Any]]):
     """Filter classes by name; look-ups ignore case, iteration gives the lower-case names.
 
     A class that is only announced is imported when it is first looked up.
+
+    >>> jf.FILTERS["SMRF"] is jf.SMRF, "fptd" in jf.FILTERS
+    (True, True)
     """
 
     def __init__(self) -> None:

@@ -27,7 +27,11 @@ def silent(fraction: float, step: str) -> None:
 
 
 class Status(enum.IntEnum):
-    """How a run ended; ``message`` says it in words."""
+    """How a run ended; ``message`` says it in words.
+
+    >>> result.status == jf.Status.CONVERGED
+    True
+    """
 
     CONVERGED = 0
     ROUND_LIMIT = 1
@@ -38,6 +42,11 @@ class Status(enum.IntEnum):
 
     @property
     def message(self) -> str:
+        """The status in words.
+
+        >>> result.status.message
+        'finished'
+        """
         return _MESSAGES[self]
 
 
@@ -52,7 +61,11 @@ _MESSAGES = {
 
 
 class Decision(enum.IntEnum):
-    """Which test decided a point."""
+    """Which test decided a point.
+
+    >>> jf.Decision(int(result.decision[~cloud.candidate][0])).name
+    'SET_ASIDE'
+    """
 
     SET_ASIDE = (
         0  # never tested: no candidate (echo, class, withheld flag, invalid coordinate), or taken out by the method
@@ -100,6 +113,11 @@ class FilterResult:
         doubt: f32[n] or None; probability that the label is wrong, by methods that state it (OST); NaN if never judged.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
         run: the filter and the cloud; None for a result that was put together by hand.
+
+    >>> len(result) == len(cloud), result.ground.dtype
+    (True, dtype('bool'))
+    >>> bool(result.info["candidates"] == cloud.candidate.sum())
+    True
     """
 
     ground: np.ndarray
@@ -125,6 +143,9 @@ class FilterResult:
         """bool[n]: low outliers, which are barred from the seeds, are not ground in the end, and lie below the final surface.
 
         Methods that bar no points, such as SMRF, which bars cells, have none.
+
+        >>> result.low_noise.shape == result.ground.shape, bool((result.low_noise & result.ground).any())
+        (True, False)
         """
         return np.asarray(self.barred & ~self.ground & (self.height < 0))
 
@@ -147,6 +168,10 @@ class FilterResult:
         Coordinates ``x``, ``y`` and ``z`` are in file units, f64; ``classification`` and ``reference`` are there if the cloud
         has them. ``decision`` holds numbers; its attributes name them. Attributes of the whole: method, parameters, status.
         A result that was put together by hand has neither coordinates nor parameters.
+
+        >>> data = result.to_xarray()
+        >>> data.height.attrs["units"], data.sizes["point"] == len(cloud)
+        ('m', True)
         """
         import xarray
 
@@ -170,7 +195,11 @@ class FilterResult:
         return out.assign_attrs(method=type(filter_).__name__, parameters=repr(filter_), **crs)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row per point: what :meth:`to_xarray` holds, coordinates first, ``decision`` in words."""
+        """A row per point: what :meth:`to_xarray` holds, coordinates first, ``decision`` in words.
+
+        >>> result.to_pandas()[["ground", "height", "decision"]].dtypes.astype(str).tolist()
+        ['bool', 'float32', 'category']
+        """
         import pandas
 
         data = self.to_xarray()
@@ -189,6 +218,9 @@ class FilterResult:
 
         Returns: the path.
         Raises: InputError if the result does not know its cloud; OutputError as :func:`jaxfilter.report`.
+
+        >>> result.report("result.html", reference=cloud).name
+        'result.html'
         """
         import jaxfilter as public
 
@@ -202,12 +234,20 @@ _UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m
 
 @runtime_checkable
 class GroundFilter(Protocol):
-    """A ground filter: call it on a cloud; ask how far its decisions reach."""
+    """A ground filter: call it on a cloud; ask how far its decisions reach.
+
+    >>> isinstance(jf.SMRF(), jf.GroundFilter), isinstance(len, jf.GroundFilter)
+    (True, False)
+    """
 
     def __call__(
         self, cloud: Any, *, key: Any = None, workers: int | None = None, progress: Progress | None = None
     ) -> FilterResult: ...
 
     def halo(self) -> float:
-        """Metres beyond a region that can change labels inside it: the buffer a tile needs."""
+        """Metres beyond a region that can change labels inside it: the buffer a tile needs.
+
+        >>> jf.SMRF(window=18.0).halo() >= 18.0
+        True
+        """
         ...

@@ -68,6 +68,10 @@ class AGPTD(Mirroring):
     outlier tests of the paper cannot provide; removed outliers are tested again instead of being lost; the elevation test
     compares metres with square metres and is replaced; the terrain slope is the largest mean slope of a cell, and
     ``max_terrain_angle`` its upper limit.
+
+    >>> filter_ = jf.AGPTD(levels=1)
+    >>> jf.evaluate(filter_(cloud), cloud).total < 10
+    True
     """
 
     max_angle: float = param(

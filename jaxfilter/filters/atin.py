@@ -57,6 +57,10 @@ class ATIN(SlopeMirroring):
     limits are constant, since in no variant that was tried did adaptive ones do better on simulated scenes. "paper" has
     adaptive limits, four corner points and the medians of Table 2; "samp11", "samp12", "samp23", "samp52" and "samp71"
     the values of Table 2 of Uray & Varlik (2024) as upper limits.
+
+    >>> filter_ = jf.ATIN(thresholds="adaptive", max_distance=1.4)
+    >>> filter_(cloud).status.message
+    'finished'
     """
 
     max_angle: float = param(

@@ -55,6 +55,10 @@ class CSF(Filter):
     are the settings of Cai et al. (2023, Table 2) for the same program. "paper" takes gravity from the equation instead, and
     the finer resolution. In "recommended" the cloth is of medium rigidness, low clusters carry no cloth, and a particle
     falls onto the lowest of its points instead of the nearest.
+
+    >>> result = jf.CSF(resolution=1.0, threshold=0.5)(cloud)
+    >>> bool((result.ground == (np.abs(result.height) < 0.5)).all())
+    True
     """
 
     resolution: float = static(default=1.0, doc="distance between particles of the cloth", symbol="GR", unit="m", gt=0)

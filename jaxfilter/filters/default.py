@@ -16,5 +16,9 @@ def default_filter(cloud: Any, largest_building: float | None = None) -> OST:
 
     Returns: a filter; ``default_filter(cloud)(cloud)`` classifies the cloud.
     Raises: ParameterError.
+
+    >>> filter_ = jf.default_filter(cloud)
+    >>> type(filter_).__name__, round(filter_.spacing, 1)
+    ('OST', 1.0)
     """
     return OST.for_cloud(cloud, largest_building)

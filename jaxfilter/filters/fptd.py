@@ -42,6 +42,11 @@ class FPTD(TinFilter):
     Departures (docs/fidelity.md), in "paper" too: removed outliers are tested again instead of being lost; the limit of
     step 1 of II-E follows the growing ground, in which form it never rejects a point that the elevation test would accept.
     Both would make the errors of Table IV impossible.
+
+    >>> filter_ = jf.FPTD.preset("D1", max_elevation=1.0)
+    >>> result = filter_(cloud)
+    >>> bool((result.margin[result.ground & (result.decision != jf.Decision.SEED)] <= 0).all())
+    True
     """
 
     max_angle: float = param(default=22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")

@@ -60,6 +60,10 @@ class IPTD(Mirroring):
     vertex per 2 m in place of the shortest edge that the programs of this family split.
 
     Departures (docs/fidelity.md): the planes are not moved down by default.
+
+    >>> result = jf.IPTD(window=30.0)(cloud)
+    >>> result.info["potential_seeds"] > result.info["removed_seeds"]
+    True
     """
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
@@ -114,7 +118,11 @@ class IPTD(Mirroring):
 
     @property
     def reach(self) -> int:
-        """Half the window of the opening, cells: the square is wider than the largest object."""
+        """Half the window of the opening, cells: the square is wider than the largest object.
+
+        >>> jf.IPTD(cell=2.0, window=30.0).reach
+        8
+        """
         return math.ceil(self.window / self.cell / 2 - 1e-6)
 
     def halo(self) -> float:

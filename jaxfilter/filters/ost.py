@@ -58,6 +58,13 @@ class OST(Filter):
     Lengths in metres, angles in degrees.
 
     Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
+
+    >>> result = jf.OST.for_cloud(cloud)(cloud)
+    >>> jf.evaluate(result, cloud).kappa > 80
+    True
+    >>> wrong = np.nansum(result.doubt)  # expected number of errors
+    >>> bool(0 < wrong < 0.2 * len(cloud))
+    True
     """
 
     cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")

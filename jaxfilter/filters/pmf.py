@@ -56,6 +56,12 @@ class PMF(GridFilter):
     "paper" and "recommended" take these three thresholds, since the originals are set site by site.
 
     Departures: docs/fidelity.md.
+
+    >>> jf.PMF(max_window=33.0).radii()
+    [1, 2, 4, 8, 16]
+    >>> result = jf.PMF(max_window=33.0)(cloud)
+    >>> bool((result.ground == (result.margin <= 0)).all())
+    True
     """
 
     cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
@@ -159,7 +165,11 @@ class PMF(GridFilter):
         return own | {"cell": cell_for(spacing, 1 / 4)}
 
     def radii(self) -> list[int]:
-        """Radii of the windows, cells: a window is 2 r + 1 cells wide."""
+        """Radii of the windows, cells: a window is 2 r + 1 cells wide.
+
+        >>> jf.PMF(max_window=33.0).radii()
+        [1, 2, 4, 8, 16]
+        """
         limit = math.ceil((self.max_window / self.cell - 1) / 2 - 1e-6)
         steps = (2**k if self.exponential else 2 * (k + 1) for k in range(limit + 1))
         radii = []
@@ -175,7 +185,11 @@ class PMF(GridFilter):
         return radii
 
     def thresholds(self) -> jax.Array:
-        """f32, metres: the threshold of every window."""
+        """f32, metres: the threshold of every window.
+
+        >>> jf.PMF(max_window=9.0, slope=0.25).thresholds().tolist()
+        [0.5, 1.0, 1.5]
+        """
         growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.cell_twice else 1.0)
         rise = jnp.float32(self.slope) * np.append(0.0, growth).astype(np.float32)
         return jnp.minimum(rise + jnp.float32(self.initial_distance), jnp.float32(self.max_distance))

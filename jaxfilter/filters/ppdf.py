@@ -48,6 +48,12 @@ class PPDF(Filter):
 
     Departures (docs/fidelity.md): equally good hypotheses are settled by their order and all cells share their random
     numbers, so labels depend on the points alone; references farther than ``reach`` do not count.
+
+    >>> result = jf.PPDF(max_distance=0.3)(cloud)
+    >>> result.status.message
+    'finished'
+    >>> jf.evaluate(result, cloud).total < 10
+    True
     """
 
     canopy_cell: float = static(default=2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")

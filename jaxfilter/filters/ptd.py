@@ -33,6 +33,10 @@ class PTD(Mirroring):
     with ``refresh_border=False``, come within half a point of total error on two thirds of its rows.
 
     All points that pass in a round are added together; ``insertion`` has the other ways (docs/fidelity.md).
+
+    >>> result = jf.PTD(max_angle=15.0, max_distance=1.4)(cloud)
+    >>> sorted({jf.Decision(int(number)).name for number in result.decision[result.ground]})
+    ['ACCEPTED', 'SEED']
     """
 
     max_angle: float = param(

@@ -26,6 +26,10 @@ class PTDF(PTD):
     border points keep their first elevation.
 
     Departure (docs/fidelity.md): how far below the surface a point may lie is not printed; 0.1 m is ours.
+
+    >>> upward, both = (filter_(cloud).ground.sum() for filter_ in (jf.PTDF(), jf.PTD(max_distance=1.5)))
+    >>> bool(upward < both)
+    True
     """
 
     max_distance: float = param(default=1.5, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")

@@ -61,6 +61,12 @@ class SMRF(GridFilter):
     kappa of ISPRS samples 11 to 42 by at most 0.2 points and needs a quarter of the memory accesses; cells are
     centred on the nodes of a lattice that starts at the cloud's lower left corner, or at its anchor, where the authors
     count from zero of the coordinate system (a cloud with anchor (0, 0) is gridded in their way).
+
+    >>> result = jf.SMRF(slope=0.2, threshold=0.5)(cloud)
+    >>> result.info["object_cells"] > 0
+    True
+    >>> bool((result.ground == (result.margin <= 0)).all())
+    True
     """
 
     cell: float = static(default=1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)
@@ -118,12 +124,20 @@ class SMRF(GridFilter):
 
     @property
     def reach(self) -> int:
-        """Radius of the largest disk, cells."""
+        """Radius of the largest disk, cells.
+
+        >>> jf.SMRF(cell=2.0, window=15.0).reach
+        8
+        """
         return math.ceil(self.window / self.cell - 1e-6)
 
     @property
     def mesh(self) -> int:
-        """Spacing of the net, cells; 0 without one."""
+        """Spacing of the net, cells; 0 without one.
+
+        >>> jf.SMRF(cell=2.0, cut=20.0).mesh
+        10
+        """
         return math.ceil(self.cut / self.cell - 1e-6)
 
     def halo(self) -> float:
@@ -151,9 +165,9 @@ class SMRF(GridFilter):
     def surface(self, prepared: Opened, share: float = 1.0) -> Surface:
         """Step 5, the provisional terrain, at a share of the slope. Pure."""
         cells, surface, steepest, bare, counts = prepared
-        terrain, slope, objects = _terrain(
-            surface, steepest, bare, cells.valid, cells.extent, cells.frame[2], jnp.float32(share) * self.slope
-        )
+        known, objects = _kept(steepest, bare, cells.frame[2], jnp.float32(share) * self.slope)
+        terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
+        slope = steepness(terrain, cells.extent, cells.frame[2])
         return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
@@ -217,19 +231,10 @@ def _open(
 
 
 @jax.jit
-def _terrain(
-    surface: jax.Array,
-    steepest: jax.Array,
-    bare: jax.Array,
-    valid: jax.Array,
-    extent: jax.Array,
-    cell: jax.Array,
-    slope: jax.Array,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Elevation and slope of the terrain without objects, f32[rows, columns], and their number, net included."""
+def _kept(steepest: jax.Array, bare: jax.Array, cell: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cells that the terrain goes through, bool[rows, columns], and the number of objects, net included."""
     objects = steepest > slope * cell
-    terrain = fill_membrane(surface, bare & ~objects, valid).z
-    return terrain, steepness(terrain, extent, cell), objects.sum(dtype=jnp.int32)
+    return bare & ~objects, objects.sum(dtype=jnp.int32)
 
 
 @jax.jit

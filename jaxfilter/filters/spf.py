@@ -48,6 +48,10 @@ class SPF(Mirroring):
 
     Departures (docs/fidelity.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
     stand beside the data, not a buffer's width away.
+
+    >>> result = jf.SPF(window=30.0)(cloud)
+    >>> result.info["potential_seeds"] > result.info["removed_seeds"]
+    True
     """
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
@@ -124,7 +128,11 @@ class SPF(Mirroring):
         return 2 * self.windows()[-1] * self.cell + facet_reach(self.window)
 
     def windows(self) -> list[int]:
-        """Window sizes W_k in cells, all odd (eq. 1, or eq. 2 with W_1 = 2 w0 + 1); the last exceeds the largest building."""
+        """Window sizes W_k in cells, all odd (eq. 1, or eq. 2 with W_1 = 2 w0 + 1); the last exceeds the largest building.
+
+        >>> jf.SPF(cell=2.0, window=12.0).windows()
+        [3, 5, 7]
+        """
         sizes = [2 * self.initial_window + 1]
         while sizes[-1] * self.cell <= self.window:
             step = 2 * self.initial_window if self.growth == "linear" else sizes[-1] + 1
@@ -133,7 +141,11 @@ class SPF(Mirroring):
 
     def thresholds(self) -> list[float]:
         """Height thresholds h_k in metres for the windows (eq. 3): h0 up to three cells, then s (W_k - W_k-1) c + h0, at
-        most hmax."""
+        most hmax.
+
+        >>> jf.SPF(cell=2.0, window=12.0, slope=0.5).thresholds()
+        [0.3, 2.3, 2.3]
+        """
         sizes = self.windows()
         steps = [w - before for w, before in zip(sizes, [1, *sizes], strict=False)]
         rises = [

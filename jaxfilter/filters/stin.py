@@ -88,6 +88,10 @@ class STIN(SlopeMirroring):
     buildings are accepted, and no error in Table 3 can be met.
 
     Departures (docs/fidelity.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
+
+    >>> result = jf.STIN(seed_cell=30.0)(cloud)
+    >>> jf.evaluate(result, cloud).total < 10
+    True
     """
 
     max_angle: float = param(

@@ -81,6 +81,10 @@ def read(
     scales, units or extents that cannot be true.
     Warns: JaxfilterWarning where something was assumed: no CRS, damaged CRS or extra bytes, odd echoes, no points,
     counts that contradict each other.
+
+    >>> west = jf.read("scene.laz", units="m", bounds=(512000, 5403000, 512030, 5403060))
+    >>> 0 < len(west) < len(cloud), float(west.xyz[:, 0].max()) < 30
+    (True, True)
     """
     cut = None if bounds is None else check_bounds(bounds)
     asked = None if units is None else parse_units(units)
@@ -112,6 +116,10 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
     (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``classes`` and ``echoes`` (counts), ``withheld``,
     ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of occupied area). None where a file
     says nothing.
+
+    >>> facts = jf.info("scene.laz", units="m")
+    >>> facts["points"] == len(cloud), facts["format"]
+    (True, 'LAZ 1.4, point format 6')
     """
     path = place_of(path)
     asked = None if units is None else parse_units(units)

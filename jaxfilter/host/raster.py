@@ -30,6 +30,10 @@ class Raster:
             corner of a cell: the first six numbers of ``affine.Affine``, as rasterio has them. Centres lie half a cell on.
         crs: pyproj.CRS or None.
         nodata: what stands for NaN in files.
+
+    >>> model = jf.dtm(cloud, result, cell=5.0)
+    >>> model.values.dtype, model.values.shape, model.transform[:3]
+    (dtype('float32'), (12, 12), (5.0, 0.0, 512000.0))
     """
 
     values: np.ndarray
@@ -39,18 +43,31 @@ class Raster:
 
     @property
     def cell(self) -> float:
-        """Side of a cell."""
+        """Side of a cell.
+
+        >>> jf.dtm(cloud, result, cell=5.0).cell
+        5.0
+        """
         return self.transform[0]
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """(xmin, ymin, xmax, ymax): the outer edges of the outer cells."""
+        """(xmin, ymin, xmax, ymax): the outer edges of the outer cells.
+
+        >>> jf.dtm(cloud, result, cell=5.0).bounds
+        (512000.0, 5403000.0, 512060.0, 5403060.0)
+        """
         a, _, c, _, e, f = self.transform
         rows, columns = self.values.shape
         return c, f + e * rows, c + a * columns, f
 
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """x f64[columns], ascending, and y f64[rows], descending, of the centres of the cells."""
+        """x f64[columns], ascending, and y f64[rows], descending, of the centres of the cells.
+
+        >>> x, y = jf.dtm(cloud, result, cell=5.0).centres()
+        >>> x[:2].tolist(), y[:2].tolist()
+        ([512002.5, 512007.5], [5403057.5, 5403052.5])
+        """
         a, _, c, _, e, f = self.transform
         rows, columns = self.values.shape
         return c + a * (np.arange(columns) + 0.5), f + e * (np.arange(rows) + 0.5)
@@ -60,6 +77,10 @@ class Raster:
 
         The CRS and the transform are attributes of the coordinate ``spatial_ref``, by the CF conventions (grid mapping); with
         rioxarray imported, ``.rio`` knows CRS, transform and nodata. Cells without a height are NaN, and ``nodata`` in files.
+
+        >>> heights = jf.dtm(cloud, result, cell=5.0).to_xarray()
+        >>> heights.dims, heights.shape
+        (('y', 'x'), (12, 12))
         """
         import xarray
 
@@ -89,6 +110,9 @@ class Raster:
 
         Returns: the path.
         Raises: OutputError (suffix, exists and not ``overwrite``, disk); ImportError if rasterio is missing.
+
+        >>> jf.dtm(cloud, result, cell=5.0).write("dtm.tif").name
+        'dtm.tif'
         """
         path = Path(path)
         if path.suffix.lower() not in SUFFIXES:
@@ -113,6 +137,11 @@ class Raster:
         """The first band of a north-up raster file with square cells, for example what :meth:`write` wrote.
 
         Raises: InputError if it cannot be read or has another layout; ImportError if rasterio is missing.
+
+        >>> model = jf.dtm(cloud, result, cell=5.0)
+        >>> back = jf.Raster.read(model.write("dtm.tif"))
+        >>> bool(np.array_equal(back.values, model.values, equal_nan=True))
+        True
         """
         import pyproj
 

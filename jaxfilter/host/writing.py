@@ -79,6 +79,12 @@ def write(
     Returns: the path.
     Raises: OutputError (exists, is the input, cannot hold a class or a coordinate, disk), ParameterError, InputError
     (result of another length, source file changed).
+
+    >>> jf.write("ground.laz", cloud, result).name
+    'ground.laz'
+    >>> back = jf.read("ground.laz", units="m")
+    >>> bool((back.reference == result.ground).all())
+    True
     """
     path, names = place_of(path), tuple(extra)
     kind = path.suffix.lower()
@@ -123,6 +129,10 @@ def class_changes(
     """What :func:`write` makes of the classes with these arguments: number of points by (old class, new class), in order.
 
     Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
+
+    >>> changes = jf.class_changes(cloud, result)
+    >>> bool(changes[0, 2] == result.ground.sum()), sum(changes.values()) == len(cloud)
+    (True, True)
     """
     labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, (), noise_class)
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification

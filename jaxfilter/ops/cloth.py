@@ -49,6 +49,12 @@ def settle(
 
     Returns: Cloth; height 0 and not pinned where no particle is. ``steps`` is i32[].
     Raises: InputError if ``limit`` and ``inside`` differ in shape.
+
+    >>> from jaxfilter.ops import cloth
+    >>> limit = jnp.full((5, 5), -1.0)
+    >>> rest = cloth.settle(limit, jnp.ones((5, 5), bool), (0.3, 0.4), 0.01, 0.005, 50)
+    >>> float(rest.height.min()), bool(rest.pinned.all())
+    (-1.0, True)
     """
     if limit.shape != inside.shape:
         raise InputError(f"settle: limit {limit.shape} and inside {inside.shape} must be grids of one shape")
@@ -151,8 +157,14 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
     The next to the right is taken, else to the left, else below, else above; where row and column are empty, the nearest
     known node. As in the program of Zhang et al. (2016).
 
-    Args: z f32, known bool, inside bool (nodes that exist), each [rows, columns].
+    Args: z f32 (metres), known bool, inside bool (nodes that exist), each [rows, columns].
     Returns: f32[rows, columns].
+
+    >>> from jaxfilter.ops import cloth
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> cloth.fill_along_lines(z, known, jnp.ones((1, 3), bool)).tolist()
+    [[1.0, 3.0, 3.0]]
     """
     known = known & inside
 

@@ -45,6 +45,11 @@ def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) 
         reach: the largest radius that this compilation serves.
 
     Returns: f32[rows, columns].
+
+    >>> from jaxfilter.ops import cones
+    >>> z = jnp.array([[0.0, 9.0, 9.0, 9.0]])
+    >>> cones.cone_erosion(z, jnp.float32(0.5), jnp.float32(2.0), reach=2).tolist()
+    [[0.0, 0.5, 1.0, 9.0]]
     """
     offsets, lengths = disk_offsets(reach)
     shifts, distances = jnp.asarray(offsets), jnp.asarray(lengths)

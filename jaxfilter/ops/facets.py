@@ -35,6 +35,11 @@ class Rule(NamedTuple):
         max_below: metres below the plane, measured vertically, at which a point is too low.
         noise_floor: metres; a point this close to the plane, measured vertically, is accepted whatever its angle. Negative = off.
         signed: 1 = points below the facet pass the tests of angle and distance; 0 = both sides are limited.
+
+    >>> from jaxfilter.ops import facets
+    >>> rule = facets.Rule(max_angle=15.0, max_distance=1.4)
+    >>> rule.max_elevation, rule.max_below
+    (inf, inf)
     """
 
     max_angle: float | jax.Array = jnp.inf
@@ -152,9 +157,23 @@ def judge(
     *,
     names: tuple[str, ...] = QUANTITIES,
 ) -> dict[str, jax.Array]:
-    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3]; those of :data:`QUANTITIES` that are named, [N] each.
+    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3], local metres.
 
-    ``two_sided``: bool[N]; ``counted``: bool[N, 3], see :func:`facet_score`. What is not named is not computed.
+    Args:
+        two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
+        counted: bool[N, 3], vertices that can be the nearest and the highest; None, or none of them = all.
+        names: which of :data:`QUANTITIES` to return; what is not named is not computed.
+
+    Returns: arrays [N] by name: ``accepted`` bool, ``decision`` (:class:`jaxfilter.Decision`), ``margin`` in the unit of the
+        deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees; ``planar``
+        bool, False for facets without a plane and for vertical ones.
+
+    >>> from jaxfilter.ops import facets
+    >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
+    >>> points = jnp.array([[2.0, 2.0, 0.5]])
+    >>> found = facets.judge(facets.Rule(max_distance=1.4), jnp.zeros(1, bool), points, corners)
+    >>> found["distance"].tolist(), found["accepted"].tolist()
+    ([0.5], [True])
     """
     verdict = jax.vmap(judge_one, in_axes=(None, 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
     found = {**verdict._asdict(), **verdict.score._asdict()}
@@ -163,9 +182,14 @@ def judge(
 
 @jax.jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
-    """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3] in the plane; the elevation stays.
+    """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 
     ``about_highest`` (bool scalar): about the highest vertex (Zhang & Lin 2013), else about the nearest in 3-D (Axelsson 2000).
+
+    >>> from jaxfilter.ops import facets
+    >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
+    >>> facets.mirrored(jnp.array([[2.0, 1.0, 0.5]]), corners, jnp.bool_(False)).tolist()
+    [[-2.0, -1.0, 0.5]]
     """
 
     def one(p: jax.Array, facet: jax.Array) -> jax.Array:

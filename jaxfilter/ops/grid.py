@@ -25,7 +25,12 @@ def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tup
 
 
 def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
-    """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns)."""
+    """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns).
+
+    >>> from jaxfilter.ops import grid
+    >>> grid.inside((2, 3), jnp.array([2, 2])).tolist()
+    [[True, True, False], [True, True, False]]
+    """
     row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
     return (row < extent[0]) & (column < extent[1])
 
@@ -42,6 +47,11 @@ def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Ar
         columns: padded number of columns.
 
     Returns: i32[n].
+
+    >>> from jaxfilter.ops import grid
+    >>> xy = jnp.array([[0.5, 0.5], [3.5, 1.2]])
+    >>> grid.cell_index(xy, jnp.zeros(2), jnp.float32(1.0), jnp.array([2, 4]), columns=4).tolist()
+    [0, 7]
     """
     step = jnp.floor((xy[:, :2] - corner) / cell).astype(jnp.int32)
     column = jnp.clip(step[:, 0], 0, extent[1] - 1)
@@ -60,6 +70,11 @@ def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array,
 
     Returns: f32[cells], +inf in empty cells, and i32[cells], the lowest index among equally low points, ``n`` in empty
         cells. With points in canonical order the choice depends on coordinates alone.
+
+    >>> from jaxfilter.ops import grid
+    >>> lowest, first = grid.block_minima(jnp.array([0, 2, 2]), jnp.array([5.0, 4.0, 3.0]), cells=3)
+    >>> lowest.tolist(), first.tolist()
+    ([5.0, inf, 3.0], [0, 3, 2])
     """
     n = len(z)
     lowest = jnp.full(cells, jnp.inf, z.dtype).at[index].min(z)

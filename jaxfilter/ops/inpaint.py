@@ -38,6 +38,13 @@ class Membrane(NamedTuple):
         z: f32[rows, columns], or f32[rows, columns, grids].
         error: f32[] or f32[grids], estimate of the largest remaining error in the holes, in the unit of z.
         rounds: i32[], steps of conjugate gradients taken.
+
+    >>> from jaxfilter.ops import inpaint
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> filled = inpaint.fill_membrane(z, known, jnp.ones((1, 3), bool))
+    >>> float(filled.error) < 1e-3, int(filled.rounds) > 0
+    (True, True)
     """
 
     z: jax.Array
@@ -172,6 +179,12 @@ def fill_membrane(
         max_rounds: limit of steps.
 
     Returns: Membrane; outside cells are zero.
+
+    >>> from jaxfilter.ops import inpaint
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> inpaint.fill_membrane(z, known, jnp.ones((1, 3), bool)).z.round().tolist()
+    [[1.0, 2.0, 3.0]]
     """
 
     @custom_vmap
@@ -268,6 +281,12 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
 
     Args: z f32, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
     Returns: f32[rows, columns]; unknown cells are unchanged if there is no known cell, outside cells always.
+
+    >>> from jaxfilter.ops import inpaint
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> inpaint.fill_nearest(z, known, jnp.ones((1, 3), bool)).tolist()
+    [[1.0, 1.0, 3.0]]
     """
     known = known & inside
     rows, columns = z.shape

@@ -110,6 +110,11 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
     """Lowest of each cell and the ``length`` - 1 cells that follow it along an axis, as far as there are any.
 
     Args: z: f32[rows, columns]; length: i32[], 1 <= length <= longest. Returns: f32[rows, columns].
+
+    >>> from jaxfilter.ops import morphology
+    >>> z = jnp.array([[4.0, 2.0, 3.0, 5.0, 1.0]])
+    >>> morphology.run_minima(z, jnp.int32(2), longest=4, axis=1).tolist()
+    [[2.0, 2.0, 3.0, 1.0, 1.0]]
     """
     widths = [(0, 0), (0, 0)]
     widths[axis] = (0, 2 ** int(math.log2(longest)))
@@ -161,13 +166,24 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
             "square" those within ``radius`` rows and columns, "diamond" those within ``radius`` steps along rows and columns.
 
     Returns: f32[rows, columns]. Raises: ValueError for another element.
+
+    >>> from jaxfilter.ops import morphology
+    >>> z = jnp.zeros((5, 5)).at[2, 2].set(-3.0)
+    >>> morphology.erosion(z, 1, reach=4).astype(int).tolist()[2]
+    [0, -3, -3, -3, 0]
     """
     return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
 def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
-    """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`."""
+    """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`.
+
+    >>> from jaxfilter.ops import morphology
+    >>> z = jnp.zeros((5, 5)).at[2, 2].set(3.0)
+    >>> morphology.dilation(z, 1, reach=4).astype(int).tolist()[2]
+    [0, 3, 3, 3, 0]
+    """
     return -erosion(-z, radius, reach, element)
 
 
@@ -179,6 +195,11 @@ def opening(
 
     ``valid``, bool[rows, columns], marks the cells that exist; the others are treated as lying beyond the border and are
     returned as they came. Further arguments as for :func:`erosion`. Never above ``z``, and idempotent.
+
+    >>> from jaxfilter.ops import morphology
+    >>> z = jnp.zeros((5, 5)).at[2, 2].set(3.0)
+    >>> float(morphology.opening(z, 1, reach=4).max())
+    0.0
     """
     there = jnp.ones(z.shape, bool) if valid is None else valid
     return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
@@ -206,6 +227,14 @@ def progressive_opening(
         reach, element: as for :func:`erosion`.
 
     Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
+
+    >>> from jaxfilter.ops import morphology
+    >>> z = jnp.zeros((5, 5)).at[1:4, 1:4].set(3.0)
+    >>> look = lambda k, before, opened, most: jnp.maximum(most, before - opened)
+    >>> last, drop = morphology.progressive_opening(
+    ...     z, jnp.ones((5, 5), bool), jnp.array([1, 2]), look, jnp.zeros_like(z), reach=4)
+    >>> float(last.max()), float(drop[2, 2])
+    (0.0, 3.0)
     """
 
     z, radii = jnp.asarray(z), jnp.asarray(radii, jnp.int32)

@@ -17,6 +17,12 @@ class Planes(NamedTuple):
         centre: f32[B, 3], mean of the points, metres.
         gradient: f32[B, 2], a and b; zero for blocks that determine no plane.
         determined: bool[B], False with fewer than three points or with all of them on a vertical plane.
+
+    >>> from jaxfilter.ops import planes
+    >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
+    >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
+    >>> fitted.centre.tolist(), fitted.determined.tolist()
+    ([[1.0, 1.0, 1.5]], [True])
     """
 
     centre: jax.Array
@@ -53,6 +59,12 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     Args:
         xyz: f32[B, N, 3], local metres.
         mask: bool[B, N], the points that count; the others (padding) may hold any finite value.
+
+    >>> from jaxfilter.ops import planes
+    >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
+    >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
+    >>> fitted.gradient.round(3).tolist()
+    [[0.5, 0.0]]
     """
     weight = mask.astype(xyz.dtype)[..., None]
     count = jnp.maximum(weight.sum(axis=1), 1)
@@ -67,5 +79,12 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
 
 @jax.jit
 def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
-    """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0."""
+    """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0.
+
+    >>> from jaxfilter.ops import planes
+    >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
+    >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
+    >>> bool(jnp.allclose(planes.plane_residuals(fitted, xyz), 0, atol=1e-6))
+    True
+    """
     return jnp.einsum("bni,bi->bn", xyz - planes.centre[:, None], planes.normal)

@@ -40,9 +40,21 @@ def corners(
 
 
 def bilinear(at: jax.Array, extent: jax.Array | np.ndarray, columns: int) -> Callable[[jax.Array], jax.Array]:
-    """Interpolation between the nodes of a grid; arguments as for :func:`corners`.
+    """Interpolation between the nodes of a grid, once prepared for several grids.
+
+    Args:
+        at: f32[n, 2], column and row of every place, in cells between nodes; node (0, 0) lies at (0, 0). Places beyond the nodes
+            are moved to the border.
+        extent: i32[2], true number of rows and columns of nodes.
+        columns: padded number of columns.
 
     Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.
+
+    >>> from jaxfilter.ops import sampling
+    >>> at = jnp.array([[0.5, 0.0], [1.0, 0.5]])  # column and row
+    >>> grid = jnp.array([[0.0, 1.0], [2.0, 3.0]])
+    >>> sampling.bilinear(at, jnp.array([2, 2]), columns=2)(grid).tolist()
+    [0.5, 2.0]
     """
     values, u, v = corners(at, extent, columns)
 

@@ -25,6 +25,13 @@ def fill_from_neighbours(
         rounds: i32[], how often at most; each round reaches one cell further. Values made in a round serve the next one.
 
     Returns: f32[rows, columns], and bool[rows, columns], the cells with a value now. Cells out of reach keep ``z``.
+
+    >>> from jaxfilter.ops import spread
+    >>> z = jnp.array([[1.0, 0.0, 3.0]])
+    >>> known = jnp.array([[True, False, True]])
+    >>> filled, has_value = spread.fill_from_neighbours(z, known, jnp.ones((1, 3), bool), rounds=1)
+    >>> filled.tolist(), bool(has_value.all())
+    ([[1.0, 2.0, 3.0]], True)
     """
 
     def more(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:

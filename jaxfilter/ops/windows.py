@@ -29,6 +29,10 @@ class Windows:
         width, stride: window size and stride in blocks.
         blocks: number of blocks (rows, columns) that cover the rectangle.
         counts: number of windows (rows, columns).
+
+    >>> from jaxfilter.ops import windows
+    >>> windows.window_layout((20.0, 18.0), window=4.0, stride=2.0).counts
+    (9, 8)
     """
 
     block: float
@@ -43,6 +47,11 @@ def window_layout(extent: tuple[float, float], window: float, stride: float) -> 
 
     The block is the stride where that divides the window, else the greatest length that divides both.
     Raises: ParameterError if stride or window are not whole millimetres, or not 0 < stride <= window.
+
+    >>> from jaxfilter.ops import windows
+    >>> layout = windows.window_layout((20.0, 18.0), window=4.0, stride=2.0)
+    >>> layout.width, layout.blocks, layout.counts
+    (2, (10, 9), (9, 8))
     """
     w, s = round(window * _RESOLUTION), round(stride * _RESOLUTION)
     if not 0 < stride <= window:
@@ -97,7 +106,7 @@ def window_minima(
     """Lowest elevation in every window, and the point that has it.
 
     Args:
-        lowest: f32[rows, columns], block minima as from :func:`jaxfilter.ops.grid.block_minima`; +inf where empty or
+        lowest: f32[rows, columns], metres, block minima as from :func:`jaxfilter.ops.grid.block_minima`; +inf where empty or
             padding.
         first: i32[rows, columns], the points they belong to.
         counts: i32[2], number of windows (rows, columns).
@@ -106,6 +115,13 @@ def window_minima(
     Returns: f32 and i32 [ceil(rows / stride), ceil(columns / stride)]: +inf and the largest int32 in places beyond
         ``counts``; +inf and a number that is no point's in windows without points. Equally low points give the lowest
         index.
+
+    >>> from jaxfilter.ops import windows
+    >>> blocks = jnp.array([[3.0, 1.0, 2.0, 4.0]])
+    >>> number = jnp.arange(4, dtype=jnp.int32)[None]
+    >>> low, point = windows.window_minima(blocks, number, jnp.array([1, 3]), width=2, stride=1)
+    >>> low.tolist(), point[0, :3].tolist()
+    ([[1.0, 1.0, 2.0, inf]], [1, 1, 2])
     """
     z, index = _slide(lowest, first, counts[0], width, stride)
     z, index = _slide(z.T, index.T, counts[1], width, stride)

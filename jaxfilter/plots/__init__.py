@@ -3,6 +3,10 @@
 Every function draws into the given Axes, or into a figure of its own, and returns the Axes; ``ax.figure.savefig`` saves
 it. Those that draw several panels return the Figure. No global matplotlib state is touched. Coordinates are local metres,
 as in ``PointCloud.xyz``. The colours of errors are from Okabe and Ito's palette, which stay apart for colour-blind readers.
+
+>>> ax = jf.plots.hillshade(cloud.xyz[result.ground])
+>>> jf.plots.profile(cloud, result, ((0, 10), (60, 10)), ax=ax) is ax
+True
 """
 
 from .maps import GROUND as GROUND

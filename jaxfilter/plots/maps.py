@@ -33,6 +33,10 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
 
     Returns: z f32[ny, nx] in metres, NaN farther than :data:`REACH` from every point; and the grid.
     Raises: InputError if there are no points.
+
+    >>> z, grid = jf.plots.rasterise(cloud.xyz[truth], cell=2.0)
+    >>> z.shape == (grid.ny, grid.nx), grid.cell
+    (True, 2.0)
     """
     if len(xyz) == 0:
         raise InputError("rasterise: there are no points to draw")
@@ -150,6 +154,10 @@ def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, 
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes.
+
+    >>> ax = jf.plots.hillshade(cloud.xyz[truth], title="ground")
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('x (m)', 'y (m)')
     """
     z, grid = surface if isinstance(surface, tuple) else rasterise(surface)
     ax = axes_or_new(ax, map_size(grid))
@@ -181,6 +189,9 @@ def error_map(
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes.
+
+    >>> ax = jf.plots.error_map(cloud, result, truth)
+    >>> ax.figure.savefig("errors.png")
     """
     ground = _labels(result)
     z, grid = surface or rasterise(cloud.xyz[reference], over=cloud.xyz)
@@ -215,6 +226,9 @@ def doubt_map(cloud: PointCloud, result: FilterResult, *, ax: Any = None, title:
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: InputError if the result has no doubt, or there are no points.
+
+    >>> jf.plots.doubt_map(cloud, result, title="doubt").get_title()
+    'doubt'
     """
     if result.doubt is None:
         raise InputError("doubt_map: the result states no doubt; OST does")
@@ -256,6 +270,10 @@ def profile(
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: InputError if the line has no length.
+
+    >>> ax = jf.plots.profile(cloud, result, ((0, 30), (60, 30)), width=2.0, reference=truth)
+    >>> ax.get_xlabel()
+    'distance along the profile (m)'
     """
     start, end = np.asarray(line, np.float64)
     length = float(np.hypot(*(end - start)))
@@ -304,6 +322,9 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
         reference: bool[n], True = ground.
 
     Returns: the matplotlib Figure.
+
+    >>> len(jf.plots.panel(cloud, result, truth).axes)
+    4
     """
     truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
     map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))

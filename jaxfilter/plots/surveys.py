@@ -22,13 +22,18 @@ def footprints(
     """Rectangles, coloured by a value each, with what they share and what they leave open.
 
     Args:
-        bounds: f64[n, 4], xmin, ymin, xmax, ymax; rows with NaN are not drawn.
+        bounds: f64[n, 4], xmin, ymin, xmax, ymax in file units; rows with NaN are not drawn.
         values: f64[n], shown as colours with a bar named ``label``; by default all are grey.
         overlaps: i64[m, 2], pairs of rows whose common area is outlined.
         gaps: rectangles that are outlined by dashes.
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: ImportError if matplotlib is missing.
+
+    >>> bounds = np.array([[0.0, 0.0, 50.0, 50.0], [40.0, 0.0, 90.0, 50.0]])
+    >>> ax = jf.plots.footprints(bounds, np.array([4.0, 6.0]), label="points per m2", overlaps=np.array([[0, 1]]))
+    >>> ax.get_aspect()
+    1.0
     """
     ax = axes_or_new(ax, (5.0, 5.0))
     from matplotlib.collections import PolyCollection

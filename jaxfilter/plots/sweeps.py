@@ -32,6 +32,10 @@ def sweep_curves(dataset: xarray.Dataset, score: str = "total") -> Any:
     """A figure with a panel of :func:`sweep_curve` for each axis.
 
     Args: as for :func:`sweep_curve`. Returns: the matplotlib Figure.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> len(jf.plots.sweep_curves(data).axes)
+    2
     """
     names = axes_of(dataset)
     columns = min(len(names), 3)
@@ -65,6 +69,10 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: ParameterError for an axis or a score that does not exist; InputError without scores.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> jf.plots.sweep_curve(data, "slope", "kappa").get_ylabel()
+    'kappa (%)'
     """
     values = mean_score(dataset, score)
     _check_axes(dataset, axis)
@@ -103,6 +111,9 @@ def sweep_maps(dataset: xarray.Dataset, score: str = "total") -> Any:
     """A figure with a panel of :func:`sweep_map` for each pair of axes, in one scale of colours.
 
     Args: as for :func:`sweep_map`. Returns: the matplotlib Figure. Raises: InputError if there is only one axis.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> jf.plots.sweep_maps(data, "kappa").savefig("maps.png")
     """
     names = axes_of(dataset)
     values = mean_score(dataset, score)
@@ -152,6 +163,11 @@ def sweep_map(
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: ParameterError for an axis or a score that does not exist; InputError without scores.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> ax = jf.plots.sweep_map(data, "slope", "threshold", colour_bar=False)
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('slope (rise/run)', 'threshold (m)')
     """
     values = mean_score(dataset, score)
     _check_axes(dataset, x, y)
@@ -200,6 +216,10 @@ def votes_map(
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: InputError for votes of the wrong length or out of 0 to 1.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> jf.plots.votes_map(cloud, data.votes.values, title="votes").get_title()
+    'votes'
     """
     share = np.asarray(votes, np.float64)
     if share.shape != (len(cloud),) or not ((share >= 0) & (share <= 1)).all():

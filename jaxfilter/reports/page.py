@@ -73,6 +73,9 @@ def report(
     Returns: the path.
     Raises: ParameterError, InputError (labels of another length or dtype), OutputError (suffix, exists and not ``overwrite``,
     cannot be written); all but the last before anything is computed.
+
+    >>> jf.report(cloud, result, "report.html", reference=cloud, steps=0).name
+    'report.html'
     """
     path, notify = Path(path), progress or silent
     check_resources(workers)

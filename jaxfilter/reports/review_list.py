@@ -58,6 +58,10 @@ def review(
     belongs) and ``geometry``. No row if no point was judged.
     Raises: ParameterError; InputError (a result without doubt or of another length, too many squares); OutputError (suffix,
     exists, disk); ImportError without geopandas and pyogrio.
+
+    >>> places = jf.review(cloud, result, "places.geojson", area=10.0)
+    >>> places["rank"].tolist() == list(range(1, len(places) + 1))
+    True
     """
     if not 0 < area <= 100:
         raise ParameterError(f"area={area!r}: a percentage above 0 and up to 100 is needed")

@@ -35,6 +35,11 @@ class Scene:
         xyz: f64[n, 3], projected coordinates, metres.
         kind: u8[n], see :class:`Kind`.
         return_number, number_of_returns: u8[n].
+
+    >>> scene
+    Scene(5033 points on 60 x 60 m, 49.0 % ground, seed 3)
+    >>> scene.truth.shape == scene.kind.shape == (len(scene),)
+    True
     """
 
     layout: Layout
@@ -56,17 +61,29 @@ class Scene:
 
     @functools.cached_property
     def truth(self) -> np.ndarray:
-        """bool[n]: ground."""
+        """bool[n]: ground.
+
+        >>> bool((scene.classes[scene.truth] == 2).all())
+        True
+        """
         return self.kind == Kind.GROUND
 
     @functools.cached_property
     def classes(self) -> np.ndarray:
-        """u8[n]: the ASPRS class each point ought to have."""
+        """u8[n]: the ASPRS class each point ought to have.
+
+        >>> bool(set(scene.classes.tolist()) <= set(jf.scenes.ASPRS.tolist()))
+        True
+        """
         return ASPRS[self.kind]
 
     @functools.cached_property
     def cloud(self) -> PointCloud:
-        """The cloud as delivered before classification: class 0 throughout, and the truth as its reference."""
+        """The cloud as delivered before classification: class 0 throughout, and the truth as its reference.
+
+        >>> len(scene.cloud) == len(scene), bool((scene.cloud.reference == scene.truth).all())
+        (True, True)
+        """
         return PointCloud.from_arrays(
             self.xyz,
             return_number=self.return_number,
@@ -85,11 +102,19 @@ class Scene:
 
         Under buildings, bridges and water it is the ground or the bed below. It is the function that the points were
         made with, and is defined beyond the scene as well.
+
+        >>> x, y, z = scene.xyz[scene.truth].T
+        >>> bool(np.abs(z - scene.terrain(x, y)).mean() < 0.05)
+        True
         """
         return self._survey(x, y)[0] + self.origin[2]
 
     def water(self, x: Any, y: Any) -> np.ndarray:
-        """Whether there is water, bool of the broadcast shape, at projected x and y in metres."""
+        """Whether there is water, bool of the broadcast shape, at projected x and y in metres.
+
+        >>> scene.water(*scene.xyz[:, :2].T).shape == (len(scene),)
+        True
+        """
         return self._survey(x, y)[1]
 
     def _survey(self, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -109,6 +134,10 @@ class Scene:
 
         Returns elevations f64[ny, nx] (projected frame, metres; row 0 is the southern edge) and the grid, in the local
         frame of ``cloud``. Raises: ParameterError for a cell that is not positive, InputError for one that is too fine.
+
+        >>> z, grid = scene.terrain_grid(2.0)
+        >>> z.shape == (grid.ny, grid.nx)
+        True
         """
         if not (_is_number(cell) and cell > 0):
             raise ParameterError(f"terrain_grid(cell={cell!r}): must be > 0 m")
@@ -152,6 +181,12 @@ def make(
             whole steps of ``rounding``.
 
     Raises: ParameterError for an unknown name or a value out of range.
+
+    >>> scene = jf.scenes.make("mixed", size=60, density=1, seed=3)
+    >>> scene
+    Scene(5033 points on 60 x 60 m, 49.0 % ground, seed 3)
+    >>> scene.cloud.xyz.shape == (len(scene), 3)
+    True
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:

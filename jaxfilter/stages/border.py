@@ -46,7 +46,14 @@ class CutObject:
         x, y: middle of its cells, file coordinates; bounds: (xmin, ymin, xmax, ymax) of them.
         area: square metres that are in the data. touch: metres along the border.
         fall: metres from it to what surrounds it, the median along its inner border.
-        ground: share of its cells whose lowest point is ground.
+        ground: share of its cells whose lowest point is ground, 0 to 1.
+
+    >>> x, y = np.meshgrid(np.arange(0.5, 60), np.arange(0.5, 60))
+    >>> roof = (x > 45) & (abs(y - 30) < 8)
+    >>> points = np.stack([x, y, np.where(roof, 6.0, 0.0)], axis=-1).reshape(-1, 3)
+    >>> cut = jf.cut_objects(points, ~roof.ravel())[0]
+    >>> cut.area, cut.touch, cut.fall, cut.ground
+    (225.0, 15.0, 6.0, 0.0)
     """
 
     x: float
@@ -59,7 +66,11 @@ class CutObject:
 
     @property
     def is_ground(self) -> bool:
-        """Whether most of it is labelled ground, which is wrong if it is a roof."""
+        """Whether most of it is labelled ground, which is wrong if it is a roof.
+
+        >>> jf.CutObject(53.0, 30.5, (45.5, 23.0, 60.5, 38.0), area=225.0, touch=15.0, fall=6.0, ground=1.0).is_ground
+        True
+        """
         return self.ground >= 0.5
 
 
@@ -89,6 +100,13 @@ def cut_objects(
 
     Returns: list of CutObject, from south to north.
     Raises: InputError for labels that do not fit. Warns: if the extent is too large for a grid, and returns none.
+
+    >>> x, y = np.meshgrid(np.arange(0.5, 60), np.arange(0.5, 60))
+    >>> roof = (x > 45) & (abs(y - 30) < 8)
+    >>> points = np.stack([x, y, np.where(roof, 6.0, 0.0)], axis=-1).reshape(-1, 3)
+    >>> everything = np.ones(len(points), bool)
+    >>> [one.is_ground for one in jf.cut_objects(points, everything)], jf.cut_objects(cloud, truth)
+    ([True], [])
     """
     cloud = as_cloud(cloud)
     ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)

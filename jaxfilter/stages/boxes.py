@@ -27,7 +27,9 @@ class PointBoxes:
         self._longest = math.ceil(widest / side) + 2
         margin = self._longest // 2 + 2
         grid = grid_over(points.xyz, side, name="bin of PMF(reading='points')")
-        self._shape = rows, columns = padded_shape((grid.ny + 2 * margin, grid.nx + 2 * margin))
+        self._shape = rows, columns = padded_shape(
+            (grid.ny + 2 * margin, grid.nx + 2 * margin), points.least_shape(side, 2 * margin)
+        )
         frame = np.array([grid.x0 - margin * side, grid.y0 - margin * side, side], np.float32)
         extent = np.array(self._shape, np.int32)
         n = len(points)

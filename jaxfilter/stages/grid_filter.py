@@ -79,6 +79,13 @@ class GridFilter(Filter):
     A method gives ``prepare``, ``surface`` and ``test``. Derivatives: ``test`` has them in the points' elevations, in the
     surface and in the fields in ``TESTED``; a surface changes in steps where cells become objects, and has none in other
     fields (:func:`jaxfilter.soft_labels`).
+
+    >>> points = jf.SMRF().points_of(cloud)
+    >>> surface = jf.SMRF().model(jf.SMRF().cells(points))
+    >>> ground = jf.SMRF().test(surface, points.xyz).margin <= 0
+    >>> labels = np.asarray(ground)[points.member]
+    >>> bool((labels == jf.SMRF()(cloud).ground[points.index]).all())
+    True
     """
 
     TESTED: ClassVar[tuple[str, ...]] = ()
@@ -89,41 +96,87 @@ class GridFilter(Filter):
         return float(self.cell)  # type: ignore[attr-defined]
 
     def barred(self, points: Points, workers: int | None) -> np.ndarray:
-        """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on."""
+        """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on.
+
+        >>> points = jf.PMF().points_of(cloud)
+        >>> jf.PMF().barred(points, None).dtype, bool(jf.PMF(low_clusters=False).barred(points, None).any())
+        (dtype('bool'), False)
+        """
         clusters = getattr(self, "low_clusters", False)
         return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=clusters, workers=workers)[0]
 
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
-        """The lowest elevation per ``cell``, without the points ``barred``, bool[m]. Raises InputError for too many cells."""
+        """The lowest elevation per ``cell``, without the points ``barred``, bool[m]. Raises InputError for too many cells.
+
+        >>> cells = jf.SMRF().cells(jf.SMRF().points_of(cloud))
+        >>> cells.lowest.shape, np.asarray(cells.extent).tolist(), float(cells.frame[2])
+        ((128, 128), [61, 61], 1.0)
+        """
         cell: float = self.cell  # type: ignore[attr-defined]
         name = f"{type(self).__name__}(cell)"
         least = points.least_shape(cell)
         return lowest_cells(points.xyz, cell, self.corner(points), name=name, barred=barred, least=least)
 
     def corner(self, points: Points) -> tuple[float, float]:
-        """A corner of the lattice of cells, local metres."""
+        """A corner of the lattice of cells, local metres.
+
+        >>> x, y = jf.SMRF(cell=2.0).corner(jf.SMRF().points_of(cloud))
+        >>> -2 <= x <= 0 and -2 <= y <= 0
+        True
+        """
         return points.offset(self.cell)  # type: ignore[attr-defined]
 
     def model(self, cells: Cells) -> Surface:
         """The surface that ground lies on. Cells with an elevation that is not finite count as empty; without any that
         has points the surface lies at zero, and that of MSF at infinity. Pure.
-        Raises: InputError if the shapes of the arrays do not fit."""
+        Raises: InputError if the shapes of the arrays do not fit.
+
+        >>> surface = jf.SMRF().model(jf.SMRF().cells(jf.SMRF().points_of(cloud)))
+        >>> surface.z.shape == surface.slope.shape
+        True
+        """
         return self.surface(self.prepare(cells.checked()))
 
     def prepare(self, cells: Cells) -> Any:
-        """The part of ``model`` in which no traced field has a part: a pytree of arrays. Pure."""
+        """The part of ``model`` in which no traced field has a part: a pytree of arrays. Pure.
+
+        >>> cells = jf.SMRF().cells(jf.SMRF().points_of(cloud))
+        >>> opened = jf.SMRF().prepare(cells)
+        >>> bool((jf.SMRF(slope=0.3).surface(opened).z == jf.SMRF(slope=0.3).model(cells).z).all())
+        True
+        """
         return cells
 
     def surface(self, prepared: Any) -> Surface:
-        """The rest of ``model``. Pure."""
+        """The rest of ``model``. Pure.
+
+        >>> cells = jf.MSF().cells(jf.MSF().points_of(cloud))
+        >>> surface = jf.MSF().surface(jf.MSF().prepare(cells))
+        >>> bool((surface.z[cells.seen] <= cells.lowest[cells.seen]).all())
+        True
+        """
         raise TypeError(f"{type(self).__name__} does not define surface()")
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
-        """Points f32[n, 3], local metres, held against a surface. Pure."""
+        """Points f32[n, 3], local metres, held against a surface. Pure.
+
+        >>> points = jf.SMRF().points_of(cloud)
+        >>> surface = jf.SMRF().model(jf.SMRF().cells(points))
+        >>> heights = jf.SMRF().test(surface, points.xyz)
+        >>> heights.height.shape == (len(points),)
+        True
+        """
         raise TypeError(f"{type(self).__name__} does not define test()")
 
     def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
-        """:func:`soft_labels` of what ``prepare`` has made. Pure."""
+        """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure.
+
+        >>> points = jf.PMF().points_of(cloud)
+        >>> prepared = jf.PMF().prepare(jf.PMF().cells(points))
+        >>> soft = jf.PMF().soft(prepared, points.xyz, 0.1)
+        >>> bool(((soft >= 0) & (soft <= 1)).all())
+        True
+        """
         return jax.nn.sigmoid(-self.test(self.surface(prepared), xyz).margin / width)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
@@ -178,6 +231,11 @@ class GridFilter(Filter):
 
         The labels are those of ``classify``: points so near to a threshold that rounding may decide are held against the
         surface once more, in the way it does.
+
+        >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5, 0.7)]
+        >>> votes = sets[0].votes(sets[0].points_of(cloud), sets)
+        >>> int(votes.min()), int(votes.max())
+        (0, 3)
         """
         surface = self.model(self.cells(points, self.barred(points, workers)))
         stacked = jax.tree.map(lambda *leaves: np.asarray(leaves, np.float32), *sets)
@@ -205,6 +263,11 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
 
     Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold; for the slope of SMRF, at which
         cells become objects, a mixture of both cases (:meth:`jaxfilter.filters.smrf.SMRF.soft`). Pure.
+
+    >>> points = jf.SMRF().points_of(cloud)
+    >>> soft = jf.soft_labels(jf.SMRF(), jf.SMRF().cells(points), points.xyz, width=0.1)
+    >>> bool(((soft >= 0) & (soft <= 1)).all())
+    True
     """
     return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
 

@@ -93,11 +93,20 @@ class TinFilter(Filter):
         raise TypeError(f"{type(self).__name__} does not define start()")
 
     def limits(self) -> Rule:
-        """The thresholds of growth."""
+        """The thresholds of growth, in metres and degrees.
+
+        >>> limits = jf.FPTD(max_angle=20.0).limits()
+        >>> float(limits.max_angle), float(limits.signed)
+        (20.0, 1.0)
+        """
         return self.rule(max_angle=self.max_angle, max_distance=self.max_distance)  # type: ignore[attr-defined]
 
     def adaptive(self) -> Adaptive | None:
-        """How the thresholds follow the ground; None = they are constant."""
+        """How the thresholds follow the ground; None = they are constant.
+
+        >>> jf.ATIN().adaptive() is None, jf.ATIN(thresholds="adaptive").adaptive() is None
+        (True, False)
+        """
         return None
 
     def mirroring(self, network: Network) -> Mirror | None:

@@ -50,6 +50,12 @@ class Calibration:
             ``total`` and ``kappa`` on all labelled points, ``confusion`` per fold, and ``expected``, which decided: the
             score to expect on the whole cloud (:meth:`Study.expected`).
         searched: the fields that differ between them.
+
+    >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+    >>> found = jf.calibrate(
+    ...     jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, size=4, rounds=1, folds=2, block=10.0)
+    >>> found.searched, found.trials.sizes["set"], 0 <= found.score <= 100
+    (('threshold',), 4, True)
     """
 
     filter: Filter
@@ -89,6 +95,13 @@ class Study:
         block: side of the square blocks, metres; by default as large as leaves two blocks for each fold.
 
     Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
+
+    >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+    >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+    >>> study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}]).shape
+    (2,)
+    >>> 0.2 <= study.result().filter.threshold <= 1.0
+    True
     """
 
     def __init__(
@@ -148,6 +161,12 @@ class Study:
 
         What decides there is not this but :meth:`expected`. Points that are set aside before filtering count as called objects.
         Raises: ParameterError naming a field that does not exist or a value out of range.
+
+        >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> scores = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
+        >>> bool(((scores >= 0) & (scores <= 100)).all())
+        True
         """
         report = progress or silent
         if isinstance(sets, Mapping):
@@ -205,6 +224,12 @@ class Study:
 
         Args:
             without: per view the fold whose labels are left out; -1 for none.
+
+        >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
+        >>> study.expected().shape
+        (1, 2)
         """
         if not self.sets:
             raise ParameterError("Study: no set has been evaluated")
@@ -240,12 +265,26 @@ class Study:
             yield np.array(kind), np.column_stack(columns)
 
     def best(self, expected: np.ndarray) -> np.ndarray:
-        """i64[...]: numbers of the best sets by scores f64[..., s]; of equal ones the first."""
+        """i64[...]: numbers of the best sets by scores f64[..., s], percent; of equal ones the first.
+
+        >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
+        >>> study.best(np.array([[4.0, 2.5]])).tolist()
+        [1]
+        """
         cost = expected if self.score == "total" else -expected
         return np.argmin(np.where(np.isnan(cost), np.inf, cost), axis=-1)
 
     def result(self) -> Calibration:
-        """The best of the sets evaluated so far. Raises: ParameterError if there are none."""
+        """The best of the sets evaluated so far. Raises: ParameterError if there are none.
+
+        >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
+        >>> study.result().filter.threshold in (0.3, 0.5)
+        True
+        """
         import xarray as xr
 
         whole = self.confusion.sum(axis=1)
@@ -309,7 +348,7 @@ def calibrate(
     ``size`` sets are spread over the ranges by a Sobol sequence; then, ``rounds`` - 1 times, as many over a quarter of each
     range around the best. A set is judged by the score to expect on the whole cloud, and by those of sets like it: labels
     count as they are and say what points without a label are likely to be, and where they say little the given filter is
-    believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned is cross-validated: labelled points are cut
+    believed (:mod:`jaxfilter.sweeps.inference`). The score that is returned, percent, is cross-validated: labelled points are cut
     into folds of whole blocks, and each fold is scored with the set that the other folds would have chosen among those that
     were tried, since points next to each other share their fate. With ``rounds`` above 1 all labels decide where the search
     goes on, so that it is a little too good.
@@ -318,6 +357,12 @@ def calibrate(
 
     Returns: Calibration; ``.filter`` is the filter with the best parameters.
     Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
+
+    >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)  # a strip of 20 m, 1 = ground
+    >>> found = jf.calibrate(
+    ...     jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, size=4, rounds=1, folds=2, block=10.0)
+    >>> 0.2 <= found.filter.threshold <= 1.0, found.filter.slope
+    (True, 0.15)
     """
     _check_whole(size=size, rounds=rounds)
     _check_whole(0, seed=seed)

@@ -48,12 +48,21 @@ class Comparison:
         table: a row per method and cloud: ``method``, ``cloud``, ``points``, ``ground``; ``type1``, ``type2``, ``total`` and
             ``kappa`` in percent, NaN without a reference; ``seconds`` of a call, median, and ``first_seconds`` of the first
             one, compilation included; ``status``, and ``parameters``. A method that failed has NaN and the error as status.
+
+    >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
+    >>> compared.table[["method", "cloud"]].values.tolist()
+    [['SMRF', 'scene'], ['MSF', 'scene']]
     """
 
     table: pandas.DataFrame
 
     def by_method(self, score: str = "total") -> pandas.DataFrame:
-        """One figure, a row per cloud and a column per method."""
+        """One figure, a row per cloud and a column per method.
+
+        >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
+        >>> compared.by_method("kappa").columns.tolist()
+        ['SMRF', 'MSF']
+        """
         wide = self.table.pivot(index="cloud", columns="method", values=self._known(score))
         return wide.loc[list(dict.fromkeys(self.table["cloud"])), list(dict.fromkeys(self.table["method"]))]
 
@@ -65,6 +74,10 @@ class Comparison:
         ``p`` of Wilcoxon's signed-rank test, two-sided, and ``p_holm``, corrected for the number of rows (Holm 1979).
 
         Raises: ParameterError for a score or a method that is not in the table.
+
+        >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
+        >>> compared.significance("total", against="SMRF")[["method", "other", "clouds"]].values.tolist()
+        [['MSF', 'SMRF', 1]]
         """
         import pandas
 
@@ -84,11 +97,19 @@ class Comparison:
         return table
 
     def markdown(self) -> str:
-        """The table as Markdown."""
+        """The table as Markdown.
+
+        >>> jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).markdown().startswith("| method")
+        True
+        """
         return markdown(self._columns(), self.table.to_dict("records"))  # type: ignore[arg-type]
 
     def latex(self) -> str:
-        """The table as a LaTeX ``tabular``; needs the package booktabs."""
+        """The table as a LaTeX ``tabular``; needs the package booktabs.
+
+        >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex()
+        True
+        """
         return latex(self._columns(), self.table.to_dict("records"))  # type: ignore[arg-type]
 
     def _columns(self) -> list[Column]:
@@ -126,6 +147,10 @@ def compare(
     Returns: Comparison.
     Raises: ParameterError for filters that are none or have one name, and InputError for reference labels of one class only,
         before anything runs.
+
+    >>> compared = jf.compare(["smrf", jf.MSF(slope=0.3)], cloud, repeats=0)
+    >>> bool(compared.table.total.max() < 30)
+    True
     """
     import pandas
 

@@ -76,6 +76,12 @@ def sweep(
         over ``point_NAME``.
     Raises: ParameterError naming the axis or argument, and InputError for reference labels of one class only, before
         anything runs; InputError for a checkpoint of another sweep.
+
+    >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
+    >>> dict(data.total.sizes), data.votes.shape == (len(cloud),)
+    ({'slope': 2, 'threshold': 2}, True)
+    >>> int(data.ground.sel(slope=0.2, threshold=0.5)) == int(jf.SMRF(slope=0.2)(cloud).ground.sum())
+    True
     """
     import xarray as xr
 

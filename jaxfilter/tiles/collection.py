@@ -45,6 +45,10 @@ class Collection:
     Attributes:
         unreadable: (name, reason) of files that were named and cannot be read.
         repeated: names that were given more than once; they count once.
+
+    >>> survey = jf.open("survey", units="m")
+    >>> len(survey), [source.count for source in survey] == survey.counts.tolist()
+    (2, True)
     """
 
     def __init__(
@@ -89,27 +93,47 @@ class Collection:
 
     @property
     def sources(self) -> tuple[Source, ...]:
-        """All files."""
+        """All files.
+
+        >>> len(jf.open("survey", units="m").sources)
+        2
+        """
         return self[:]
 
     @property
     def uris(self) -> Sequence[str]:
-        """Their names."""
+        """Their names.
+
+        >>> [uri.rpartition("/")[2] for uri in jf.open("survey", units="m").uris]
+        ['east.laz', 'west.laz']
+        """
         return self._columns["uri"]
 
     @property
     def footprints(self) -> np.ndarray:
-        """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points."""
+        """f64[n, 4], file coordinates: the bounds that each header states; NaN for files without points.
+
+        >>> jf.open("survey", units="m").footprints.shape
+        (2, 4)
+        """
         return self._columns["bounds"]
 
     @property
     def counts(self) -> np.ndarray:
-        """i64[n]: points of each file."""
+        """i64[n]: points of each file.
+
+        >>> int(jf.open("survey", units="m").counts.sum()) == len(cloud)
+        True
+        """
         return self._columns["count"]
 
     @property
     def bounds(self) -> Bounds:
-        """(xmin, ymin, xmax, ymax) around all points, closed, file coordinates; NaN where there are none."""
+        """(xmin, ymin, xmax, ymax) around all points, closed, file coordinates; NaN where there are none.
+
+        >>> [round(v) for v in jf.open("survey", units="m").bounds]
+        [512000, 5403000, 512060, 5403060]
+        """
         known = self.footprints[self.counts > 0]
         if not len(known):
             return (math.nan,) * 4  # type: ignore[return-value]
@@ -117,48 +141,80 @@ class Collection:
 
     @property
     def count(self) -> int:
-        """Number of points."""
+        """Number of points.
+
+        >>> jf.open("survey", units="m").count == len(cloud)
+        True
+        """
         return int(self.counts.sum())
 
     @property
     def areas(self) -> np.ndarray:
-        """f64[n], square metres, of the bounds of each file; 0 for files without points."""
+        """f64[n], square metres, of the bounds of each file; 0 for files without points.
+
+        >>> jf.open("survey", units="m").areas.round(-2).tolist()
+        [1800.0, 1800.0]
+        """
         sides = self.footprints[:, 2:] - self.footprints[:, :2]
         metre = np.array([units.xy for units in self._columns["units"]], np.float64)
         return np.nan_to_num(sides.prod(axis=1) * metre**2)
 
     @property
     def area(self) -> float:
-        """Sum of ``areas``; what two files cover counts twice."""
+        """Sum of ``areas``; what two files cover counts twice.
+
+        >>> round(jf.open("survey", units="m").area, -2)
+        3600.0
+        """
         return float(self.areas.sum())
 
     @property
     def densities(self) -> np.ndarray:
-        """f64[n], points per square metre of each file's bounds; NaN without area."""
+        """f64[n], points per square metre of each file's bounds; NaN without area.
+
+        >>> jf.open("survey", units="m").densities.round().tolist()
+        [1.0, 2.0]
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.areas > 0, self.counts / self.areas, np.nan)
 
     @property
     def density(self) -> float:
-        """Points per square metre of ``area``; NaN without area."""
+        """Points per square metre of ``area``; NaN without area.
+
+        >>> round(jf.open("survey", units="m").density, 1)
+        1.4
+        """
         return self.count / self.area if self.area > 0 else math.nan
 
     @functools.cached_property
     def crs(self) -> pyproj.CRS | None:
-        """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`."""
+        """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`.
+
+        >>> print(jf.open("survey", units="m").crs)
+        None
+        """
         refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
         stated = next((w for w in self._columns["wkt"] if w is not None), None)
         return None if stated is None else pyproj.CRS.from_wkt(stated)
 
     @functools.cached_property
     def units(self) -> Units:
-        """Metres per unit of all files. Raises InputError if files differ in CRS or units, naming two of them."""
+        """Metres per unit of all files. Raises InputError if files differ in CRS or units, naming two of them.
+
+        >>> jf.open("survey", units="m").units.name
+        'metre'
+        """
         refuse_mixture(self.uris, self._columns["wkt"], self._columns["units"])
         return self._columns["units"][0]
 
     @property
     def metre(self) -> float:
-        """Metres per unit of X and Y. Raises InputError as :attr:`units`."""
+        """Metres per unit of X and Y. Raises InputError as :attr:`units`.
+
+        >>> jf.open("survey", units="m").metre
+        1.0
+        """
         return self.units.xy
 
     @functools.cached_property
@@ -166,16 +222,29 @@ class Collection:
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
-        """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers."""
+        """i64[m], ascending: the files that may hold points with xmin <= x < xmax and ymin <= y < ymax, by their headers.
+
+        >>> jf.open("survey", units="m").within((512000, 5403000, 512010, 5403010)).tolist()
+        [1]
+        """
         return self._index.meeting(box)
 
     def check(self) -> Findings:
-        """What does not fit together: overlaps, gaps, doubles, mixed CRS or units, files without points or CRS."""
+        """What does not fit together: overlaps, gaps, doubles, mixed CRS or units, files without points or CRS.
+
+        >>> findings = jf.open("survey", units="m").check()
+        >>> findings.overlaps, findings.gaps, len(findings.no_crs)
+        ((), (), 2)
+        """
         return find(self, self._index)
 
     def table(self) -> pd.DataFrame:
         """A row for each file: uri, format, points, xmin, ymin, xmax, ymax, zmin, zmax (file units), area (m2), density
-        (points per m2), crs (its name), metre, point_format, date."""
+        (points per m2), crs (its name), metre, point_format, date.
+
+        >>> jf.open("survey", units="m").table()[["points", "density"]].shape
+        (2, 2)
+        """
         import pandas as pd
 
         c = self._columns
@@ -190,7 +259,11 @@ class Collection:
         )
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the bounds of the files, coloured by density, with overlaps and gaps; see ``plots.footprints``."""
+        """Draw the bounds of the files, coloured by density, with overlaps and gaps; see ``plots.footprints``.
+
+        >>> jf.open("survey", units="m").plot().get_aspect()
+        1.0
+        """
         from ..plots import footprints
 
         pairs, _ = self._index.overlaps(OVERLAP)
@@ -201,6 +274,10 @@ class Collection:
         """Write a virtual point cloud, see ``vpc.py``; files without points are left out.
 
         Returns: the path. Raises: OutputError.
+
+        >>> path = jf.open("survey", units="m").to_vpc("survey.vpc")
+        >>> jf.open(path, units="m").count == len(cloud)
+        True
         """
         from .vpc import write_vpc
 
@@ -222,6 +299,9 @@ def open(
 
     Returns: Collection. Files that cannot be read are in its ``unreadable``, those without points are members.
     Raises: InputError if nothing is named, a name stands for nothing, or no file can be read; for a text file.
+
+    >>> jf.open("survey/*.laz", units="m")
+    Collection(2 files, 5033 points)
     """
     asked = None if units is None else parse_units(units)
     unreadable: list[tuple[str, str]] = []

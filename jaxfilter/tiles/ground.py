@@ -78,6 +78,10 @@ def ground(
 
     Returns: RunReport; what could not be done is in it.
     Raises: InputError, ParameterError, OutputError before anything is filtered; OutputError if the journal cannot be written.
+
+    >>> report = jf.ground("survey", "classified", jf.SMRF(), units="m", workers=1)
+    >>> len(report.files), report.set_aside, 0 < report.ground < report.candidates
+    (2, [], True)
     """
     collection = what if isinstance(what, Collection) else open_collection(what, units=units)
     metre = collection.metre  # which is refused where files do not go together

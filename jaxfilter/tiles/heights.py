@@ -138,11 +138,15 @@ def heights(
             ``ground_classes`` are it, less withheld ones.
         changes: its fields. largest_building: as in ``Filter.for_cloud``.
         replace_z: put heights in place of Z instead of into the extra dimension ``HeightAboveGround``.
-        what, out, units, tile, memory, workers, client, work, resume, overwrite, executor, progress: as in
-            :func:`jaxfilter.ground`.
+        tile: metres. memory: bytes. These and what, out, units, workers, client, work, resume, overwrite, executor, progress: as
+            in :func:`jaxfilter.ground`.
 
     Returns: RunReport; what could not be done is in it. Tiles without ground within 320 m are set aside.
     Raises: InputError, ParameterError, OutputError before anything is done; OutputError if the journal cannot be written.
+
+    >>> report = jf.heights("survey", "heights", units="m", workers=1)
+    >>> len(report.files), report.points == len(cloud), report.heights[0] < 1 < report.heights[1]
+    (2, True, True)
     """
     collection = what if isinstance(what, Collection) else open_collection(what, units=units)
     folder = Folder.prepared(out, work, collection, resume=resume, overwrite=overwrite)

@@ -188,6 +188,11 @@ def terrain_model(
         tile, memory, workers, client, executor, progress: as in :func:`jaxfilter.ground`.
 
     Raises: InputError if no tile has ground; ParameterError; OutputError.
+
+    >>> from pathlib import Path
+    >>> report = jf.terrain_model(jf.open("survey", units="m"), Path("dtm.tif"), cell=2.0, workers=1)
+    >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
+    (30, 30, (30, 30))
     """
     settings = {"method": "tin", "max_gap": None, "fill": False, "neighbours": 12, "power": 2.0} | settings
     metre, start = collection.metre, time.perf_counter()
