@@ -1,0 +1,196 @@
+"""What the site has beyond Sphinx: pictures of the stages of every method, links, and checks that fail the build."""
+
+from __future__ import annotations
+
+import re
+import types
+from functools import cache
+from html.parser import HTMLParser
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import stages
+from docutils import nodes
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx_gallery.scrapers import figure_rst
+
+import jaxfilter as jf
+
+ROOT = Path(__file__).resolve().parents[1]
+OPS = ("cloth", "cones", "facets", "grid", "inpaint", "metrics", "morphology", "planes", "sampling", "spread", "windows")
+"""Modules of ``jaxfilter.ops`` that docs/arrays.md describes."""
+EXAMPLES = {"docs/examples/tutorials": "docs/made/tutorials", "docs/examples/plots": "docs/made/plots"}
+log = logging.getLogger(__name__)
+
+
+def figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Scraper of sphinx-gallery: figures that a block has made, without pyplot, in the order of their names."""
+    made: list[str] = []
+    for value in list(block_vars["example_globals"].values()):
+        figure = value.figure if isinstance(value, Axes) else value
+        if isinstance(figure, Figure) and not getattr(figure, "_on_page", False):
+            path = next(block_vars["image_path_iterator"])
+            figure.savefig(path, dpi=110, bbox_inches="tight")
+            figure._on_page = True  # type: ignore[attr-defined]
+            made.append(path)
+    return figure_rst(made, gallery_conf["src_dir"])
+
+
+def public_names() -> list[str]:
+    """Every name that users may rely on, as ``module.name``."""
+    names = [f"jaxfilter.{name}" for name in jf.__all__ if not isinstance(getattr(jf, name), types.ModuleType)]
+    names += [f"jaxfilter.scenes.{name}" for name in jf.scenes.__all__]
+    for module in (jf.plots, *(import_module(f"jaxfilter.ops.{name}") for name in OPS)):
+        for name, value in vars(module).items():
+            home = getattr(value, "__module__", module.__name__) or ""
+            ours = home == module.__name__ or (module is jf.plots and home.startswith("jaxfilter.plots."))
+            constant = name.isupper() and module is jf.plots
+            if not name.startswith("_") and ((callable(value) and ours) or constant):
+                names.append(f"{module.__name__}.{name}")
+    return names
+
+
+@cache
+def errors() -> dict[str, dict[str, str]]:
+    """Rows of the tables of the fixed protocol, by method: what docs/results prints of a method."""
+    rows: dict[str, dict[str, str]] = {}
+    for path in (ROOT / "docs/results/README.md",):
+        part = path.read_text().partition("## Fixed protocol")[2]
+        lines = [line for line in part.splitlines() if line.startswith("|")]
+        heading = [cell.strip() for cell in lines[0].strip("|").split("|")]
+        for line in lines[2:]:
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            if len(cells) != len(heading):
+                break
+            rows[cells[0].split()[0]] = dict(zip(heading, cells, strict=True))
+    return rows
+
+
+def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Pages of methods get pictures of their stages and their figures from docs/results."""
+    found = re.fullmatch(r"docs/filters/(\w+)", docname)
+    if not found or found[1] not in jf.FILTERS:
+        return
+    name = found[1]
+    before, heading, after = source[0].partition("## Parameters")
+    caption = stages.draw(name, ROOT / "docs/made/stages" / f"{name}.png")
+    text = f"## Stages\n\n![{caption}](../made/stages/{name}.png)\n\n{caption}\n\n"
+    if name in errors():
+        keys = ("T.I, mean", "T.II, mean", "TE, mean", "kappa, mean", "TE, median", "s per million points")
+        row = errors()[name]
+        after += (
+            "\n## Errors\n\nOn the 15 samples of ISPRS, percent, defaults for the cloud; from [results](../results/README.md), "
+            f"where ‡ is explained.\n\n| method | {' | '.join(keys)} |\n|---|{'---:|' * len(keys)}\n"
+            f"| {row['method']} | {' | '.join(row[key] for key in keys)} |\n"
+        )
+    source[0] = before + text + heading + after
+
+
+def linked(app: Sphinx, doctree: nodes.document) -> None:
+    """A link to an example leads to the page that it makes."""
+    for node in list(doctree.findall(addnodes.download_reference)):
+        target = Path(app.env.doc2path(app.env.current_document.docname)).parent / node["reftarget"]
+        if node["reftarget"].startswith("/"):
+            target = Path(app.srcdir) / node["reftarget"][1:]
+        relative = Path(target).resolve()
+        if not relative.is_relative_to(ROOT):
+            continue
+        folder, name = relative.relative_to(ROOT).parent.as_posix(), relative.stem
+        if folder in EXAMPLES and relative.suffix == ".py":
+            page = addnodes.pending_xref(
+                "", *node.children, refdomain="std", reftype="doc", reftarget=f"/{EXAMPLES[folder]}/{name}",
+                refexplicit=True, refdoc=app.env.current_document.docname, refwarn=True,
+            )  # fmt: skip
+            node.replace_self(page)
+
+
+def as_text(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node | None:
+    """Links to folders of the repository are text on the site."""
+    target = node.get("reftarget", "").split("#")[0]
+    here = Path(env.doc2path(node["refdoc"])).parent if node.get("refdoc") else None
+    return content if target and here and (here / target).is_dir() else None
+
+
+class Page(HTMLParser):
+    """Links and anchors of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.anchors: set[str] = set()
+        self.size = path.stat().st_size
+        self.pictures: list[str] = []
+        self.feed(path.read_text())
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        """Keep what leads somewhere or can be led to."""
+        for key, value in attributes:
+            if key == "id" or (key == "name" and tag == "a"):
+                self.anchors.add(value or "")
+            elif key in ("href", "src") and value:
+                self.links.append(value)
+                self.pictures += [value] * (tag in ("img", "script", "link"))
+
+
+def broken_links(site: Path) -> list[str]:
+    """Links of a built site that lead nowhere within it, or that load something from elsewhere."""
+    pages = {path.resolve(): Page(path) for path in sorted(site.rglob("*.html")) if "_modules" not in path.parts}
+    found = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                found += [f"{path.relative_to(site)}: loads {link}"] * (link in page.pictures and parts.scheme != "data")
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.exists():
+                found.append(f"{path.relative_to(site)}: {link} does not exist")
+            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
+                found.append(f"{path.relative_to(site)}: {link} has no such anchor")
+    return found
+
+
+def weight(site: Path, page: str) -> int:
+    """Bytes of a page with all that it loads from the site."""
+    path = (site / page).resolve()
+    one = Page(path)
+    loaded = {(path.parent / unquote(urlsplit(link).path)).resolve() for link in one.pictures if not urlsplit(link).netloc}
+    return one.size + sum(file.stat().st_size for file in loaded if file.is_file())
+
+
+def complete(app: Sphinx, env: Any) -> None:
+    """Every public name has an entry."""
+    objects = env.domains.python_domain.objects
+    for name in public_names():
+        if name not in objects:
+            log.warning("%s has no entry in docs/api", name)
+
+
+def whole(app: Sphinx, exception: Exception | None) -> None:
+    """What is only seen in the finished site."""
+    if exception or app.builder.name != "html":
+        return
+    site = Path(app.outdir).resolve()
+    found = broken_links(site)
+    size = weight(site, "docs/index.html")
+    found += [f"docs/index.html weighs {size / 1e6:.1f} MB; 1 MB is the limit"] * (size > 1e6)
+    for line in found:
+        log.warning("%s", line)
+    if found:
+        app.statuscode = 1
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Connect all of it."""
+    app.connect("source-read", with_stages)
+    app.connect("doctree-read", linked)
+    app.connect("missing-reference", as_text)
+    app.connect("env-updated", complete)
+    app.connect("build-finished", whole)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
