@@ -12,8 +12,6 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE / "made" / "cache"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
-from extension import figures  # noqa: E402
-
 from jaxfilter import __version__  # noqa: E402
 
 project = "jaxfilter"
@@ -30,8 +28,22 @@ extensions = [
     "extension",
 ]
 root_doc = "docs/index"
-include_patterns = ["docs/**", "experiments/**/*.md", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
-exclude_patterns = ["docs/examples", "docs/made/*/*.ipynb", "docs/made/*/*.py", "docs/made/*/sg_execution_times.rst"]
+include_patterns = [
+    "docs/**",
+    "experiments/*.md",
+    "experiments/**/*.md",
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+]
+exclude_patterns = [
+    "docs/examples",
+    "experiments/isprs/caveats.md",
+    "experiments/default/results/doubt.md",  # parts of pages
+    "docs/made/*/*.ipynb",
+    "docs/made/*/*.py",
+    "docs/made/*/sg_execution_times.rst",
+]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 myst_heading_anchors = 4
 
@@ -40,6 +52,7 @@ autodoc_preserve_defaults = True
 maximum_signature_line_length = 90
 python_use_unqualified_type_names = True
 napoleon_numpy_docstring = False
+napoleon_use_ivar = True
 napoleon_use_rtype = False
 
 sphinx_gallery_conf = {
@@ -47,7 +60,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": ["docs/made/tutorials", "docs/made/plots"],
     "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey",
-    "image_scrapers": (figures,),
+    "image_scrapers": ("extension",),
     "ignore_repr_types": r"matplotlib|PosixPath",
     "reset_modules": (),
     "show_memory": False,

@@ -23,10 +23,27 @@ from sphinx_gallery.scrapers import figure_rst
 import jaxfilter as jf
 
 ROOT = Path(__file__).resolve().parents[1]
-OPS = ("cloth", "cones", "facets", "grid", "inpaint", "metrics", "morphology", "planes", "sampling", "spread", "windows")
+OPS = (
+    "cloth",
+    "cones",
+    "facets",
+    "grid",
+    "inpaint",
+    "metrics",
+    "morphology",
+    "planes",
+    "sampling",
+    "spread",
+    "windows",
+)
 """Modules of ``jaxfilter.ops`` that docs/arrays.md describes."""
 EXAMPLES = {"docs/examples/tutorials": "docs/made/tutorials", "docs/examples/plots": "docs/made/plots"}
 log = logging.getLogger(__name__)
+
+
+def _get_sg_image_scraper() -> Any:
+    """How sphinx-gallery asks for a scraper by the name of its module."""
+    return figures
 
 
 def figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
@@ -92,13 +109,31 @@ def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
     source[0] = before + text + heading + after
 
 
+def house_style(app: Sphinx, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings may have ``Returns: text`` on one line, with what goes on indented, and ``|height|`` for a magnitude."""
+    out, inside = [], False
+    for line in lines:
+        found = re.match(r"(Returns|Raises|Yields|Warns): (.+)", line)
+        inside = bool(found) or (inside and bool(line.strip()))
+        if found:
+            out += ["", f"**{found[1]}:** {found[2]}"]
+        else:
+            out.append(line.strip() if inside else line)
+        if not out[-1].lstrip().startswith(">>>"):
+            out[-1] = re.sub(r"(?<!`)\|(\w+)\|", r"\\|\1\\|", re.sub(r"(?<=[.)]) Raises: ", " **Raises:** ", out[-1]))
+    lines[:] = out
+
+
 def linked(app: Sphinx, doctree: nodes.document) -> None:
-    """A link to an example leads to the page that it makes."""
+    """A link to an example leads to the page that it makes; one to a folder of the repository is text on the site."""
+    here = Path(app.env.doc2path(app.env.current_document.docname)).parent
+    for node in list(doctree.findall(addnodes.pending_xref)):
+        if (target := node.get("reftarget")) and node.get("reftype") == "myst" and (here / target).is_dir():
+            node.replace_self(node.children)
     for node in list(doctree.findall(addnodes.download_reference)):
-        target = Path(app.env.doc2path(app.env.current_document.docname)).parent / node["reftarget"]
-        if node["reftarget"].startswith("/"):
-            target = Path(app.srcdir) / node["reftarget"][1:]
-        relative = Path(target).resolve()
+        relative = (
+            ROOT / node["reftarget"][1:] if node["reftarget"].startswith("/") else here / node["reftarget"]
+        ).resolve()
         if not relative.is_relative_to(ROOT):
             continue
         folder, name = relative.relative_to(ROOT).parent.as_posix(), relative.stem
@@ -108,13 +143,6 @@ def linked(app: Sphinx, doctree: nodes.document) -> None:
                 refexplicit=True, refdoc=app.env.current_document.docname, refwarn=True,
             )  # fmt: skip
             node.replace_self(page)
-
-
-def as_text(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node | None:
-    """Links to folders of the repository are text on the site."""
-    target = node.get("reftarget", "").split("#")[0]
-    here = Path(env.doc2path(node["refdoc"])).parent if node.get("refdoc") else None
-    return content if target and here and (here / target).is_dir() else None
 
 
 class Page(HTMLParser):
@@ -146,7 +174,9 @@ def broken_links(site: Path) -> list[str]:
         for link in page.links:
             parts = urlsplit(link)
             if parts.scheme or parts.netloc:
-                found += [f"{path.relative_to(site)}: loads {link}"] * (link in page.pictures and parts.scheme != "data")
+                found += [f"{path.relative_to(site)}: loads {link}"] * (
+                    link in page.pictures and parts.scheme != "data"
+                )
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.exists():
@@ -160,7 +190,9 @@ def weight(site: Path, page: str) -> int:
     """Bytes of a page with all that it loads from the site."""
     path = (site / page).resolve()
     one = Page(path)
-    loaded = {(path.parent / unquote(urlsplit(link).path)).resolve() for link in one.pictures if not urlsplit(link).netloc}
+    loaded = {
+        (path.parent / unquote(urlsplit(link).path)).resolve() for link in one.pictures if not urlsplit(link).netloc
+    }
     return one.size + sum(file.stat().st_size for file in loaded if file.is_file())
 
 
@@ -190,7 +222,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Connect all of it."""
     app.connect("source-read", with_stages)
     app.connect("doctree-read", linked)
-    app.connect("missing-reference", as_text)
+    app.connect("autodoc-process-docstring", house_style, priority=400)
     app.connect("env-updated", complete)
     app.connect("build-finished", whole)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -20,8 +20,6 @@ from jaxfilter.stages.tin_filter import TinFilter
 from jaxfilter.stages.voids import filled_by
 
 
-
-
 @cache
 def scene() -> jf.scenes.Scene:
     """The town that all pictures show."""
