@@ -172,8 +172,8 @@ def draw(name: str, path: Path) -> str:
     figure.savefig(path, dpi=90)
     titles = "; ".join(title for title, _ in found)
     return (
-        f"{name.upper()} on a simulated town of 90 x 80 m with {len(scene()):,} points, set up by `for_cloud`: {titles}; and the errors, "
-        f"{scores.total:.1f} % of the judged points."
+        f"{name.upper()} on a simulated town of 90 x 80 m with {len(scene()):,} points, set up by `for_cloud`: {titles}; "
+        f"and the errors, {scores.total:.1f} % of the judged points."
     )
 
 

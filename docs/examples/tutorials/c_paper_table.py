@@ -32,9 +32,7 @@ print(outcome.latex())
 #
 # .. code-block:: python
 #
-#     from pathlib import Path
-#
-#     samples = {path.stem: jf.read(path, units="m") for path in sorted(Path("isprs").glob("samp*.txt"))}
+#     samples = {f"samp{n}": jf.read(f"isprs/samp{n}.txt", units="m") for n in (11, 12, 21, 22, 23, 24, 31)}
 #     outcome = jf.compare(["ost", "smrf", "fptd", "csf"], samples)
 #     print(outcome.by_method("total").mean())
 #
