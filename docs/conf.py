@@ -69,11 +69,13 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "download_all_examples": False,
     "abort_on_example_error": True,
+    "remove_config_comments": True,
 }
 
 html_theme = "furo"
 html_title = "jaxfilter"
 html_copy_source = False
+html_show_search_summary = False  # they are fetched, which browsers refuse to pages that are opened from a disk
 html_show_sphinx = False
 html_additional_pages = {"index": "start.html"}
 templates_path = [str(HERE / "templates")]

@@ -44,18 +44,11 @@ def figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
 
 @cache
 def errors() -> dict[str, dict[str, str]]:
-    """Rows of the tables of the fixed protocol, by method: what docs/results prints of a method."""
-    rows: dict[str, dict[str, str]] = {}
-    for path in (ROOT / "docs/results/README.md",):
-        part = path.read_text().partition("## Fixed protocol")[2]
-        lines = [line for line in part.splitlines() if line.startswith("|")]
-        heading = [cell.strip() for cell in lines[0].strip("|").split("|")]
-        for line in lines[2:]:
-            cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if len(cells) != len(heading):
-                break
-            rows[cells[0].split()[0]] = dict(zip(heading, cells, strict=True))
-    return rows
+    """The first table of the fixed protocol in docs/results, by method."""
+    part = (ROOT / "docs/results/README.md").read_text().partition("## Fixed protocol")[2]
+    table = part[part.index("|") :].partition("\n\n")[0].splitlines()
+    heading, _, *lines = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
+    return {cells[0].split()[0]: dict(zip(heading, cells, strict=True)) for cells in lines}
 
 
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -75,6 +68,7 @@ def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
             f"where ‡ is explained.\n\n| method | {' | '.join(keys)} |\n|---|{'---:|' * len(keys)}\n"
             f"| {row['method']} | {' | '.join(row[key] for key in keys)} |\n"
         )
+    after += f"\n## To cite\n\n```bibtex\n{jf.citation(name)}\n```\n"
     source[0] = before + text + heading + after
 
 

@@ -15,5 +15,7 @@ result = jf.default_filter(scene.cloud)(scene.cloud)
 
 figure, (before, after) = plt.subplots(1, 2, figsize=(8, 3.6))
 jf.plots.hillshade(scene.cloud.xyz, ax=before, title="all points")
-surface = jf.plots.rasterise(scene.cloud.xyz[result.ground], cell=1.0, over=scene.cloud.xyz)
+surface = jf.plots.rasterise(
+    scene.cloud.xyz[result.ground], cell=1.0, over=scene.cloud.xyz
+)
 jf.plots.hillshade(surface, ax=after, title="ground")

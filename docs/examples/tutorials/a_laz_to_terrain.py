@@ -21,8 +21,15 @@ folder = Path(tempfile.mkdtemp())
 
 scene = jf.scenes.make("town", size=(90, 80), density=1.3, seed=4)
 las = laspy.create(point_format=6, file_version="1.4")
-las.header.scales, las.header.offsets = np.full(3, 0.01), np.floor(scene.xyz.min(axis=0))
-las.xyz, las.return_number, las.number_of_returns = scene.xyz, scene.return_number, scene.number_of_returns
+las.header.scales, las.header.offsets = (
+    np.full(3, 0.01),
+    np.floor(scene.xyz.min(axis=0)),
+)
+las.xyz, las.return_number, las.number_of_returns = (
+    scene.xyz,
+    scene.return_number,
+    scene.number_of_returns,
+)
 las.write(str(folder / "site.laz"))
 
 # %%

@@ -20,7 +20,10 @@ cloud = scene.cloud
 #
 # A name is taken with ``for_cloud``: its defaults, and what follows from the point spacing. A filter is taken as it is.
 
-outcome = jf.compare({"OST": "ost", "SMRF": "smrf", "FPTD": "fptd", "FPTD, D1": jf.FPTD.preset("D1")}, cloud)
+outcome = jf.compare(
+    {"OST": "ost", "SMRF": "smrf", "FPTD": "fptd", "FPTD, D1": jf.FPTD.preset("D1")},
+    cloud,
+)
 outcome.by_method("total").round(2)
 
 # %%
@@ -55,8 +58,12 @@ except jf.ParameterError as error:
 # A smaller tolerance loses some ground and lets fewer plants pass:
 
 for threshold in (0.5, 0.25, 0.1):
-    scores = jf.evaluate(smrf.replace(threshold=threshold)(cloud), scene.truth, candidates_only=True)
-    print(f"{threshold:4} m: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %")
+    scores = jf.evaluate(
+        smrf.replace(threshold=threshold)(cloud), scene.truth, candidates_only=True
+    )
+    print(
+        f"{threshold:4} m: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %"
+    )
 
 # %%
 # Which value is right is a matter of the data: :ref:`sphx_glr_docs_made_tutorials_d_sweeps.py` and

@@ -7,7 +7,10 @@ A table of methods by samples, with means, significance, and LaTeX.
 
 import jaxfilter as jf
 
-clouds = {f"town {seed}": jf.scenes.make("town", size=(90, 80), density=1.3, seed=seed).cloud for seed in (4, 5, 6)}
+clouds = {
+    f"town {seed}": jf.scenes.make("town", size=(90, 80), density=1.3, seed=seed).cloud
+    for seed in (4, 5, 6)
+}
 outcome = jf.compare(["smrf", "pmf", "fptd"], clouds)
 print(outcome.by_method("total").round(2))
 print(outcome.by_method("kappa").mean().round(2))
@@ -16,7 +19,9 @@ print(outcome.by_method("kappa").mean().round(2))
 # Is a difference more than chance? Wilcoxon's signed-rank test over the clouds, corrected for the number of pairs. Three
 # clouds are too few to say:
 
-outcome.significance("total")[["method", "other", "clouds", "difference", "p", "p_holm"]]
+outcome.significance("total")[
+    ["method", "other", "clouds", "difference", "p", "p_holm"]
+]
 
 # %%
 # For the manuscript, with the package booktabs:
@@ -40,3 +45,5 @@ print(outcome.latex())
 #
 # .. image:: /experiments/isprs/results/figures/totals.png
 #    :alt: Total errors of every method on the 15 samples.
+
+# sphinx_gallery_thumbnail_path = '../experiments/isprs/results/figures/time.png'

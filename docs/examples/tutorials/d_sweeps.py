@@ -20,7 +20,11 @@ cloud = scene.cloud
 #
 # The result is an xarray Dataset with the parameters as axes.
 
-axes = {"slope": [0.05, 0.1, 0.15, 0.2, 0.3], "threshold": [0.2, 0.4, 0.6, 0.8], "scaling": [0.0, 1.25, 2.5]}
+axes = {
+    "slope": [0.05, 0.1, 0.15, 0.2, 0.3],
+    "threshold": [0.2, 0.4, 0.6, 0.8],
+    "scaling": [0.0, 1.25, 2.5],
+}
 sweep = jf.sweep(jf.SMRF(), cloud, axes, votes=True)
 best_sets(sweep, "total", 3)
 
@@ -60,4 +64,6 @@ print(calibration)
 
 for name, one in (("default", jf.SMRF()), ("calibrated", calibration.filter)):
     scores = jf.evaluate(one(cloud).ground[labels < 0], scene.truth[labels < 0])
-    print(f"{name:10}: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %")
+    print(
+        f"{name:10}: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %"
+    )

@@ -21,7 +21,11 @@ cloud = scene.cloud
 # A sweep without labels shows the points whose label depends on the parameters. We click there, and at some places that are
 # clear.
 
-axes = {"slope": [0.05, 0.1, 0.2, 0.3], "threshold": [0.1, 0.2, 0.4, 0.8], "scaling": [0.0, 1.25, 2.5]}
+axes = {
+    "slope": [0.05, 0.1, 0.2, 0.3],
+    "threshold": [0.1, 0.2, 0.4, 0.8],
+    "scaling": [0.0, 1.25, 2.5],
+}
 votes = jf.sweep(jf.SMRF(), cloud, axes, votes=True)["votes"].values
 figure, ax = plt.subplots(figsize=(5, 4.6))
 ax = jf.plots.votes_map(cloud, votes, ax=ax)
@@ -46,7 +50,9 @@ ax = jf.plots.votes_map(cloud, votes, ax=ax)
 rng = np.random.default_rng(0)
 judged = np.flatnonzero(cloud.candidate)
 disputed = judged[(votes[judged] > 0) & (votes[judged] < 1)]
-clicked = np.concatenate([rng.choice(disputed, 16, replace=False), rng.choice(judged, 8, replace=False)])
+clicked = np.concatenate(
+    [rng.choice(disputed, 16, replace=False), rng.choice(judged, 8, replace=False)]
+)
 clicks, kinds = cloud.xyz[clicked, :2], scene.truth[clicked].astype(int)
 print(f"{kinds.sum()} ground, {len(kinds) - kinds.sum()} objects")
 
@@ -68,4 +74,6 @@ print(calibration)
 rest = cloud.candidate & (labels < 0)
 for name, one in (("default", jf.SMRF()), ("calibrated", calibration.filter)):
     scores = jf.evaluate(one(cloud).ground[rest], scene.truth[rest])
-    print(f"{name:10}: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %")
+    print(
+        f"{name:10}: Type I {scores.type1:5.2f} %, Type II {scores.type2:5.2f} %, total {scores.total:5.2f} %"
+    )

@@ -22,14 +22,21 @@ folder = Path(tempfile.mkdtemp())
 
 scene = jf.scenes.make("town", size=(90, 80), density=1.3, seed=4)
 (folder / "survey").mkdir()
-column, row = np.floor((scene.xyz[:, :2] - scene.origin[:2]) / (45.0, 40.0)).astype(int).T.clip(0, 1)
+column, row = (
+    np.floor((scene.xyz[:, :2] - scene.origin[:2]) / (45.0, 40.0))
+    .astype(int)
+    .T.clip(0, 1)
+)
 for part in range(4):
     mine = 2 * row + column == part
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.scales, las.header.offsets = np.full(3, 0.01), scene.origin
     las.header.add_crs(pyproj.CRS(25832))
     las.xyz = scene.xyz[mine]
-    las.return_number, las.number_of_returns = scene.return_number[mine], scene.number_of_returns[mine]
+    las.return_number, las.number_of_returns = (
+        scene.return_number[mine],
+        scene.number_of_returns[mine],
+    )
     las.write(str(folder / "survey" / f"{part}.laz"))
 
 # %%
@@ -51,8 +58,12 @@ ax = survey.plot()
 # processes as the machine has cores. They import the script anew: in a file of your own, put the call under
 # ``if __name__ == "__main__":``. On the command line it is ``jaxfilter ground smrf survey/ classified/``.
 
-report = jf.ground(folder / "survey", folder / "classified", jf.SMRF(), tile=45.0, workers=1)
-print(f"{report.tiles} tiles, {len(report.files)} files, {report.ground:,} of {report.points:,} points are ground")
+report = jf.ground(
+    folder / "survey", folder / "classified", jf.SMRF(), tile=45.0, workers=1
+)
+print(
+    f"{report.tiles} tiles, {len(report.files)} files, {report.ground:,} of {report.points:,} points are ground"
+)
 
 # %%
 # The labels are those of the whole town in one piece:
