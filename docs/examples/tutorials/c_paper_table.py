@@ -46,4 +46,4 @@ print(outcome.latex())
 # .. image:: /experiments/isprs/results/figures/totals.png
 #    :alt: Total errors of every method on the 15 samples.
 
-# sphinx_gallery_thumbnail_path = '../experiments/isprs/results/figures/time.png'
+# sphinx_gallery_thumbnail_path = 'experiments/isprs/results/figures/time.png'
