@@ -242,6 +242,20 @@ def test_ground_under_dense_canopy_is_kept(rng):
     assert not low_clusters(points_of(xyz)).barred.any()
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.15])
+def test_a_courtyard_is_level_with_the_street_beyond_the_houses(rng, slope):
+    xyz = hillside(rng, slope)
+    away = np.abs(xyz[:, :2] - 80).max(axis=1)
+    court, houses = away < 4.5, (away >= 4.5) & (away < 16)
+    assert 60 < court.sum() < 120
+    xyz[houses, 2] += 9
+    assert not low_clusters(points_of(xyz)).barred.any()
+    xyz[court, 2] -= 6
+    points = points_of(xyz)
+    barred = low_clusters(points).barred[points.member]
+    assert barred[court].mean() > 0.95 and not barred[~court].any()
+
+
 def test_a_gross_outlier_beside_a_void(rng):
     xyz = hillside(rng, 0.1)
     xyz = xyz[np.hypot(*(xyz[:, :2] - 80).T) > 20]

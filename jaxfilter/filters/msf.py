@@ -91,11 +91,11 @@ class MSF(GridFilter):
 
     def halo(self) -> float:
         """The window, two cells, and what the search for low clusters looks at, metres."""
-        return self.window + 2 * self.cell + 15.0 * self.low_clusters
+        return self.window + 2 * self.cell + 30.0 * self.low_clusters
 
     def tile_halo(self) -> float:
-        """Four times as far for low clusters, whose depressions may be wide where points are few."""
-        return self.halo() + 45.0 * self.low_clusters
+        """Twice as far for low clusters, whose depressions may be wide where points are few."""
+        return self.halo() + 30.0 * self.low_clusters
 
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
         """The lowest elevation per ``cell``, and where it is if ``distance`` is "points"; see :class:`GridFilter`."""

@@ -33,7 +33,7 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: those more than ``low_depth`` below all cells of a ring around theirs, and clusters of at most
-       ``low_points`` (:func:`jaxfilter.stages.outliers.low_clusters`).
+       ``low_points``, or four times as many that are deep (:func:`jaxfilter.stages.outliers.low_clusters`).
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
@@ -50,7 +50,7 @@ class OST(Filter):
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
        limits grow with G.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
-       neighbours, are dropped. Then one more round, and again.
+       neighbours, are dropped.
 
     The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
     took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
@@ -68,7 +68,9 @@ class OST(Filter):
         default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
     )
     low_depth: float = param(default=1.0, unit="m", gt=0, doc="a point so far below the ring around it is low")
-    low_points: int = static(default=30, ge=0, doc="largest cluster of low points that is barred; 0 = none")
+    low_points: int = static(
+        default=30, ge=0, doc="largest cluster of low points that is barred, or a fourth of a deep one; 0 = none"
+    )
     slope: float = param(default=0.08, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
     relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
     first_slope: float = param(
@@ -100,7 +102,7 @@ class OST(Filter):
     distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
     max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
     angle_relief: float = param(default=60.0, unit="degrees", ge=0, doc="angle per slope of the landscape")
-    rounds: int = static(default=3, ge=0, doc="rounds of densification before points are dropped")
+    rounds: int = static(default=3, ge=0, doc="rounds of densification")
     scene_spread: float = param(default=6.0, gt=0, doc="residuals of vertices that are dropped, in sigmas of the scene")
     local_spread: float = param(default=3.0, gt=0, doc="and in those around, times the spacing up to one metre")
 
@@ -154,11 +156,10 @@ class OST(Filter):
             ground.admit(np.float32(height) + np.float32(self.relief_scaling) * around, tilt, but=low)
             distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
             angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
-            pruned = 0
-            for share, rounds in ((0.5, self.rounds), (0.8, 1)):
-                progress(share, "densify")
-                ground.densify(distance, angle, rounds)
-                pruned += ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
+            progress(0.5, "densify")
+            ground.densify(distance, angle, self.rounds)
+            progress(0.8, "prune")
+            pruned = ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
             ground.finish()
             doubt = probability(evidence(ground, steepness, around, height), ground.ground)
             progress(1.0, "done")

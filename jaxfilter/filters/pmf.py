@@ -185,7 +185,7 @@ class PMF(GridFilter):
 
         An empty cell takes the nearest value at any distance: a void wider than this at the border of a tile is not covered.
         """
-        return self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 15.0 * self.low_clusters
+        return self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 30.0 * self.low_clusters
 
     def tile_halo(self) -> float:
         """One and a half of the largest window: openings that follow each other hardly ever add up to ``halo()``."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import bucket
 from .doubt_model import MODEL
 from .ground_tin import GroundTin
 
@@ -12,7 +15,7 @@ FEATURES = (
 )  # fmt: skip
 """What :func:`evidence` says of each point, in this order."""
 _ROWS = 2**18
-"""Points that probabilities are computed of at a time."""
+"""Points that are looked at at a time."""
 
 
 def evidence(ground: GroundTin, drop: np.ndarray, landscape: np.ndarray, tolerance: float) -> np.ndarray:
@@ -26,28 +29,46 @@ def evidence(ground: GroundTin, drop: np.ndarray, landscape: np.ndarray, toleran
     at most 1.
 
     Args:
-        ground: the points m, and the final triangulation, finished.
+        ground: the points m, and the final triangulation, pruned and finished.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
         landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
     """
-    above, slope = ground.height, ground.slope
-    residual, roughness = ground.scatter_of_all()
-    tolerance = max(tolerance, 0.01)
-    h = above / np.float32(tolerance)
-    size = np.abs(h)
-    steepness = np.clip(np.log(np.maximum(drop, np.float32(1e-3))), -3, 2)
+    given = ground.height, ground.slope, *ground.scatter_of_all(), drop, landscape
+    size = bucket(min(len(drop), _ROWS))
+    out = np.empty((len(drop), len(FEATURES)), np.float32)
+    for start in range(0, len(out), size):
+        part = [column[start : start + size] for column in given]
+        padded = (np.pad(column, (0, size - len(column))) for column in part)
+        out[start : start + size] = np.asarray(_figures(*padded, max(tolerance, 0.01)))[: len(part[0])]
+    return out
+
+
+@jax.jit
+def _figures(
+    height: jax.Array,
+    slope: jax.Array,
+    residual: jax.Array,
+    roughness: jax.Array,
+    drop: jax.Array,
+    landscape: jax.Array,
+    tolerance: jax.Array,
+) -> jax.Array:
+    """f32[n, 9]: the figures of :func:`evidence`, of f32[n] each; what is not a number is zero."""
+    h = height / tolerance
+    size = jnp.abs(h)
+    steepness = jnp.clip(jnp.log(jnp.maximum(drop, 1e-3)), -3, 2)
     columns = (
-        np.minimum(np.log1p(size), 4),
-        np.exp(-np.abs(np.log(np.maximum(size, np.float32(0.05))))),
-        np.minimum(np.log1p(np.maximum(-h, 0)), 3),
+        jnp.minimum(jnp.log1p(size), 4),
+        jnp.exp(-jnp.abs(jnp.log(jnp.maximum(size, 0.05)))),
+        jnp.minimum(jnp.log1p(jnp.maximum(-h, 0)), 3),
         steepness,
-        np.maximum(0, 1 - np.abs(steepness)),
-        np.log1p(np.maximum(residual, 0) / np.float32(tolerance)),
-        np.log1p(roughness / np.float32(tolerance)),
-        np.minimum(np.tan(np.radians(np.minimum(slope, 80))), 1.5),
-        np.sqrt(np.clip(landscape, 0, 1)),
+        jnp.maximum(0, 1 - jnp.abs(steepness)),
+        jnp.log1p(jnp.maximum(residual, 0) / tolerance),
+        jnp.log1p(roughness / tolerance),
+        jnp.minimum(jnp.tan(jnp.radians(jnp.minimum(slope, 80))), 1.5),
+        jnp.sqrt(jnp.clip(landscape, 0, 1)),
     )
-    return np.nan_to_num(np.stack(columns, axis=1, dtype=np.float32))
+    return jnp.nan_to_num(jnp.stack(columns, axis=1))
 
 
 def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:

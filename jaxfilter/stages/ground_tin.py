@@ -52,6 +52,8 @@ class GroundTin:
         margin: f32[m], metres by which each point failed its last test, at most zero for ground.
         height, slope: f32[m], metres and degrees, over the facet of that test; after :meth:`finish`, of points that are no
             ground, over the triangulation as it is.
+        residual, roughness: f32[m], metres, of vertices as they were when :meth:`prune` judged them: above the plane of
+            their neighbours, and the root mean square of that among these; zero elsewhere.
     """
 
     def __init__(self, xyz: np.ndarray, seeds: np.ndarray, workers: int | None) -> None:
@@ -61,6 +63,7 @@ class GroundTin:
         self.xyz, self.ground = xyz, np.zeros(len(xyz), bool)
         self.ground[seeds] = True
         self.margin, self.height, self.slope = (np.zeros(len(xyz), np.float32) for _ in range(3))
+        self.residual, self.roughness = (np.zeros(len(xyz), np.float32) for _ in range(2))
         self.tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), lowest_of_each(xyz, seeds), self.pool, self.workers)
 
     def __enter__(self) -> Self:
@@ -117,7 +120,8 @@ class GroundTin:
         """
         tin = self.tin
         nodes = np.flatnonzero(tin.vertex)
-        e, around = self.scatter(nodes)
+        self._scatter(nodes)
+        e, around = self.residual, self.roughness
         spread = 1.4826 * float(np.median(np.abs(e[nodes])))
         inner = np.ones(len(self.xyz), bool)
         ghosts = tin.triangles[(tin.triangles == -1).any(axis=1)]
@@ -128,26 +132,24 @@ class GroundTin:
         tin.remove(drop)
         return len(drop)
 
-    def scatter(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """f32[m] each, metres: of vertices i64[k] how far they are above the plane of their neighbours, and the root mean
-        square of that among these; zero elsewhere."""
+    def _scatter(self, nodes: np.ndarray) -> None:
+        """Measure ``residual`` and ``roughness`` of vertices i64[k]."""
         from ..host.rings import residuals, roughness  # imports Numba
 
-        tin, count = self.tin, len(self.xyz)
-        e, around = np.zeros(count, np.float32), np.zeros(count, np.float32)
+        tin = self.tin
         tables = tin.triangles, tin.neighbours, tin.where
         parts = np.array_split(nodes, len(nodes) // _AT_ONCE + self.workers)
-        list(self.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, e), parts))
-        list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, e, around), parts))
-        return e, around
+        list(self.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, self.residual), parts))
+        list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, self.residual, self.roughness), parts))
 
     def scatter_of_all(self) -> tuple[np.ndarray, np.ndarray]:
-        """As :meth:`scatter`; points that are no vertex have the mean of those at the corners of their facet."""
-        e, around = self.scatter(np.flatnonzero(self.tin.vertex))
+        """``residual`` and ``roughness``, f32[m] each; for points that are no vertex the mean roughness at the corners of
+        their facet."""
+        around = self.roughness.copy()
         rows = np.flatnonzero(~self.tin.vertex)
         self.tin.locate(rows)
         around[rows] = around[self.tin.corners(self.tin.where[rows])].mean(axis=1)
-        return e, around
+        return self.residual, around
 
     def finish(self) -> None:
         """Give points that are no ground their height and slope over the triangulation as it is; margins stay."""

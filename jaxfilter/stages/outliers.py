@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -98,7 +99,11 @@ class LowClusters:
     clusters: int
 
 
-def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, reach: float = 15.0) -> LowClusters:
+FARTHER = 2
+"""Clusters of its square times ``max_points`` are barred if so many times as deep, seen from so many times as far."""
+
+
+def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, reach: float = 15.0) -> LowClusters:
     """Points in clusters, or alone, that lie ``depth`` metres and more below everything around them.
 
     Echoes from below the ground (multiple reflections, mostly) are few and hang below the surface with a gap. The test
@@ -116,7 +121,9 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
     4. Is it cut off? In true elevations, trend included, every cell that touches its deeper part is higher than its
        lowest point by a quarter of ``depth`` at least, so that it is no bend or narrow of a gully.
 
-    Then the points of the depression that are more than half of ``depth`` below its rim are barred. Small true pits and
+    Then the points of the depression that are more than half of ``depth`` below its rim are barred. The same is asked once
+    more of clusters four times as large, with twice the depth and twice the reach: few true pits are so deep, and the ground
+    of a courtyard is level with that of the streets beyond the houses, which is seen from so far. Small true pits and
     courtyards are barred too. A filter that tests barred points again recovers them where they are level with ground
     around, as courtyards mostly are; a small pit whose whole floor was barred may stay out.
 
@@ -142,26 +149,51 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 120, r
     z = points.xyz[:, 2] - low_trend(points.xyz, *corner, coarse)
     cells = occupied.grown()
     at = cells.find(occupied.row, occupied.column)[at]
-    around = cells.around()
-    lowest = np.full(len(cells), np.inf, np.float32)  # +inf in cells that are only beside one with points
-    np.minimum.at(lowest, at, z)
-    low_points = np.bincount(at[z < lowest[at] + depth / 2], minlength=len(cells))
-    pits = depressions(_close_gaps(lowest, around), around, low_points, depth, max_points)
-    if len(pits) == 0:
-        return LowClusters(np.zeros(len(points), bool), 0)
-    deepest = np.lexsort((pits.cell, lowest[pits.cell], pits.owner))
-    bottom = pits.cell[deepest[np.searchsorted(pits.owner, np.arange(len(pits)))]]
-    alone = _alone(cells, cell, bottom, lowest[bottom], pits.points, reach, max_points)
-    over = np.full(len(pits), -np.inf)
-    steps = int(np.ceil(reach / cell))
-    over[alone] = _surroundings(lowest, cells, pits.cell[alone[pits.owner]], bottom[alone], steps)
-    rim = np.minimum(over, pits.spill) - depth / 2
-    deep = lowest[pits.cell] < rim[pits.owner]
-    cut_off = _climb(points.xyz[:, 2], at, around, pits.cell[deep], pits.owner[deep], len(pits)) >= depth / 4
-    found = (over - lowest[bottom] >= depth) & cut_off
+    lowest = np.full((2, len(cells)), np.inf, np.float32)  # +inf in cells that are only beside one with points
+    np.minimum.at(lowest[0], at, z)
+    np.minimum.at(lowest[1], at, points.xyz[:, 2])
+    low = _Low(cells, cell, cells.around(), *lowest)
     level = np.full(len(cells), -np.inf, np.float32)
-    level[pits.cell] = np.where(found, rim, -np.inf)[pits.owner]
-    return LowClusters(z < level[at], int(found.sum()))
+    clusters = 0
+    for times in (1, FARTHER):
+        held = np.bincount(at[z < lowest[0][at] + times * depth / 2], minlength=len(cells))
+        clusters += low.search(held, times * depth, times**2 * max_points, times * reach, level)
+    return LowClusters(z < level[at], clusters)
+
+
+class _Low(NamedTuple):
+    """The lowest points of cells: ``z``, f32[c], over the trend of the terrain, and ``elevation``, f32[c]; +inf where none is.
+
+    ``side``: of a cell, metres; ``around``: i64[9, c].
+    """
+
+    cells: Cells
+    side: float
+    around: np.ndarray
+    z: np.ndarray
+    elevation: np.ndarray
+
+    def search(self, held: np.ndarray, depth: float, max_points: int, reach: float, level: np.ndarray) -> int:
+        """Raise f32[c], the level below which points of a cell are barred, in clusters; how many have not been found before.
+
+        ``held``: i64[c], points of each cell that count.
+        """
+        pits = depressions(_close_gaps(self.z, self.around), self.around, held, depth, max_points)
+        if len(pits) == 0:
+            return 0
+        deepest = np.lexsort((pits.cell, self.z[pits.cell], pits.owner))
+        bottom = pits.cell[deepest[np.searchsorted(pits.owner, np.arange(len(pits)))]]
+        alone = _alone(self.cells, self.side, bottom, self.z[bottom], pits.points, reach, max_points)
+        over = np.full(len(pits), -np.inf)
+        steps = int(np.ceil(reach / self.side))
+        over[alone] = _surroundings(self.z, self.cells, pits.cell[alone[pits.owner]], bottom[alone], steps)
+        rim = np.minimum(over, pits.spill) - depth / 2
+        deep = self.z[pits.cell] < rim[pits.owner]
+        cut_off = _climb(self.elevation, self.around, pits.cell[deep], pits.owner[deep], len(pits)) >= depth / 4
+        found = (over - self.z[bottom] >= depth) & cut_off
+        new = int((found & ~(self.z[bottom] < level[bottom])).sum())
+        level[pits.cell] = np.maximum(level[pits.cell], np.where(found, rim, -np.inf)[pits.owner])
+        return new
 
 
 def _close_gaps(lowest: np.ndarray, around: np.ndarray) -> np.ndarray:
@@ -186,15 +218,12 @@ def _alone(
     return np.bincount(group, weights=size)[group] <= max_points
 
 
-def _climb(
-    z: np.ndarray, at: np.ndarray, around: np.ndarray, cell: np.ndarray, owner: np.ndarray, groups: int
-) -> np.ndarray:
+def _climb(elevation: np.ndarray, around: np.ndarray, cell: np.ndarray, owner: np.ndarray, groups: int) -> np.ndarray:
     """f32[groups]: how far the lowest cell that touches a group of cells is above the lowest in it.
 
-    ``z``: f32[m], elevations of the points; ``at``: i[m], their cells. +inf for groups that no cell touches, or empty.
+    ``elevation``: f32[c], of the cells. +inf for groups that no cell touches, or empty.
     """
-    low = np.full(around.shape[1] + 1, np.inf, np.float32)
-    np.minimum.at(low, at, z)
+    low = np.append(elevation, np.float32(np.inf))
     group = np.full(len(low), -1)
     group[cell] = owner
     own = np.full(groups, np.inf, np.float32)
