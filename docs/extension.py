@@ -52,7 +52,11 @@ def errors() -> dict[str, dict[str, str]]:
 
 
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Pages of methods get pictures of their stages and their figures from docs/results."""
+    """Pages of methods get pictures of their stages and their figures from docs/results; that on reports gets one."""
+    if docname == "docs/reports":
+        stages.sample_report(Path(app.outdir) / "report.html")
+        link = '<a href="../report.html">A report to try</a>, of SMRF on a simulated town.'
+        source[0] = source[0].replace("\n\n", f"\n\n{link}\n\n", 1)
     found = re.fullmatch(r"docs/filters/(\w+)", docname)
     if not found or found[1] not in jf.FILTERS:
         return

@@ -177,6 +177,13 @@ def draw(name: str, path: Path) -> str:
     )
 
 
+def sample_report(path: Path) -> None:
+    """The report of SMRF on the town."""
+    filter_ = jf.SMRF.for_cloud(scene().cloud)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    filter_(scene().cloud).report(path, reference=scene().truth, overwrite=True)
+
+
 if __name__ == "__main__":
     for method in jf.FILTERS:
         print(draw(method, Path(sys.argv[1]) / f"{method}.png"))
