@@ -98,15 +98,12 @@ def linked(app: Sphinx, doctree: nodes.document) -> None:
         if (target := node.get("reftarget")) and node.get("reftype") == "myst" and (here / target).is_dir():
             node.replace_self(node.children)
     for node in list(doctree.findall(addnodes.download_reference)):
-        relative = (
-            ROOT / node["reftarget"][1:] if node["reftarget"].startswith("/") else here / node["reftarget"]
-        ).resolve()
-        if not relative.is_relative_to(ROOT):
-            continue
-        folder, name = relative.relative_to(ROOT).parent.as_posix(), relative.stem
-        if folder in EXAMPLES and relative.suffix == ".py":
+        start = ROOT if node["reftarget"].startswith("/") else here
+        target = (start / node["reftarget"].lstrip("/")).resolve()
+        folder = target.parent.relative_to(ROOT).as_posix()
+        if folder in EXAMPLES and target.suffix == ".py":
             page = addnodes.pending_xref(
-                "", *node.children, refdomain="std", reftype="doc", reftarget=f"/{EXAMPLES[folder]}/{name}",
+                "", *node.children, refdomain="std", reftype="doc", reftarget=f"/{EXAMPLES[folder]}/{target.stem}",
                 refexplicit=True, refdoc=app.env.current_document.docname, refwarn=True,
             )  # fmt: skip
             node.replace_self(page)
@@ -141,4 +138,4 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", house_style, priority=400)
     app.connect("env-updated", complete)
     app.connect("build-finished", whole)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+    return {"parallel_read_safe": False, "parallel_write_safe": True}  # JAX must not be forked
