@@ -21,6 +21,8 @@ import jaxfilter as jf
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = {"docs/examples/tutorials": "docs/made/tutorials", "docs/examples/plots": "docs/made/plots"}
+RESULTS, TILES = "docs/results/README.md", "experiments/tiles/results/results.md"
+OWN = "experiments/default/results/results.md"
 log = logging.getLogger(__name__)
 
 
@@ -43,12 +45,53 @@ def figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]
 
 
 @cache
-def errors() -> dict[str, dict[str, str]]:
-    """The first table of the fixed protocol in docs/results, by method."""
-    part = (ROOT / "docs/results/README.md").read_text().partition("## Fixed protocol")[2]
-    table = part[part.index("|") :].partition("\n\n")[0].splitlines()
-    heading, _, *lines = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
-    return {cells[0].split()[0]: dict(zip(heading, cells, strict=True)) for cells in lines}
+def table(page: str, *headings: str) -> list[dict[str, str]]:
+    """The first table of a page after some headings, one within the other; the first word of each row is its name."""
+    part = (ROOT / page).read_text()
+    for heading in headings:
+        part = part[part.index(heading) :]
+    lines = part[part.index("\n|") + 1 :].partition("\n\n")[0].splitlines()
+    columns, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    return [{"name": cells[0].split()[0], **dict(zip(columns, cells, strict=True))} for cells in rows]
+
+
+def as_markdown(rows: list[tuple[str, ...]]) -> str:
+    """A table whose first row is its heading."""
+    heading, *others = (f"| {' | '.join(cells)} |\n" for cells in rows)
+    return "\n" + heading + "|---|" + "---:|" * (len(rows[0]) - 1) + "\n" + "".join(others)
+
+
+def errors(name: str) -> str:
+    """What docs/results and the experiments say of a method: on the samples of ISPRS, and on the labelled tiles."""
+    if name == "ost":
+        every = [(row["name"], *row["first"].split(" / ")) for row in table(OWN, "## Every sample and tile")]
+        about = (
+            f"Samples of ISPRS and labelled tiles, on which its constants were chosen; from [experiments](../../{OWN})."
+        )
+        return f"\n## Errors\n\n{about}\n" + as_markdown([("cloud", "total error, %", "kappa, %"), *every])
+
+    def of(row: dict[str, str]) -> str:
+        return next(value for key, value in row.items() if key.split()[0].lower() == name)
+
+    samples = [
+        (row["name"], of(row), of(other))
+        for row, other in zip(
+            *(table(RESULTS, "## Fixed", f"{kind} per sample") for kind in ("Total error", "Kappa")), strict=True
+        )
+    ]
+    both = [{row["name"]: row for row in table(TILES, f"## {kind}, %")}[name] for kind in ("Total error", "Kappa")]
+    tiles = [(tile, both[0][tile], both[1][tile]) for tile in list(both[0])[2:-1]]
+    about = (
+        "Defaults for the cloud, nothing chosen per cloud. Some defaults were chosen on these data or with their errors known: "
+        "[where the defaults come from](../fidelity.md#where-the-defaults-come-from). On the samples of ISPRS, from "
+        "[results](../results/README.md):"
+    )
+    return (
+        f"\n## Errors\n\n{about}\n"
+        + as_markdown([("sample", "total error, %", "kappa, %"), *samples])
+        + f"\nOn six [labelled tiles](../../{TILES}):\n"
+        + as_markdown([("tile", "total error, %", "kappa, %"), *tiles])
+    )
 
 
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -64,14 +107,7 @@ def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
     before, heading, after = source[0].partition("## Parameters")
     caption = stages.draw(name, ROOT / "docs/made/stages" / f"{name}.png")
     text = f"## Stages\n\n![{caption}](../made/stages/{name}.png)\n\n{caption}\n\n"
-    if name in errors():
-        keys = ("T.I, mean", "T.II, mean", "TE, mean", "kappa, mean", "TE, median", "s per million points")
-        row = errors()[name]
-        after += (
-            "\n## Errors\n\nOn the 15 samples of ISPRS, percent, defaults for the cloud; from [results](../results/README.md), "
-            f"where ‡ is explained.\n\n| method | {' | '.join(keys)} |\n|---|{'---:|' * len(keys)}\n"
-            f"| {row['method']} | {' | '.join(row[key] for key in keys)} |\n"
-        )
+    after += errors(name)
     after += f"\n## To cite\n\n```bibtex\n{jf.citation(name)}\n```\n"
     source[0] = before + text + heading + after
 
