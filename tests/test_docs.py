@@ -1,8 +1,11 @@
-"""Pages list parameters as they are declared; the skeleton of a filter is one; the code of a page prints what it says."""
+"""Pages list parameters as they are declared; the skeleton of a filter is one; the site has all names and no dead link.
+
+The code of the pages is run by conftest.py of the repository.
+"""
 
 import contextlib
 import functools
-import io
+import importlib.util
 import re
 import subprocess
 import sys
@@ -13,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxfilter import FILTERS
+from jaxfilter import FILTERS, plots
 from jaxfilter.core.params import declared
 from jaxfilter.ops import cloth, cones, facets, grid, inpaint, morphology, planes, sampling, spread, windows
 
@@ -21,6 +24,14 @@ PAGES = Path(__file__).resolve().parents[1] / "docs" / "filters"
 sys.path.insert(0, str(PAGES.parents[1]))
 
 from experiments.defaults import table  # noqa: E402
+
+
+def load(path):
+    """A file as a module, whatever else has its name."""
+    spec = importlib.util.spec_from_file_location(f"page_{path.stem}", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def row(field):
@@ -75,16 +86,69 @@ def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):
     assert re.search(r"[3-9]\d passed", done.stdout), done.stdout[-300:]
 
 
-def test_the_code_of_the_page_on_arrays_prints_what_the_page_says():
-    text = (PAGES.parent / "arrays.md").read_text()
-    blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", text, re.DOTALL)
-    names = {}
-    for code, said in blocks:
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            exec(compile(code, "arrays.md", "exec"), names)
-        assert printed.getvalue() == said, code
-    assert len(blocks) >= 5
+def test_code_blocks_name_a_language_that_is_run():
+    """conftest.py of the repository runs ``python``, parses ``sh``, and compares ``text`` with what the code before prints."""
+    root = PAGES.parents[1]
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *PAGES.parent.glob("*.md"), *PAGES.glob("*.md")]
+    for page in pages:
+        fences = re.findall(r"^ *```(.*)$", page.read_text(), re.MULTILINE)
+        kinds = {kind for kind in fences[::2] if not kind.startswith("{")}
+        assert kinds <= {"python", "sh", "text"}, f"{page}: {kinds}: name the language, python, sh or text"
+
+
+def test_code_that_tutorials_only_show_is_listed_with_a_reason_and_compiles():
+    listed = {key for key in load(PAGES.parents[1] / "conftest.py").NOT_RUN if key[0].endswith(".py")}
+    shown = set()
+    for page in PAGES.parent.glob("examples/*/*.py"):
+        for block in re.findall(r"# \.\. code-block:: python\n#\n((?:#(?:     .*)?\n)+)", page.read_text()):
+            code = re.sub(r"^#(?:     )?", "", block, flags=re.MULTILINE)
+            compile(code, str(page), "exec")
+            shown.add((page.relative_to(PAGES.parents[1]).as_posix(), code))
+    assert len(shown) == len(listed)
+    for name, code in shown:
+        assert any(name == where and code.startswith(begin) for where, begin in listed), (name, code)
+
+
+def test_every_plot_is_in_the_gallery():
+    code = "".join(page.read_text() for page in PAGES.parent.glob("examples/plots/*.py"))
+    drawn = {name for name, value in vars(plots).items() if callable(value)}
+    assert drawn == set(re.findall(r"jf\.plots\.(\w+)\(", code))
+
+
+def test_every_public_name_has_an_entry_in_the_reference():
+    """The build of the site checks it by what Sphinx has found; here by the words of the pages."""
+    text = "\n".join(page.read_text() for page in PAGES.parent.glob("api/*.rst"))
+    entries = set(re.findall(r"^\.\. (?:auto\w+|py:data):: (\S+)", text, re.MULTILINE))
+    entries |= set(re.findall(r"^ {13}(\w+)$", text, re.MULTILINE))
+    names = load(PAGES.parent / "checks.py").public_names()
+    assert len(names) > 100
+    assert not [name for name in names if name not in entries and name.rpartition(".")[2] not in entries]
+
+
+def test_links_of_a_site_that_lead_nowhere_are_found(tmp_path):
+    (tmp_path / "a.html").write_text(
+        '<h1 id="top"></h1><a href="b.html#here">1</a><a href="#top">2</a><a href="https://example.org">3</a>'
+        '<a href="b.html#gone">4</a><a href="c.html">5</a><img src="https://example.org/x.png"><img src="x%20y.png">'
+    )
+    (tmp_path / "b.html").write_text('<a name="here"></a>')
+    (tmp_path / "x y.png").write_bytes(bytes(1000))
+    checks = load(PAGES.parent / "checks.py")
+    found = checks.broken_links(tmp_path)
+    assert [line.split(": ")[1].split()[0] for line in found] == ["b.html#gone", "c.html", "loads"]
+    assert checks.weight(tmp_path, "a.html") == 1000 + (tmp_path / "a.html").stat().st_size
+
+
+@pytest.mark.parametrize("name", list(FILTERS))
+def test_help_on_a_filter_has_unit_range_and_default_of_every_field(name):
+    said = re.sub(r"\s+", " ", FILTERS[name].__doc__.partition("\nArgs:\n")[2])
+    for field in declared(FILTERS[name]):
+        meta = field.metadata
+        facts = re.search(rf"(?:^| ){field.name} \(([^)]*)\): {re.escape(meta['doc'])}", said)
+        assert facts, field.name
+        assert f"default {field.default!r}" in facts[1]
+        assert (meta.get("unit") or "") in facts[1]
+        for key, sign in (("gt", "> "), ("ge", ">= "), ("lt", "< "), ("le", "<= ")):
+            assert meta.get(key) is None or f"{sign}{meta[key]:g}" in facts[1], (field.name, key)
 
 
 GRID = np.random.default_rng(1).normal(size=(24, 20)).astype(np.float32)

@@ -9,9 +9,11 @@ command-line flags and documentation are derived from there.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 import numbers
 import operator
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from typing import Any, TypeVar, dataclass_transform
@@ -135,6 +137,18 @@ def declared(params: Any) -> list[dataclasses.Field[Any]]:
     return sorted(dataclasses.fields(params), key=lambda field: bool(field.kw_only))
 
 
+def described(field: dataclasses.Field[Any]) -> str:
+    """Type, unit, range, default and meaning of a field, as a line of a docstring."""
+    meta, default = field.metadata, field.default
+    choices = meta.get("choices")
+    kind = " or ".join(map(repr, choices)) if choices else type(default).__name__ if default is not None else "float"
+    facts = [kind + " or None" * bool(meta.get("optional")), meta.get("unit")]
+    facts += [f"{sign} {meta[key]:g}" for key, sign, _ in _LIMITS if meta.get(key) is not None]
+    facts += ["static" * bool(meta.get("static")), f"default {default!r}"]
+    symbol = f"; {meta['symbol']} in the paper" if meta.get("symbol") else ""
+    return f"{field.name} ({', '.join(filter(None, facts))}): {meta.get('doc', '')}{symbol}."
+
+
 def plain_fields(params: Any) -> None:
     """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place."""
     for f in dataclasses.fields(params):
@@ -189,10 +203,14 @@ def check_fields(params: Any) -> None:
 def filter_params(cls: type[T]) -> type[T]:
     """Class decorator: frozen dataclass, registered as a pytree and, if it is a filter, in :data:`FILTERS`.
 
-    JAX rebuilds trees with leaves that no user may give (stacked arrays, placeholders); so a tree is rebuilt without
-    ``__post_init__``.
+    The fields, as they are declared, become the part ``Args`` of the docstring. JAX rebuilds trees with leaves that no user
+    may give (stacked arrays, placeholders); so a tree is rebuilt without ``__post_init__``.
     """
     out = dataclasses.dataclass(frozen=True)(cls)
+    if out.__doc__:  # python -OO has none
+        wrap = textwrap.TextWrapper(100, initial_indent=" " * 4, subsequent_indent=" " * 8, break_on_hyphens=False)
+        lines = [wrap.fill(described(field)) for field in declared(out)]
+        out.__doc__ = "\n".join([inspect.cleandoc(out.__doc__), "", "Args:", *lines])
     fields = dataclasses.fields(out)  # type: ignore[arg-type]
     leaves = [f.name for f in fields if not f.metadata.get("static")]
     structure = [f.name for f in fields if f.metadata.get("static")]
