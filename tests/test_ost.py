@@ -14,6 +14,7 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.host import rings, shapes
 from jaxfilter.host.tin import Tin
 from jaxfilter.ops.morphology import ring_minimum
+from jaxfilter.scenes import Kind
 from jaxfilter.stages.ground_tin import GroundTin, lowest_of_each
 from jaxfilter.stages.landscape import Landscape
 from jaxfilter.stages.objects import Roofs, Segments
@@ -237,6 +238,30 @@ def test_points_are_taken_in_by_height_and_by_distance_and_angle():
         assert sorted(xyz[ground.ground & (xyz[:, 2] > 0.1), 2].round(1).tolist()) == [
             pytest.approx(p[2], abs=1e-3) for p, yes in zip(over, taken, strict=True) if yes
         ]
+
+
+def test_points_in_the_plane_of_a_facet_that_stands_upright_do_not_join(rng):
+    """Over facets of 45 degrees distance counts from the plane, over those of nearly 90 a tree in their plane is far."""
+    for width, joins in ((8.0, True), (1 / 32, False)):
+        slope = 8.0 / width
+        corners = [[0, 0, 0], [20, 0, 0], [10, width, 8]]
+        off = 0.1 * math.hypot(1, slope)  # a tenth of a metre from the plane
+        xyz = points_of(np.array([*corners, [10, width / 2, slope * width / 2 + off]]))
+        seeds = np.flatnonzero(xyz[:, 1] != width / 2)
+        full = np.ones(len(xyz), np.float32)
+        with GroundTin(xyz, seeds, 1) as ground:
+            ground.densify(0.2 * full, 60.0 * full, 1)
+            assert ground.ground.all() == joins
+
+
+def test_no_tree_at_the_border_of_the_data_is_ground():
+    scene = jf.scenes.make("forest", size=(160.0, 160.0), density=1.0, seed=4)
+    ground = jf.default_filter(scene.cloud)(scene.cloud).ground
+    tree = scene.kind == Kind.HIGH_VEGETATION
+    x, y = scene.xyz[:, 0] - scene.xyz[:, 0].min(), scene.xyz[:, 1] - scene.xyz[:, 1].min()
+    border = np.minimum(np.minimum(x, y), np.minimum(x.max() - x, y.max() - y)) < 1
+    assert (tree & border).sum() > 300
+    assert (ground & tree & border).sum() <= 0.01 * (tree & border).sum()
 
 
 def test_the_lowest_of_each_position():

@@ -16,6 +16,8 @@ from ..host.tin import Tin
 from ..ops.facets import facet_score
 
 Tested = tuple[jax.Array, jax.Array, jax.Array]
+_STEEPEST = 80.0
+"""Degrees that facets are taken to slope at most: a wall of points is in the plane of a slim facet that stands upright."""
 _AT_ONCE = 2**17
 """Points that are tested by one call."""
 
@@ -32,7 +34,8 @@ def _close(xyz: jax.Array, corners: jax.Array, tolerance: jax.Array, scaling: ja
 def _joins(xyz: jax.Array, corners: jax.Array, distance: jax.Array, angle: jax.Array) -> Tested:
     """As :func:`_close`, by distance from the plane in metres and angle in degrees."""
     s = jax.vmap(facet_score)(xyz, corners)
-    margin = jnp.where(jnp.abs(s.angle) < angle, jnp.abs(s.distance) - distance, jnp.inf)
+    away = jnp.abs(s.height) * jnp.cos(jnp.radians(jnp.minimum(s.slope, _STEEPEST)))
+    margin = jnp.where(jnp.abs(s.angle) < angle, away - distance, jnp.inf)
     return jnp.where(s.planar, margin, jnp.inf), s.height, s.slope
 
 
@@ -104,7 +107,10 @@ class GroundTin:
             self._take(rows[self._tested(_close, rows, tolerance, np.full_like(tolerance, scaling)) <= 0])
 
     def densify(self, distance: np.ndarray, angle: np.ndarray, rounds: int) -> None:
-        """Take in points at most ``distance`` metres from the plane of their facet, and below ``angle`` degrees, f32[m]."""
+        """Take in points at most ``distance`` metres from the plane of their facet, and below ``angle`` degrees, f32[m].
+
+        Planes steeper than 80 degrees count as that steep, and distances from these grow with the height over them.
+        """
         for _ in range(rounds):
             rows = np.flatnonzero(~self.ground)
             accepted = rows[self._tested(_joins, rows, distance, angle) <= 0] if len(rows) else rows
