@@ -100,17 +100,28 @@ def test_without_a_method_a_file_gets_the_default(survey, tmp_path):
 
 def test_a_terrain_model_of_a_folder(done, tmp_path):
     pytest.importorskip("rasterio")
-    result = run("dtm", done[0], tmp_path / "dtm.tif", "--cell", 2, "--workers", 1, "--json", "--quiet")
+    log = tmp_path / "a.log"
+    result = run("dtm", done[0], tmp_path / "dtm.tif", "--cell", 2, "--workers", 1, "--json", "--quiet", "--log", log)
     assert result.exit_code == 0, result.output
     raster, report = jf.Raster.read(tmp_path / "dtm.tif"), json.loads(result.stdout)
     assert raster.values.shape == (report["rows"], report["columns"]) == (30, 30)
     assert np.isfinite(raster.values).mean() > 0.95 and raster.crs.to_epsg() == 25832
-    assert run("dtm", done[0], tmp_path / "dtm.tif").exit_code == 2, "exists"
+    assert run("dtm", done[0], tmp_path / "dtm.tif", "--log", log).exit_code == 2, "exists"
+    said = log.read_text()
+    for words in (
+        " INFO tiles: ",
+        f"through {report['ground']:,} ground points",
+        "INFO done in",
+        "ERROR",
+        "dtm.tif exists",
+    ):
+        assert words in said, said
     assert run("dtm", done[0], tmp_path / "b.tif", "--set", "slope=2").exit_code == 2, "without --filter"
 
 
 def test_heights_of_a_folder(done, tmp_path):
-    result = run("height", done[0], tmp_path / "out", "--replace-z", "--workers", 1, "--json", "--quiet")
+    log = tmp_path / "a.log"
+    result = run("height", done[0], tmp_path / "out", "--replace-z", "--workers", 1, "--json", "--quiet", "--log", log)
     assert result.exit_code == 0, result.output
     report, z = json.loads(result.stdout), []
     for path in sorted(done[0].glob("*.laz")):
@@ -121,6 +132,7 @@ def test_heights_of_a_folder(done, tmp_path):
     assert (report["lowest"], report["highest"]) == pytest.approx(
         (np.concatenate(z).min(), np.concatenate(z).max()), abs=0.002
     )
+    assert f"{report['points']:,} points above {report['ground']:,} ground points" in log.read_text()
     assert run("height", done[0], tmp_path / "out").exit_code == 1, "not empty"
     for words, message in (
         ((done[0], tmp_path / "new", "--in-place"), "--in-place is for a single file"),
