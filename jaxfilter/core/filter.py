@@ -186,6 +186,9 @@ class Filter:
         """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
 
         ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
+
+        >>> jf.SMRF().of_scene(lambda most: [cloud])
+        {}
         """
         return {}
 
