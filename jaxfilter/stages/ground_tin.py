@@ -149,13 +149,13 @@ class GroundTin:
         list(self.pool.map(lambda part: roughness(*tables, part, tin.vertex, self.residual, self.roughness), parts))
 
     def scatter_of_all(self) -> tuple[np.ndarray, np.ndarray]:
-        """``residual`` and ``roughness``, f32[m] each; for points that are no vertex the mean roughness at the corners of
-        their facet."""
+        """``residual`` and ``roughness``, f32[m] each; for points that are no vertex zero, and the mean roughness at the
+        corners of their facet."""
         around = self.roughness.copy()
         rows = np.flatnonzero(~self.tin.vertex)
         self.tin.locate(rows)
         around[rows] = around[self.tin.corners(self.tin.where[rows])].mean(axis=1)
-        return self.residual, around
+        return np.where(self.tin.vertex, self.residual, 0), around
 
     def finish(self) -> None:
         """Give points that are no ground their height and slope over the triangulation as it is; margins stay."""
