@@ -72,14 +72,14 @@ def test_errors_are_where_doubt_is(scene, result):
     assert abs(doubt.mean() - wrong.mean()) < 0.05
 
 
-def test_the_model_is_a_logistic_function_of_few_features_for_each_label():
+def test_the_model_is_a_logistic_function_up_to_a_half_of_few_features_for_each_label():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, len(FEATURES))).astype(np.float32)
     ground = rng.random(50) < 0.5
     assert len(FEATURES) <= 20 and MODEL.shape == (2, len(FEATURES) + 1)
     for row, label, found in zip(values.astype(float), ground, probability(values, ground), strict=True):
         total = MODEL[int(label), 0] + sum(w * v for w, v in zip(MODEL[int(label), 1:], row, strict=True))
-        assert found == pytest.approx(1 / (1 + np.exp(-total)), abs=1e-5)
+        assert found == pytest.approx(min(1 / (1 + np.exp(-total)), 0.5), abs=1e-5)
 
 
 def test_doubt_does_not_depend_on_the_order_of_points(scene, result):

@@ -128,7 +128,7 @@ def folds(tried: pd.DataFrame, sets: list[dict[str, float]]) -> list[str]:
         "samples, the 18 labelled tiles, and ten scenes. For the last two lines constants were chosen again for each of seven "
         "ISPRS sites and nine sources of tiles, without it: by the smallest mean, which among so many equal sets is chance, and "
         "by a rule that leaves the first only for one that is better by more than the standard error of the paired differences. "
-        f"On all clouds that rule gives set {chosen}, which is the default. The first set itself, like the steps, was found by "
+        f"On all clouds that rule gives set {chosen}; the default is the first. That set itself, like the steps, was found by "
         "looking at the samples and tiles, so that no line is quite blind.", "",
         means(rows), "",
         "Constants, between what they are searched, and two of the sets:", "",

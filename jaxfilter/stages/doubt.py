@@ -72,11 +72,14 @@ def _figures(
 
 
 def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """f32[m]: how likely the labels ``ground``, bool[m], are to be wrong, by ``evidence``, f32[m, features]."""
+    """f32[m]: how likely the labels ``ground``, bool[m], are to be wrong, by ``evidence``, f32[m, features].
+
+    At most one half: of two labels the method takes the more likely one.
+    """
     out = np.empty(len(ground), np.float32)
     for start in range(0, len(out), _ROWS):
         rows = slice(start, start + _ROWS)
         weights = MODEL[ground[rows].astype(np.int64)]
         total = weights[:, 0] + (weights[:, 1:] * evidence[rows]).sum(axis=1)
-        out[rows] = 1 / (1 + np.exp(-total))
+        out[rows] = np.minimum(1 / (1 + np.exp(-total)), 0.5)
     return out
