@@ -31,6 +31,7 @@ MEANING = {
 
 MARK = "‡"
 SHARED = {
+    "ost": "steps and constants were found on these samples, tiles and scenes together",
     "smrf": "its authors chose the set on these 15 samples",
     "fptd": "its limits are those of class D2, which its authors chose on sample 71",
     "agptd": "`relative_slope` from the reference ground of 14 samples; constant terrain angle for the errors here",
