@@ -152,5 +152,5 @@ def test_the_command_tells_of_cut_roofs(tmp_path):
         dataclasses.asdict(one) | {"bounds": list(one.bounds)} for one in cut
     ] and [one.is_ground for one in cut] == [False, True]
     text = CliRunner().invoke(main, words)
-    assert "1 objects that the border of the data cuts are not ground" in text.stderr
+    assert "1 object that the border of the data cuts is not ground" in text.stderr
     assert "1 object at the border of the data may be a cut roof and became ground: 288 m2 at" in text.stderr

@@ -257,7 +257,10 @@ def tell_cut(session: Session, objects: Sequence[dict[str, Any]]) -> None:
     if not objects:
         return
     wrong = sorted((one for one in objects if one["ground"] >= 0.5), key=lambda one: -one["area"])
-    session.note(f"{len(objects) - len(wrong):,} objects that the border of the data cuts are not ground")
+    rest = len(objects) - len(wrong)
+    if rest:
+        what, are = ("1 object", "is") if rest == 1 else (f"{rest:,} objects", "are")
+        session.note(f"{what} that the border of the data cuts {are} not ground")
     if not wrong:
         return
     listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g}" for one in wrong[:_CUT_LISTED]]
