@@ -219,6 +219,8 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     with GroundTin(spiked, np.arange(len(plane)), 2) as ground:
         assert ground.prune(12.0, 3.0) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
+        residual, roughness = ground.scatter_of_all()  # it is no vertex any more
+        assert ground.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
 def test_points_are_taken_in_by_height_and_by_distance_and_angle():

@@ -226,6 +226,7 @@ def test_what_is_shallow_large_or_drains_is_no_cluster(rng):
     for lowered, by in [
         (np.hypot(x - 80, y - 80) < 5, 1.5),  # shallow
         (np.hypot(x - 80, y - 80) < 12, 6.0),  # 450 points
+        (np.hypot(x - 80, y - 80) < 5, 3.0),  # 80 points, deep enough for 30 of them
         ((np.abs(x - 80) < 2) & (y > 30), 4.0),  # a ditch that leaves the area
         (np.abs(y - 80 - 20 * np.sin(x / 15)) < 4, 5.0),  # a winding sunken road
         (x < 80, 8.0),  # a scarp
