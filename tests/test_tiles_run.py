@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import collections
 import json
 import os
+import pickle
 import shutil
 
 import laspy
@@ -12,10 +14,11 @@ import pytest
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.tiles import task
+from jaxfilter.tiles import dask, task
+from jaxfilter.tiles.dask import Cluster
 from jaxfilter.tiles.folder import SCRATCH
 from jaxfilter.tiles.ground import ground
-from jaxfilter.tiles.pool import Outcome, Pool, attempt
+from jaxfilter.tiles.pool import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -288,6 +291,76 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
     ):
         report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
+
+
+class Scheduler:
+    """What a client of Dask does with one thread: bundles are done when they are submitted, but for the ``deadly`` ones."""
+
+    def __init__(self, deadly=lambda calls: False):
+        self.deadly, self.bundles, self.held = deadly, [], 0
+
+    def nthreads(self):
+        return {"worker": 1}
+
+    def map(self, function, bundles, key, pure):
+        assert len(set(key)) == len(bundles) and not pure
+        self.held = max(self.held, len(bundles))
+        return [Future(self, name, function, bundle) for name, bundle in zip(key, bundles, strict=True)]
+
+
+class Future:
+    def __init__(self, owner, key, function, bundle):
+        self.key, self.failed = key, owner.deadly(pickle.loads(bundle))
+        self.value = None if self.failed else function(bundle)
+        owner.bundles.append(0 if self.failed else len(self.value[0]))
+
+    def add_done_callback(self, call):
+        call(self)
+
+    def result(self):
+        if self.failed:
+            raise RuntimeError("the worker died")
+        return self.value
+
+    def release(self):
+        pass
+
+
+def numbers(client, count):
+    """What a cluster makes of ``abs`` of as many numbers, in the order in which they end."""
+    pytest.importorskip("distributed")
+    todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
+    return [outcome.value for _, outcome in carried_out(Cluster(client), todo, collections.deque(), lambda: None)]
+
+
+def test_a_scheduler_is_given_short_tasks_in_bundles_and_long_ones_one_by_one(monkeypatch):
+    client = Scheduler()
+    assert sorted(numbers(client, 1000)) == list(range(1000))
+    assert client.held <= 2 and sum(client.bundles) == 1000 and max(client.bundles) <= 100
+    assert len(client.bundles) < 40 and client.bundles[:2] == [1, 1]
+    monkeypatch.setattr(dask, "_LASTS", 0.0)
+    client = Scheduler()
+    assert sorted(numbers(client, 50)) == list(range(50)) and client.bundles == [1] * 50
+
+
+def test_a_bundle_ends_when_its_time_is_over_and_what_it_left_is_done_once(monkeypatch):
+    """The seventh bundle and later ones do one task each, whatever they hold."""
+
+    def soon_over(calls):
+        if len(client.bundles) == 6:
+            monkeypatch.setattr(dask, "_LASTS", 0.0)
+        return False
+
+    client = Scheduler(soon_over)
+    assert sorted(numbers(client, 60)) == list(range(60))
+    assert max(client.bundles[:6]) > 1 and set(client.bundles[6:]) == {1} and sum(client.bundles) == 60
+
+
+def test_what_kills_workers_is_told_from_what_was_with_it():
+    client = Scheduler(lambda calls: (abs, (77,)) in calls)
+    found = numbers(client, 200)
+    assert sorted(n for n in found if n is not None) == [n for n in range(200) if n != 77] and found.count(None) == 1
+    assert client.bundles.count(0) == 4, "with others, and three times alone"
 
 
 def test_a_report_and_a_map_lie_beside_the_files(done):
