@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import collections
 import json
+import multiprocessing
 import os
 import pickle
 import shutil
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -291,6 +294,34 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
     ):
         report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
+
+
+UNGUARDED = """
+from jaxfilter.tiles.pool import Pool, check_main
+print("begun", flush=True)
+check_main()
+Pool(2).close()
+"""
+
+
+def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypatch):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stdout.split() == ["begun"] * 2
+    assert "script.py: processes that it starts import it" in done.stderr and 'if __name__ == "__main__"' in done.stderr
+    assert done.stderr.count("Traceback") == 2, "an error and its cause; the worker says nothing"
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(jf.JaxfilterError, match="processes that it starts import it"):
+        run(tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_runs_are_known_by_name(files, tmp_path):
+    for function in (jf.ground, jf.heights, jf.terrain_model):
+        with pytest.raises(TypeError, match=rf"{function.__name__}\(\) got an unexpected keyword argument 'tiel'"):
+            function(files, tmp_path / "out.tif", tiel=25.0)
+    assert not list(tmp_path.iterdir())
 
 
 class Scheduler:

@@ -248,6 +248,15 @@ def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
         raise
 
 
+def check_writable(place: Remote) -> None:
+    """Put an empty file beside ``place`` and remove it, before much is done for it. Raises: OutputError if the store refuses."""
+    probe = Remote(f"{place}.jaxfilter-run")
+    with new_object(probe, overwrite=True) as part:
+        part.touch()
+    with contextlib.suppress(InputError):  # it may be allowed to write, but not to remove
+        probe.remove()
+
+
 def _persistent(uri: str, act: Callable[[], _T]) -> _T:
     """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI."""
     for attempt in range(ATTEMPTS):

@@ -17,6 +17,7 @@ from ..host.files import Bounds
 from ..host.interpolation import Heights, Linear
 from .collection import Collection
 from .layout import Layout, layout
+from .options import RunOptions
 from .plan import Plan, plan_with_halo, window_around
 from .setup import filter_for, sampled, whole_for
 from .task import Around, Job, Tile, inside, read_tile
@@ -78,9 +79,7 @@ def ground_job(
     largest_building: float | None,
     ground_classes: tuple[int, ...],
     grain: float,
-    tile: float | None,
-    memory: float | None,
-    workers: int | None,
+    run: RunOptions,
     most_points: float | None,
     classes: dict[str, Any],
     scratch: Path,
@@ -99,10 +98,8 @@ def ground_job(
         collection,
         lattice=grain,
         halo=HALOS[0] + filter_halo,
-        tile=tile,
-        memory=memory,
-        workers=workers,
         most_points=most_points,
+        **run,
     )
     job = kind(
         filter_ or PMF(), READING, classes, (), whole, scratch, index, collection.bounds,
