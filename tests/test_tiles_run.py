@@ -296,6 +296,60 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
 
 
+@pytest.fixture(scope="module")
+def odd(files, tmp_path_factory):
+    """Those files, one of them twice, one without points, and beyond them water and points that are not judged."""
+    folder = tmp_path_factory.mktemp("odd") / "survey"
+    shutil.copytree(files, folder)
+    shutil.copy(files / "00.laz", folder / "00-again.laz")
+    las = laspy.read(files / "11.laz")
+    x, y = np.floor(las.x.max()), np.floor(las.y.max())
+    for name, class_, echoes, rows, east in (
+        ("empty", 0, 1, 0, 0.0), ("water", 9, 1, 200, 30.0), ("first", 0, 2, 200, 60.0)
+    ):  # fmt: skip
+        one = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        one.header.scales, one.header.offsets = np.full(3, 0.01), (x, y, 0.0)
+        grid = np.arange(rows)
+        one.x, one.y, one.z = x + east + 1.3 * (grid % 20), y - 1.7 * (grid // 20), np.full(rows, 3.0)
+        one.classification, one.return_number = np.full(rows, class_), np.ones(rows, int)
+        one.number_of_returns = np.full(rows, echoes)
+        one.write(folder / f"{name}.laz")
+    return folder
+
+
+def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_all_others(odd, tmp_path):
+    for halo in (0.0, 20.0):
+        out = tmp_path / f"{halo:g}"
+        report = run(odd, out, halo=halo)
+        before, after = ({p.name: laspy.read(p) for p in folder.glob("*.laz")} for folder in (odd, out))
+        assert report.complete and before.keys() == after.keys() and len(after) == 8
+        assert report.points == sum(len(one) for one in after.values()) and report.statuses["NO_CANDIDATES"] >= 2
+        for name, one in before.items():
+            assert np.array_equal(one.xyz, after[name].xyz), name
+        classes = {name: np.asarray(one.classification) for name, one in after.items()}
+        assert np.array_equal(classes["00.laz"], classes["00-again.laz"]) and (classes["00.laz"] == 2).any()
+        assert (classes["water.laz"] == 9).all() and (classes["first.laz"] == 0).all()
+
+
+def test_a_terrain_model_has_no_heights_where_there_is_no_ground(odd, tmp_path):
+    pytest.importorskip("rasterio")
+    report = jf.terrain_model(odd, tmp_path / "a.tif", jf.PMF, PMF_FIELDS, cell=1.0, tile=40.0, executor=Here())
+    values = jf.Raster.read(tmp_path / "a.tif").values
+    assert report.complete and report.points == sum(len(laspy.read(path)) for path in odd.glob("*.laz"))
+    assert np.isnan(values[:, -50:]).all() and np.isfinite(values[10:80, 10:90]).all()
+
+
+def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
+    (tmp_path / "in").mkdir()
+    for name, crs in (("m", "EPSG:25832"), ("ft", "EPSG:2263")):
+        cloud = jf.read(files / "00.laz", units="m")
+        jf.write(tmp_path / "in" / f"{name}.laz", jf.PointCloud.from_arrays(cloud.coordinates(), crs=crs), None)
+    for function in (jf.ground, jf.heights, jf.terrain_model):
+        with pytest.raises(jf.InputError, match="different units"):
+            function(tmp_path / "in", tmp_path / "out.tif", executor=Here())
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
 UNGUARDED = """
 from jaxfilter.tiles.pool import Pool, check_main
 print("begun", flush=True)

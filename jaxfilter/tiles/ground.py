@@ -10,10 +10,9 @@ from typing import Any, Unpack
 from ..core.cloud import KEPT_CLASSES, Whole
 from ..core.filter import Filter
 from .collection import Collection
-from .collection import open as open_collection
 from .folder import Folder, run_in
 from .layout import Layout, layout
-from .options import RunOptions, check_run
+from .options import RunOptions, begun
 from .outputs import write_file
 from .plan import Plan
 from .run import RunReport, Step
@@ -68,9 +67,7 @@ def ground(
     >>> len(report.files), report.set_aside, 0 < report.ground < report.candidates
     (2, [], True)
     """
-    check_run("ground", run)
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
-    metre = collection.metre  # which is refused where files do not go together
+    collection = begun("ground", what, units, run)
     reading = {
         "returns": returns,
         "ignore_classes": tuple(ignore_classes),
@@ -101,7 +98,7 @@ def ground(
             most_points=most,
             **run,
         )
-        width, height = (side * metre for side in cut.plan.largest())
+        width, height = (side * collection.metre for side in cut.plan.largest())
         whole = dataclasses.replace(whole, width=width, height=height)
         return Job(chosen, reading, classes, tuple(extra), whole, folder.scratch, index), cut, cut.plan, {}
 

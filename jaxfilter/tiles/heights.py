@@ -15,11 +15,9 @@ from ..core.filter import Filter
 from ..core.result import Status
 from ..host.writing import HEIGHT, class_changes, write
 from ..terrain import heights_of
-from .collection import Collection
-from .collection import open as open_collection
 from .folder import Folder, run_in
 from .layout import Layout
-from .options import RunOptions, check_run
+from .options import RunOptions, begun
 from .outputs import FileReport, FileTask, collected, handle_of
 from .plan import Plan
 from .run import RunReport, Step
@@ -140,8 +138,7 @@ def heights(
     >>> len(report.files), report.points == len(cloud), report.heights[0] < 1 < report.heights[1]
     (2, True, True)
     """
-    check_run("heights", run)
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
+    collection = begun("heights", what, units, run)
     folder = Folder.prepared(out, collection, run)
 
     def prepared(most: float | None) -> tuple[Job, Layout, Plan, dict[str, Any]]:

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from typing import Any, TypedDict
 
+from .collection import Collection
+from .collection import open as open_collection
 from .pool import Executor, check_main
 from .run import Standing
 
@@ -43,12 +45,16 @@ class RunOptions(TypedDict, total=False):
     progress: Callable[[Standing], None] | None
 
 
-def check_run(caller: str, run: RunOptions) -> None:
-    """What is to be known before a run touches anything.
+def begun(caller: str, what: Any, units: str | None, run: RunOptions) -> Collection:
+    """The collection of a run, before that touches anything.
 
-    Raises: TypeError for names that are no options, as Python does; JaxfilterError if its workers would come here themselves.
+    Raises: TypeError for names that are no options, as Python does; JaxfilterError if its workers would come here themselves;
+    InputError if files cannot be found, or do not go together.
     """
     unknown = [name for name in run if name not in RunOptions.__annotations__]
     if unknown:
         raise TypeError(f"{caller}() got an unexpected keyword argument {unknown[0]!r}")
     check_main()
+    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
+    _ = collection.units  # which are refused where files do not go together
+    return collection

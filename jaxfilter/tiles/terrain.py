@@ -19,11 +19,9 @@ from ..host.files import Bounds, check_bounds, is_there
 from ..host.raster import check_target, write_mosaic
 from ..host.storage import Place, Remote, check_writable, place_of
 from ..terrain import check_settings, interpolated
-from .collection import Collection
-from .collection import open as open_collection
 from .folder import executor_of, facts_of, work_of
 from .journal import NAME, Journal
-from .options import RunOptions, check_run
+from .options import RunOptions, begun
 from .run import Run, Step
 from .surroundings import Doubt, GroundJob, ground_job, surroundings
 from .task import Tile, keep
@@ -197,12 +195,11 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    check_run("terrain_model", run)
     check_settings(cell, method, max_gap, neighbours, power)
     settings = {"method": method, "max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
     place = place_of(target)
     check_target(place)
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
+    collection = begun("terrain_model", what, units, run)
     metre, start = collection.metre, time.perf_counter()
     raster = raster_bounds(collection.bounds if bounds is None else check_bounds(bounds), cell)
     shape = (round((raster[3] - raster[1]) / cell), round((raster[2] - raster[0]) / cell))
