@@ -270,7 +270,8 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     assert again.calls == [] and bucket.faults.failures == [] and list(work.iterdir()) == []
     assert stored() == ["all.tif"] and bucket.cat_file("surveys/dtm/all.tif") == local.read_bytes()
     with pytest.raises(jf.OutputError, match=r"all\.tif: the file exists"):
-        model(target, Here(), work=work)
+        model(target, refused, work=work)
+    assert refused.calls == []
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -295,5 +296,9 @@ def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
     assert back.exit_code == 0 and (tmp_path / "again.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
     wrong = run("ground", "pmf", f"{out}/a.laz", f"{out}/a.laz")
     assert wrong.exit_code == 2 and "is both input and output" in wrong.stderr, wrong.output
+    wrong = run("dtm", west_and_east, f"{out}/e.tif")
+    assert wrong.exit_code == 2 and "e.tif is not on a local disk" in wrong.stderr and "--work" in wrong.stderr, (
+        wrong.output
+    )
     missing = run("ground", "pmf", f"{out}/absent.laz", tmp_path / "new.laz")
     assert missing.exit_code == 1 and "absent.laz: no such file" in missing.stderr, missing.output

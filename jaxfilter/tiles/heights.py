@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -114,7 +115,7 @@ def heights(
     replace_z: bool = False,
     units: str | None = None,
     largest_building: float | None = None,
-    ground_classes: tuple[int, ...] = (GROUND_CLASS,),
+    ground_classes: Iterable[int] = (GROUND_CLASS,),
     **run: Unpack[RunOptions],
 ) -> RunReport:
     """Write the files of a collection with the height of every point above the ground, tile by tile and without seams.

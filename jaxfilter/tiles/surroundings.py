@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -77,7 +77,7 @@ def ground_job(
     changes: dict[str, Any],
     *,
     largest_building: float | None,
-    ground_classes: tuple[int, ...],
+    ground_classes: Iterable[int],
     grain: float,
     run: RunOptions,
     most_points: float | None,
@@ -103,7 +103,7 @@ def ground_job(
     )
     job = kind(
         filter_ or PMF(), READING, classes, (), whole, scratch, index, collection.bounds,
-        None if finder is not None else ground_classes, grain / metre, lattice / metre, filter_halo / metre, **more,
+        None if finder is not None else tuple(ground_classes), grain / metre, lattice / metre, filter_halo / metre, **more,
     )  # fmt: skip
     return job, cut, plan_with_halo(cut.plan, collection, HALOS[-1] + filter_halo + lattice)
 

@@ -16,7 +16,7 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
 from ..host.files import Bounds, check_bounds, is_there
-from ..host.raster import check_target, write_mosaic
+from ..host.raster import check_library, check_target, write_mosaic
 from ..host.storage import Place, Remote, check_writable, place_of
 from ..terrain import check_settings, interpolated
 from .folder import executor_of, facts_of, work_of
@@ -170,7 +170,7 @@ def terrain_model(
     power: float = 2.0,
     units: str | None = None,
     largest_building: float | None = None,
-    ground_classes: tuple[int, ...] = (GROUND_CLASS,),
+    ground_classes: Iterable[int] = (GROUND_CLASS,),
     **run: Unpack[RunOptions],
 ) -> TerrainReport:
     """Make one terrain model of a collection and write it as a Cloud Optimized GeoTIFF.
@@ -199,6 +199,7 @@ def terrain_model(
     settings = {"method": method, "max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
     place = place_of(target)
     check_target(place)
+    check_library()
     collection = begun("terrain_model", what, units, run)
     metre, start = collection.metre, time.perf_counter()
     raster = raster_bounds(collection.bounds if bounds is None else check_bounds(bounds), cell)
@@ -256,7 +257,7 @@ def terrain_model(
         more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(
-            f"{collection!r}: no point is ground; classify it first, or pass filter= to find the ground{more}"
+            f"{collection!r}: no point is ground; classify it first, or find the ground with a filter{more}"
         )
     report.empty = shape[0] * shape[1] - sum(int(np.isfinite(values).sum()) for _, _, values in parts())
     replace = run.get("overwrite", False) or run.get("resume", False)
