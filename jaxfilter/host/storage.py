@@ -139,7 +139,9 @@ class Remote:
     def put(self, local: Path) -> None:
         """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
         system, path = self._system()
-        _persistent(self.uri, lambda: system.put_file(str(local), path))
+        _persistent(
+            self.uri, lambda: system.put_file(str(local), path), "there is no such bucket or folder to write to"
+        )
 
     def _system(self) -> tuple[Any, str]:
         import fsspec
@@ -257,8 +259,9 @@ def check_writable(place: Remote) -> None:
         probe.remove()
 
 
-def _persistent(uri: str, act: Callable[[], _T]) -> _T:
-    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI."""
+def _persistent(uri: str, act: Callable[[], _T], missing: str = "no such file") -> _T:
+    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI; ``missing``: what is
+    said of "not found"."""
     for attempt in range(ATTEMPTS):
         try:
             return act()
@@ -269,7 +272,7 @@ def _persistent(uri: str, act: Callable[[], _T]) -> _T:
             cause = known if isinstance(known, Exception) else error
             status = _status(cause)
             if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
-                raise InputError(f"{uri}: no such file") from error
+                raise InputError(f"{uri}: {missing}") from error
             reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
             if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
                 raise InputError(f"{uri}: cannot be reached: {reason}") from error
