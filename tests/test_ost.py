@@ -226,20 +226,20 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
 def test_points_are_taken_in_by_height_and_by_distance_and_angle():
     """Over a level square: at most a limit high, or so far from its plane and below an angle to the corner."""
     corners = [[0, 0, 0], [20, 0, 0], [0, 20, 0], [20, 20, 0]]
-    over = [[10, 3, 0.2], [10, 6, 0.6], [1, 2.5, 0.5], [0, 0, 3]]
+    over = [[10, 3, 0.2], [10, 6, 0.6], [1, 2.5, 0.5], [0.2, 0.2, 0.15], [0, 0, 3]]
     xyz = points_of(np.array(corners + over, float))
     seeds = np.flatnonzero(((xyz[:, 0] % 20 == 0) & (xyz[:, 1] % 20 == 0)) & (xyz[:, 2] == 0))
     full = np.ones(len(xyz), np.float32)
     with GroundTin(xyz, seeds, 1) as ground:
         ground.admit(0.3 * full, 1.0, but=np.zeros(len(xyz), bool))
-        assert sorted(xyz[ground.ground, 2].round(2).tolist()) == [0, 0, 0, 0, pytest.approx(0.2)]
-    with GroundTin(xyz, seeds, 1) as ground:
-        ground.densify(0.7 * full, 8.0 * full, 1)
-        angle = [math.degrees(math.atan2(z, min(math.dist((x, y), c[:2]) for c in corners))) for x, y, z in over]
-        taken = [z <= 0.7 and a < 8 for (_, _, z), a in zip(over, angle, strict=True)]
-        assert sorted(xyz[ground.ground & (xyz[:, 2] > 0.1), 2].round(1).tolist()) == [
-            pytest.approx(p[2], abs=1e-3) for p, yes in zip(over, taken, strict=True) if yes
-        ]
+        assert sorted(xyz[ground.ground, 2].round(2).tolist()) == pytest.approx([0, 0, 0, 0, 0.15, 0.2])
+    angle = [math.degrees(math.atan2(z, min(math.dist((x, y), c[:2]) for c in corners))) for x, y, z in over]
+    for noise in (0.0, 0.1, 0.2):
+        with GroundTin(xyz, seeds, 1) as ground:
+            ground.densify(0.7 * full, 8.0 * full, noise, 1)
+            taken = [z <= 0.7 and (a < 8 or z <= noise) for (_, _, z), a in zip(over, angle, strict=True)]
+            expected = sorted(p[2] for p, yes in zip(over, taken, strict=True) if yes)
+            assert sorted(xyz[ground.ground & (xyz[:, 2] > 0.1), 2].tolist()) == pytest.approx(expected, abs=1e-3)
 
 
 def test_points_in_the_plane_of_a_facet_that_stands_upright_do_not_join(rng):
@@ -252,7 +252,7 @@ def test_points_in_the_plane_of_a_facet_that_stands_upright_do_not_join(rng):
         seeds = np.flatnonzero(xyz[:, 1] != width / 2)
         full = np.ones(len(xyz), np.float32)
         with GroundTin(xyz, seeds, 1) as ground:
-            ground.densify(0.2 * full, 60.0 * full, 1)
+            ground.densify(0.2 * full, 60.0 * full, 0.0, 1)
             assert ground.ground.all() == joins
 
 

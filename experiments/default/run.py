@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import shlex
 import sys
 from collections.abc import Callable, Iterable
@@ -29,6 +30,7 @@ ABLATIONS: dict[str, dict[str, float]] = {
     "5 without whole segments": {"roof_area": 1e9},
     "5 segments by marked cells only": {"roof_drop_share": 1.0},
     "7 without densification": {"rounds": 0},
+    "7 angles count at any distance": {"noise": 0.0},
     "8 nothing dropped": {"scene_spread": 1e9},
 }
 """What is left out, by the number of the step in the class; constants are otherwise the defaults."""
@@ -44,7 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=HERE / "results")
     parser.add_argument("--sets", type=int, default=63, help="sets of constants that are tried besides the first")
     parser.add_argument("--skip", nargs="*", default=[], choices=["ablations", "methods", "scenes"])
-    parser.add_argument("--scene-methods", nargs="*", default=["smrf", "spf", "iptd", "fptd", "csf", "pmf"])
+    parser.add_argument("--scene-methods", nargs="*", default=[name for name in jf.FILTERS if name != "ost"])
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     use_persistent_cache()
@@ -232,10 +234,12 @@ def scenes(methods: list[str], out: Path) -> list[str]:
     """Every layout at four densities: total errors, and the terrain model's root mean square error."""
     path = out / "scenes.csv"
     rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
-    for density in (0.3, 1.0, 4.0, 15.0) if not rows else ():
-        for layout in jf.scenes.LAYOUTS:
+    done = {(row["density"], row["layout"], row["method"]) for row in rows}
+    for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), jf.scenes.LAYOUTS):
+        missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
+        if missing:
             scene = jf.scenes.make(layout, size=clouds.SIZES[density], density=density, seed=clouds.SEED)
-            for name in ("ost", *methods):
+            for name in missing:
                 result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
                 error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
                 rows.append({"layout": layout, "density": density, "method": name, "total": error,
@@ -243,6 +247,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)
     table.to_csv(path, index=False)
+    table = table[table["method"].isin(["ost", *methods])].sort_values("density", kind="stable")
     total = table.pivot_table(index="layout", columns="method", values="total", sort=False)
     rmse = table.pivot_table(index="density", columns="method", values="rmse", sort=False)
     total.loc["mean"], rmse.loc["mean"] = total.mean(), rmse.mean()

@@ -48,7 +48,7 @@ class OST(Filter):
        points within ``tolerance`` + ``scaling`` x slope + ``relief_scaling`` x G become ground, where the tolerance grows
        with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
-       limits grow with G.
+       limits grow with G. Within ``noise`` of the plane of the facet angles do not count.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped.
 
@@ -78,7 +78,7 @@ class OST(Filter):
     low_points: int = static(
         default=30, ge=0, doc="largest cluster of low points that is barred, or a fourth of a deep one; 0 = none"
     )
-    slope: float = param(default=0.08, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
+    slope: float = param(default=0.09, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
     relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
     first_slope: float = param(
         default=0.15, unit="rise/run", gt=0, doc="the same for the first estimate of the landscape"
@@ -87,29 +87,32 @@ class OST(Filter):
         default=30.0, unit="m", gt=0, doc="how far around a place its landscape reaches: one sigma"
     )
     roof_step: float = param(
-        default=0.3, unit="m", gt=0, doc="steps between neighbouring cells of a segment are smaller"
+        default=0.42, unit="m", gt=0, doc="steps between neighbouring cells of a segment are smaller"
     )
     roof_area: float = param(default=30.0, unit="m2", gt=0, doc="smallest segment that is judged as a whole")
-    roof_share: float = param(default=0.6, gt=0, le=1, doc="share of marked cells that makes a segment an object")
-    roof_drop: float = param(default=2.5, unit="m", gt=0, doc="fall of the surface at the border of an object")
-    roof_drop_share: float = param(default=0.5, gt=0, le=1, doc="share of such border that makes a segment an object")
+    roof_share: float = param(default=0.55, gt=0, le=1, doc="share of marked cells that makes a segment an object")
+    roof_drop: float = param(default=1.8, unit="m", gt=0, doc="fall of the surface at the border of an object")
+    roof_drop_share: float = param(default=0.53, gt=0, le=1, doc="share of such border that makes a segment an object")
     void: float = param(default=8.0, unit="m", gt=0, doc="triangles with longer edges, and 4 spacings, span a void")
     rim: float = static(
         default=4.0, unit="m", gt=0, doc="around the corners of such a triangle the lowest point counts"
     )
-    tolerance: float = param(default=0.1, unit="m", ge=0, doc="height of ground over the facets of the seeds")
+    tolerance: float = param(default=0.09, unit="m", ge=0, doc="height of ground over the facets of the seeds")
     tolerance_spacing: float = param(
         default=0.2, unit="m/m", ge=0, doc="height that is added per metre of point spacing"
     )
     max_tolerance: float = param(default=0.3, unit="m", gt=0, doc="largest sum of both")
     scaling: float = param(default=1.0, unit="m/m", ge=0, doc="height per slope of the facet, times the point spacing")
-    min_scaling: float = param(default=0.5, unit="m", ge=0, doc="least height per slope of the facet; the most is 1 m")
+    min_scaling: float = param(default=0.1, unit="m", ge=0, doc="least height per slope of the facet; the most is 1 m")
     relief_scaling: float = param(default=0.0, unit="m", ge=0, doc="height per slope of the landscape")
     max_distance: float = param(default=1.25, gt=0, doc="distance to the facet in densification, in tolerances")
     distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
     max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
     angle_relief: float = param(default=60.0, unit="degrees", ge=0, doc="angle per slope of the landscape")
-    rounds: int = static(default=3, ge=0, doc="rounds of densification")
+    noise: float = param(
+        default=0.1, unit="m", ge=0, doc="so near to the plane of its facet a point joins whatever the angle"
+    )
+    rounds: int = static(default=6, ge=0, doc="rounds of densification")
     scene_spread: float = param(default=6.0, gt=0, doc="residuals of vertices that are dropped, in sigmas of the scene")
     local_spread: float = param(default=3.0, gt=0, doc="and in those around, times the spacing up to one metre")
 
@@ -117,7 +120,7 @@ class OST(Filter):
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
-        "recommended": Preset("the default: found by hand, and within 0.06 points of the best in experiments/default"),
+        "recommended": Preset("the default: found by hand, see experiments/default"),
     }
 
     def check(self) -> None:
@@ -164,7 +167,7 @@ class OST(Filter):
             distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
             angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
             progress(0.5, "densify")
-            ground.densify(distance, angle, self.rounds)
+            ground.densify(distance, angle, float(self.noise), self.rounds)
             progress(0.8, "prune")
             pruned = ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
             ground.finish()

@@ -31,11 +31,11 @@ def _close(xyz: jax.Array, corners: jax.Array, tolerance: jax.Array, scaling: ja
 
 
 @jax.jit
-def _joins(xyz: jax.Array, corners: jax.Array, distance: jax.Array, angle: jax.Array) -> Tested:
-    """As :func:`_close`, by distance from the plane in metres and angle in degrees."""
+def _joins(xyz: jax.Array, corners: jax.Array, distance: jax.Array, angle: jax.Array, noise: jax.Array) -> Tested:
+    """As :func:`_close`, by distance from the plane in metres and, beyond ``noise`` metres from it, angle in degrees."""
     s = jax.vmap(facet_score)(xyz, corners)
     away = jnp.abs(s.height) * jnp.cos(jnp.radians(jnp.minimum(s.slope, _STEEPEST)))
-    margin = jnp.where(jnp.abs(s.angle) < angle, away - distance, jnp.inf)
+    margin = jnp.where((jnp.abs(s.angle) < angle) | (away <= noise), away - distance, jnp.inf)
     return jnp.where(s.planar, margin, jnp.inf), s.height, s.slope
 
 
@@ -76,7 +76,7 @@ class GroundTin:
         self.pool.shutdown()
 
     def _tested(self, test: Callable[..., Tested], rows: np.ndarray, *limits: np.ndarray) -> np.ndarray:
-        """Margins of points over their facets, by limits f32[m]; what is found is kept."""
+        """Margins of points over their facets, by limits f32[m], or f32[] for all points; what is found is kept."""
         self.tin.locate(rows)
         corner = self.tin.corners(self.tin.where[rows])
         size = bucket(min(len(self.xyz), _AT_ONCE))
@@ -84,9 +84,10 @@ class GroundTin:
         def one(start: int) -> None:
             part = slice(start, start + _AT_ONCE)
             own = rows[part]
-            given = self.xyz[own], self.tin.xyz[corner[part]], *(limit[own] for limit in limits)
+            given = self.xyz[own], self.tin.xyz[corner[part]], *(v[own] for v in limits if v.ndim)
             padded = (np.concatenate([v, np.zeros((size - len(own), *v.shape[1:]), v.dtype)]) for v in given)
-            for out, values in zip((self.margin, self.height, self.slope), test(*padded), strict=True):
+            tested = test(*padded, *(v for v in limits if not v.ndim))
+            for out, values in zip((self.margin, self.height, self.slope), tested, strict=True):
                 out[own] = np.asarray(values)[: len(own)]
 
         list(self.pool.map(on_same_device(one), range(0, len(rows), _AT_ONCE)))
@@ -104,16 +105,19 @@ class GroundTin:
         """
         rows = np.flatnonzero(~self.ground & ~but)
         if len(rows):
-            self._take(rows[self._tested(_close, rows, tolerance, np.full_like(tolerance, scaling)) <= 0])
+            self._take(rows[self._tested(_close, rows, tolerance, np.asarray(scaling, np.float32)) <= 0])
 
-    def densify(self, distance: np.ndarray, angle: np.ndarray, rounds: int) -> None:
+    def densify(self, distance: np.ndarray, angle: np.ndarray, noise: float, rounds: int) -> None:
         """Take in points at most ``distance`` metres from the plane of their facet, and below ``angle`` degrees, f32[m].
 
-        Planes steeper than 80 degrees count as that steep, and distances from these grow with the height over them.
+        Angles do not count within ``noise`` metres of the plane: between points that are near to each other, a few centimetres
+        are many degrees. Planes steeper than 80 degrees count as that steep, and distances from these grow with the height
+        over them.
         """
+        limits = distance, angle, np.asarray(noise, np.float32)
         for _ in range(rounds):
             rows = np.flatnonzero(~self.ground)
-            accepted = rows[self._tested(_joins, rows, distance, angle) <= 0] if len(rows) else rows
+            accepted = rows[self._tested(_joins, rows, *limits) <= 0] if len(rows) else rows
             if len(accepted) == 0:
                 return
             self._take(accepted)
@@ -160,7 +164,6 @@ class GroundTin:
     def finish(self) -> None:
         """Give points that are no ground their height and slope over the triangulation as it is; margins stay."""
         rows, margin = np.flatnonzero(~self.ground), self.margin.copy()
-        zero = np.zeros(len(self.xyz), np.float32)
         if len(rows):
-            self._tested(_close, rows, zero, zero)
+            self._tested(_close, rows, np.zeros((), np.float32), np.zeros((), np.float32))
         self.margin = margin
