@@ -275,6 +275,11 @@ def test_workers_that_die_are_replaced():
         assert "exit code 3" in found["dies"].reason and "ValueError" in found["fails"].reason
         pool.submit("works", int, "7")
         assert [outcome.value for _, outcome in pool.completed(10.0)] == [7]
+        for worker in pool._idle:  # without a task
+            worker.process.kill()
+            worker.process.join()
+        pool.submit("meets a dead one", int, "7")
+        assert "the worker died" in pool.completed(10.0)[0][1].reason
         assert pool.room() == 2
     finally:
         pool.close()
