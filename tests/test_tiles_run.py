@@ -15,6 +15,7 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.tiles import task
 from jaxfilter.tiles.folder import SCRATCH
 from jaxfilter.tiles.ground import ground
+from jaxfilter.tiles.outputs import target_names
 from jaxfilter.tiles.pool import Outcome, Pool, attempt
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
@@ -262,6 +263,13 @@ def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp
     found = [jf.read(path) for path in sorted(out.glob("*.laz"))]
     ground_ = np.concatenate([one.classification == 2 for one in found])
     assert np.array_equal(ground_, labels)
+
+
+def test_outputs_have_the_names_of_inputs():
+    uris = ["/a/one.las", "s3://b/two.copc.laz", "https://c/three.laz?sv=2024&sig=x%2Fy.z"]
+    assert target_names(uris) == ["one.las", "two.laz", "three.laz"]
+    with pytest.raises(jf.OutputError, match="both be written as one.las"):
+        target_names([*uris, "s3://b/one.las"])
 
 
 def test_workers_that_die_are_replaced():
