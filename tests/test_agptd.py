@@ -100,6 +100,14 @@ def test_slopes_of_a_cell_do_not_depend_on_the_order_of_its_points(rng):
     assert (np.asarray(one.number)[5:] == 0).all() and (np.asarray(one.mean)[5:] == 0).all()
 
 
+def test_slopes_of_a_cell_of_a_million_points_are_summed_in_full():
+    """As dense as from a drone over a cell as wide as a building."""
+    xyz = np.tile(np.float32([1.0, 0.0, 2047 / 65536]), (1_100_000, 1))
+    xyz[0] = 0.0
+    found = cell_slopes(np.zeros(len(xyz), np.int32), xyz, np.ones(len(xyz), bool), 1)
+    assert float(found.mean[0]) == pytest.approx(2047 / 65536, rel=1e-6) and int(found.number[0]) == len(xyz)
+
+
 def test_only_the_steep_cell_with_enough_points_gives_more_seeds():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 40), np.arange(0.5, 20)))
     z = np.where(x > 20, np.abs(x - 30) * 0.5 + y * 0.2, 0.001 * x)  # flat on the left, a valley on the right

@@ -329,6 +329,9 @@ def test_other_writers(tmp_path):
     assert survey[5].metre == survey[6].metre == pytest.approx(1200 / 3937) and survey[7].crs is None
     assert survey[8].count == 33 and survey[8].identity
     assert [os.path.basename(uri) for uri, _ in survey.unreadable] == ["absent.laz", "ept.json"]
+    written = json.loads(survey.to_vpc(tmp_path / "b.vpc").read_text(), parse_constant=pytest.fail)  # NaN is no JSON
+    assert [len(written["features"][k]["properties"]["proj:bbox"]) for k in (3, 4)] == [6, 4]
+    assert jf.open(tmp_path / "b.vpc").footprints[:8].tolist() == survey.footprints[:8].tolist()
 
 
 @pytest.mark.parametrize(

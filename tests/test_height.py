@@ -68,6 +68,8 @@ def test_stray_points_far_off():
     ground = np.arange(6) < 3
     heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz), ground)
     np.testing.assert_allclose(heights, [0, 0, 0, 15, 2, 3])
+    with pytest.raises(jf.InputError, match=r"140 km apart.* leave out stray ones"):
+        jf.height_above_ground(jf.PointCloud.from_arrays(np.where(xyz > 1e6, 3e5, xyz)), np.ones(6, bool))
 
 
 @pytest.mark.parametrize("ground, expected", [([0], [0, 4, 7]), ([0, 1], [0, 0, 3])])

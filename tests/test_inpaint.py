@@ -116,6 +116,15 @@ def test_nearest_fill_without_known_cells_changes_nothing():
     np.testing.assert_array_equal(fill_nearest(z, np.zeros_like(known), np.ones_like(known)), z)
 
 
+def test_nearest_along_a_corridor_of_fifty_kilometres(rng):
+    """Squares of the distance to what is in no column do not overflow."""
+    known = rng.random((4, 50_000)) < 0.5
+    known[:, 1000:1010] = False
+    z = np.where(known, np.arange(50_000, dtype=np.float32), -1)
+    filled = np.asarray(fill_nearest(z, known, np.ones_like(known)))
+    assert (np.abs(filled - np.arange(50_000)) < 20).all()
+
+
 @pytest.mark.parametrize("shape", [(4000, 5), (3, 9000)])
 def test_a_membrane_over_a_corridor_takes_no_more_memory_than_its_cells(shape):
     """Held at both ends it is a straight line; the short axis is not padded to the coarsening of the long one."""

@@ -84,6 +84,19 @@ def test_drawn_elevations_equal_scipy(rng):
         np.testing.assert_allclose(values[drawn], expected[drawn], atol=1e-4)
 
 
+def test_drawn_elevations_do_not_depend_on_the_order_of_triangles(rng):
+    """Centres of cells on edges, and long triangles beside short ones, which have other elevations."""
+    xy = np.unique(rng.integers(0, 30, (80, 2)), axis=0).astype(np.float64)
+    z, triangles = rng.normal(size=(2, len(xy))).astype(np.float32), Delaunay(xy).simplices.astype(np.int32)
+    drawn = []
+    for _ in range(4):
+        values, seen = np.zeros((30, 30), np.float32), np.zeros((30, 30), bool)
+        turned = [np.roll(corners, rng.integers(3)) for corners in rng.permutation(triangles)]
+        shapes.draw(*xy.T.copy(), np.array(turned), z[0], z[0] - np.float32(5), 4.0, values, seen)
+        drawn.append((values.tobytes(), seen.tobytes()))
+    assert len(set(drawn)) == 1 and seen.sum() > 500
+
+
 def test_segments_of_levels_equal_those_of_scipy(rng):
     """With whole metres and steps below one, segments are the connected parts of each level."""
     z = rng.integers(0, 3, (25, 33)).astype(np.float32)
@@ -123,7 +136,10 @@ def test_the_census_counts_as_numpy_does(rng):
 
 
 def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scipys_triangulation(rng, pool):
-    xyz = points_of(np.column_stack([rng.uniform(0, 60, (300, 2)), rng.normal(size=300)]).round(3))
+    turn = np.linspace(0, 2 * np.pi, 80, endpoint=False)
+    hub = [100.0, 30.0] + np.concatenate([[[0.0, 0.0]], 20 * np.column_stack([np.cos(turn), np.sin(turn)])])
+    xy = np.concatenate([rng.uniform(0, 60, (300, 2)), hub])  # scattered, and one point with 80 neighbours
+    xyz = points_of(np.column_stack([xy, rng.normal(size=len(xy))]).round(3))
     count, xy = len(xyz), xyz[:, :2].astype(np.float64)
     tin = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool)
     e, rough = np.zeros(count, np.float32), np.zeros(count, np.float32)

@@ -45,6 +45,8 @@ class Toy:
         ({"floor": -1e-9}, "must be >= 0 m"),
         ({"window": 0.0}, "window=0.0"),
         ({"rounds": 1000}, "must be >= 1 and < 1000"),
+        ({"rounds": 2.5}, r"Toy\(rounds=2.5\): a whole number is needed"),
+        ({"rounds": math.inf}, "rounds=inf.*whole number"),
         ({"mode": "tiles"}, "choose one of 'global', 'blocks'"),
     ],
 )
@@ -104,6 +106,12 @@ def test_what_is_no_number_is_refused():
     for value in (object(), 1j, "0.1", None, True):
         with pytest.raises(ParameterError, match=r"SMRF\(slope=.*a number is needed"):
             SMRF(slope=value)
+
+
+@pytest.mark.parametrize("value", [3.0, np.float64(3)])
+def test_whole_numbers_may_come_as_floats(value):
+    made = FILTERS["fptd"](max_rounds=value)
+    assert type(made.max_rounds) is int and made == FILTERS["fptd"](max_rounds=3)
 
 
 def test_thresholds_can_be_swept_by_vmap():

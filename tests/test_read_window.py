@@ -13,6 +13,7 @@ from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patc
 
 import jaxfilter as jf
 from jaxfilter.host import blocks, windows
+from jaxfilter.host.blocks import Blocks
 from jaxfilter.host.windows import blocks_of, read_window
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
@@ -169,6 +170,20 @@ def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     make_las(path, 6, n=1000, seed=1)
     assert_is_mask(read(), path, (X, Y, X + 50, Y + 50))
     assert len(passes) == 6 and len(list(index.rglob("*"))) == 2
+
+
+def test_no_damage_to_an_index_is_an_error(tmp_path):
+    """A flipped bit anywhere: what was kept, or nothing."""
+    rng, path = np.random.default_rng(0), tmp_path / "kept.npz"
+    whole = [rng.integers(0, 10**6, 20) for _ in range(4)] + [rng.random((20, 2)) for _ in range(2)]
+    Blocks(*whole).save(path, "file")
+    content, found = path.read_bytes(), []
+    for at in range(0, len(content), 5):
+        path.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
+        kept = Blocks.load(path, "file")
+        found.append(kept is None)
+        assert kept is None or np.array_equal(np.hstack([kept.low, kept.high]), np.hstack(whole[4:]))
+    assert sum(found) > len(found) / 2
 
 
 def test_points_that_the_header_denies(tmp_path):

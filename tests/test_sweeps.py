@@ -1,5 +1,6 @@
 """Sweeps give the labels of single runs, whatever they share, and their scores; bad axes are named before anything runs."""
 
+import dataclasses
 import itertools
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -335,6 +336,11 @@ def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):
         jf.sweep(jf.SMRF(window=9.0), [cloud, hills], axes, votes=True, checkpoint=path)
     with pytest.raises(jf.InputError, match="other clouds"):
         jf.sweep(jf.SMRF(), [hills, cloud], axes, votes=True, checkpoint=path)
+    edge = dataclasses.replace(cloud, anchor=cloud.origin[:2] - 0.5)
+    half = np.where(cloud.reference, 2, np.arange(len(cloud)) % 2).astype(np.uint8)  # class 0: never classified
+    for other in (edge, dataclasses.replace(cloud, classification=half)):
+        with pytest.raises(jf.InputError, match="other clouds"):
+            jf.sweep(jf.SMRF(), [other, hills], axes, votes=True, checkpoint=path)
     for damaged in (b"nothing", path.read_bytes()[:-400], b""):
         path.write_bytes(damaged)
         with pytest.raises(jf.InputError, match="not one of a sweep"):

@@ -21,6 +21,7 @@ from jaxfilter.tiles import dask, task
 from jaxfilter.tiles.dask import Cluster
 from jaxfilter.tiles.folder import SCRATCH
 from jaxfilter.tiles.ground import ground
+from jaxfilter.tiles.outputs import target_names
 from jaxfilter.tiles.pool import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
@@ -193,8 +194,11 @@ def test_a_damaged_file_is_left_out_and_all_others_are_written(files, done, tmp_
 
 @pytest.mark.parametrize(
     "changes, what",
-    [({"halo": 10.0}, "tiles"), ({"filter_": PMF.replace(slope=0.5)}, "filter"), ({"other_class": 0}, "classes")],
-)
+    [
+        ({"halo": 10.0}, "tiles"), ({"filter_": PMF.replace(slope=0.5)}, "filter"), ({"other_class": 0}, "classes"),
+        ({"units": "m,ft"}, "units"),
+    ],
+)  # fmt: skip
 def test_nothing_is_mixed_with_a_run_of_other_parameters(files, done, tmp_path, changes, what):
     shutil.copytree(done[0], tmp_path / "out")
     with pytest.raises(jf.InputError, match=f"begun with other {what}"):
@@ -270,6 +274,13 @@ def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp
     assert np.array_equal(ground_, labels)
 
 
+def test_outputs_have_the_names_of_inputs():
+    uris = ["/a/one.las", "s3://b/two.copc.laz", "https://c/three.laz?sv=2024&sig=x%2Fy.z"]
+    assert target_names(uris) == ["one.las", "two.laz", "three.laz"]
+    with pytest.raises(jf.OutputError, match=r"both be written as one\.las"):
+        target_names([*uris, "s3://b/one.las"])
+
+
 def test_workers_that_die_are_replaced():
     pool = Pool(2)
     try:
@@ -281,6 +292,11 @@ def test_workers_that_die_are_replaced():
         assert "exit code 3" in found["dies"].reason and "ValueError" in found["fails"].reason
         pool.submit("works", int, "7")
         assert [outcome.value for _, outcome in pool.completed(10.0)] == [7]
+        for worker in pool._idle:  # without a task
+            worker.process.kill()
+            worker.process.join()
+        pool.submit("meets a dead one", int, "7")
+        assert "the worker died" in pool.completed(10.0)[0][1].reason
         assert pool.room() == 2
     finally:
         pool.close()

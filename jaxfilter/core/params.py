@@ -150,11 +150,21 @@ def described(field: dataclasses.Field[Any]) -> str:
 
 
 def plain_fields(params: Any) -> None:
-    """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place."""
+    """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place; 3.0 by 3
+    in fields of whole numbers."""
     for f in dataclasses.fields(params):
         value = getattr(params, f.name)
         if isinstance(value, np.generic | np.ndarray | jax.Array) and not _traced(value) and np.ndim(value) == 0:
-            object.__setattr__(params, f.name, value.item())
+            value = value.item()
+        if _is_whole(f) and isinstance(value, float) and value.is_integer():
+            value = int(value)
+        if value is not getattr(params, f.name):
+            object.__setattr__(params, f.name, value)
+
+
+def _is_whole(field: dataclasses.Field[Any]) -> bool:
+    """Whether only whole numbers will do: they count rounds or points, or fix a shape."""
+    return bool(field.metadata.get("static")) and field.type in ("int", int)
 
 
 def _traced(value: Any) -> bool:
@@ -193,6 +203,8 @@ def check_fields(params: Any) -> None:
             if limits or meta.get("static") is False:
                 raise ParameterError(f"{name}({f.name}={value!r}): a number is needed")
             continue
+        if _is_whole(f) and not isinstance(value, numbers.Integral):
+            raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
         if math.isnan(value) or not all(ok(value, bound) for _, bound, ok in limits):
             wanted = " and ".join(f"{sign} {bound:g}" for sign, bound, _ in limits) or "a number"
             unit = f" {meta['unit']}" if meta.get("unit") else ""

@@ -237,14 +237,25 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
     if xy is None and found.units is not None:
         xy = found.units.xy, found.units.name
     z = _linear_unit(keys.get(_VERTICAL_UNITS, 0))
-    if z is None and _is_epsg(keys.get(_VERTICAL, 0)):
-        vertical = pyproj.CRS.from_epsg(keys[_VERTICAL]).axis_info[0]
-        z = (vertical.unit_conversion_factor, vertical.unit_name)
+    if z is None:
+        z = _vertical_unit(keys.get(_VERTICAL, 0))
     if xy is None:
         return found
     if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
         warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
     return dataclasses.replace(found, units=_units(xy, z or xy))
+
+
+def _vertical_unit(code: int) -> tuple[float, str] | None:
+    """Unit of a vertical CRS. Writers also put the code of a vertical datum there (5103), or of an ellipsoid (5030), as
+    GeoTIFF had them once: these state no unit."""
+    if not _is_epsg(code):
+        return None
+    try:
+        crs = pyproj.CRS.from_epsg(code)
+    except pyproj.exceptions.CRSError:
+        return None
+    return (crs.axis_info[0].unit_conversion_factor, crs.axis_info[0].unit_name) if crs.is_vertical else None
 
 
 def _is_epsg(code: int) -> bool:

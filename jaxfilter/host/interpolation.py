@@ -15,6 +15,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import ConvexHull, Delaunay
 
 from ..core.cloud import QUANTUM
+from ..core.errors import InputError
 from ..core.points import morton
 from .neighbours import nearest, tree_of
 from .tin import Tin
@@ -54,13 +55,16 @@ class Linear:
     """
 
     def __init__(self, xyz: np.ndarray, workers: int | None) -> None:
-        """``xyz``: f32[m, 3], the ground points."""
+        """``xyz``: f32[m, 3], the ground points. Raises: InputError if they are too far apart."""
         self._threads = workers or os.cpu_count() or 1
         code = morton(xyz)
         self._order = np.argsort(code, kind="stable")  # points of a cloud with an anchor are in another order
         self._code = code[self._order]
-        with ThreadPoolExecutor(self._threads) as pool:
-            self._tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, self._threads)
+        try:
+            with ThreadPoolExecutor(self._threads) as pool:
+                self._tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool, self._threads)
+        except ValueError as error:  # the corner of a cloud may be farther
+            raise InputError(f"ground points: {error}, or leave out stray ones") from error
         self._inside = inside_hull(xyz)
         self._xy, self._z = xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64)
 

@@ -9,7 +9,8 @@ from .compiled import compiled
 
 @compiled
 def draw(x, y, triangles, z, low, longest, out, known):
-    """Give the cells that are not ``known`` the elevations of a triangulation, linear within each triangle.
+    """Give the cells that are not ``known`` the elevations of a triangulation, linear within each triangle. On the edge of two
+    the lower one counts, so that the order of triangles and of their corners changes nothing.
 
     Args:
         x, y: f64[k], positions of the nodes in cells; the centre of cell (row, column) is at (column, row).
@@ -19,10 +20,13 @@ def draw(x, y, triangles, z, low, longest, out, known):
     """
     rows, columns = out.shape
     limit = longest * longest
+    drawn = np.zeros(out.shape, np.bool_)
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         if min(a, b, c) < 0:
             continue
+        while a > b or a > c:  # which corner is the first changes the rounding
+            a, b, c = b, c, a
         ax, ay = x[a], y[a]
         ux, uy, vx, vy = x[b] - ax, y[b] - ay, x[c] - ax, y[c] - ay
         area = ux * vy - vx * uy
@@ -35,13 +39,15 @@ def draw(x, y, triangles, z, low, longest, out, known):
         za, zb, zc = (low[a], low[b], low[c]) if wide else (z[a], z[b], z[c])
         for row in range(max(0, int(np.ceil(south))), min(rows - 1, int(np.floor(north))) + 1):
             for column in range(max(0, int(np.ceil(west))), min(columns - 1, int(np.floor(east))) + 1):
-                if known[row, column]:
+                if known[row, column] and not drawn[row, column]:
                     continue
                 px, py = column - ax, row - ay
                 s, r = (px * vy - vx * py) / area, (ux * py - px * uy) / area
                 if s >= 0 and r >= 0 and s + r <= 1:
-                    out[row, column] = za + s * (zb - za) + r * (zc - za)
-                    known[row, column] = True
+                    level = np.float32(za + s * (zb - za) + r * (zc - za))
+                    if not drawn[row, column] or level < out[row, column]:
+                        out[row, column] = level
+                    known[row, column] = drawn[row, column] = True
 
 
 @compiled

@@ -24,6 +24,7 @@ _DAMPING = 0.8  # of the Jacobi smoother
 _SWEEPS = 2  # of it before and after a correction
 _COARSE_SWEEPS = 150, 40  # on the last level; for one grid cheaper than to compile two more levels
 _BLOCK = 32, 128  # cells of a grid that are searched together for a nearest one
+_FARTHEST = 2**15 - 1  # cells to the nearest one in a column; farther counts as this far, whose square is in 32 bits
 _STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
@@ -295,7 +296,7 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     below = running(jnp.maximum, jnp.where(known, row, -far))
     above = running(jnp.minimum, jnp.where(known, row, rows + far), reverse=True)
     nearest_row = jnp.where(row - below <= above - row, below, above)
-    gap = jnp.minimum(jnp.abs(nearest_row - row), far)
+    gap = jnp.minimum(jnp.abs(nearest_row - row), min(far, _FARTHEST))
 
     tall, wide = _BLOCK if jax.default_backend() == "cpu" else z.shape
     down, across = -(-rows // tall), -(-columns // wide)

@@ -13,7 +13,7 @@ from .grid import block_counts, block_minima
 MAX_SLOPE = 63.0
 """Rise over run that a single slope counts with at most (89.1 degrees); over points almost above each other it is unbounded."""
 _STEPS = 2**16  # slopes are summed as whole multiples of 1 / _STEPS, so that the order of the points changes no sum
-_LOW = 2**11  # in two parts, so that sums over a million points stay within 32 bits
+_LOW = 2**11  # in two parts, so that sums over two million points stay within 32 bits, whatever their slopes
 
 
 class CellSlopes(NamedTuple):
@@ -50,9 +50,9 @@ def cell_slopes(index: jax.Array, xyz: jax.Array, counted: jax.Array, cells: int
     rise, run = xyz[:, 2] - lowest[:, 2], jnp.hypot(xyz[:, 0] - lowest[:, 0], xyz[:, 1] - lowest[:, 1])
     sloped = counted & (run > 0)
     slope = jnp.minimum(jnp.where(sloped, rise / jnp.where(sloped, run, 1.0), 0.0), MAX_SLOPE)
-    step = jnp.rint(slope * _STEPS).astype(jnp.int32)
-    zero = jnp.zeros(cells, jnp.int32)
-    low, high, others = (zero.at[index].add(v) for v in (step % _LOW, step // _LOW, sloped.astype(jnp.int32)))
+    step = jnp.rint(slope * _STEPS).astype(jnp.uint32)
+    zero = jnp.zeros(cells, jnp.uint32)
+    low, high, others = (zero.at[index].add(v) for v in (step % _LOW, step // _LOW, sloped.astype(jnp.uint32)))
     total = (high.astype(jnp.float32) * _LOW + low.astype(jnp.float32)) / _STEPS
     least = jnp.full(cells, MAX_SLOPE, jnp.float32).at[index].min(jnp.where(sloped, step / _STEPS, MAX_SLOPE))
     return CellSlopes(

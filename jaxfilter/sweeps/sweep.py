@@ -255,10 +255,11 @@ class _State:
 
 def _digest(cloud: PointCloud) -> str:
     """Of what decides labels and scores."""
-    digest = hashlib.blake2b(digest_size=16)
-    for array in (cloud.origin, cloud.xyz, cloud.candidate, cloud.reference):
-        if array is not None:
-            digest.update(np.ascontiguousarray(array).tobytes())
+    digest = hashlib.blake2b(repr((cloud.units, cloud.whole)).encode(), digest_size=16)
+    labels = () if cloud.reference is None else reference_labels(cloud)  # of classified clouds not all points count
+    for array in (cloud.origin, cloud.anchor, cloud.xyz, cloud.candidate, *labels):
+        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+        digest.update(b"|")
     return digest.hexdigest()
 
 

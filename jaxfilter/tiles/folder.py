@@ -210,6 +210,7 @@ def facts_of(collection: Collection, job: Job, cut: Layout, plan: Plan) -> dict[
     return {
         "version": __version__,
         "inputs": _digest(collection),
+        "units": [collection.units.xy, collection.units.z],
         "filter": filter_,
         "reading": {**job.reading, "ignore_classes": list(job.reading["ignore_classes"])},
         "classes": job.classes,

@@ -12,7 +12,7 @@ from ..core.errors import InputError, OutputError
 from ..host.files import Handle, Identity
 from ..host.las import open_las
 from ..host.sources import Source
-from ..host.storage import Place
+from ..host.storage import Place, place_of
 from ..host.writing import write
 from .task import CANDIDATE, GROUND, NOISE, Job, heard, labelled, load_labels
 
@@ -48,7 +48,7 @@ def target_names(uris: list[str]) -> list[str]:
     names = []
     seen: dict[str, str] = {}
     for uri in uris:
-        name = uri.replace("\\\\", "/").rsplit("/", 1)[-1]
+        name = place_of(uri).name  # of a signed URL without the signature
         if name.lower().endswith(".copc.laz"):
             name = name[: -len(".copc.laz")] + ".laz"
         if name in seen:

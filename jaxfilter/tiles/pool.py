@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import errno
 import multiprocessing
@@ -173,7 +174,8 @@ class Pool:
         """Give a task to an idle worker, or to a new one."""
         worker = self._idle.pop() if self._idle else _Worker(self._context)
         self._busy[worker.connection] = worker, tag
-        worker.connection.send((function, arguments))
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it died meanwhile: ``completed`` tells
+            worker.connection.send((function, arguments))
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Tasks that have ended, see :class:`Executor`."""

@@ -193,6 +193,7 @@ def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
         stem = posixpath.basename(source.uri).rpartition(".")[0]
         used[stem] = used.get(stem, 0) + 1
         x, y = zip(*world, strict=True)
+        flat = math.isnan(z0) or math.isnan(z1)  # a box of the .vpc that was read had no heights: JSON knows no NaN
         local = not isinstance(source.place, Remote)
         yield {
             "type": "Feature",
@@ -200,7 +201,7 @@ def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
             "stac_extensions": _EXTENSIONS,
             "id": stem if used[stem] == 1 else f"{stem}-{used[stem]}",
             "geometry": {"type": "Polygon", "coordinates": [world]},
-            "bbox": [min(x), min(y), z0, max(x), max(y), z1],
+            "bbox": [min(x), min(y), *[z0] * (not flat), max(x), max(y), *[z1] * (not flat)],
             "properties": {
                 "datetime": f"{source.date or _NOT_DATED}T00:00:00Z",
                 "pc:count": source.count,
@@ -209,7 +210,7 @@ def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
                 "pc:schemas": _schemas(source.point_format),
                 "proj:wkt2": source.wkt or "",
                 "proj:geometry": {"type": "Polygon", "coordinates": [corners]},
-                "proj:bbox": [x0, y0, z0, x1, y1, z1],
+                "proj:bbox": [x0, y0, *[z0] * (not flat), x1, y1, *[z1] * (not flat)],
             },
             "links": [],
             "assets": {"data": {"href": _relative(source.uri, folder) if local else source.uri, "roles": ["data"]}},
