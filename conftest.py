@@ -1,16 +1,20 @@
-"""The code in README and docs is run: Python as it stands, one namespace a page; commands are parsed by the command itself.
+"""The code in README and docs is run: Python as it stands, one namespace a page; commands of jaxfilter in this process.
 
 What a page prints stands in the block ``text`` after the code, and is compared. Pages run in a folder of their own that holds
-a small simulated town as site.laz, survey/ and what else they name. What is not run is listed in NOT_RUN, with the reason.
+a small simulated town as site.laz, survey/ and what else they name; so does every block of commands, in a fresh folder. What
+is not run is listed, with the reason: code in NOT_RUN, commands in COMMANDS_NOT_RUN, other programs in OTHERS.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import io
 import os
 import re
 import shlex
+import shutil
 import tempfile
 import warnings
 from importlib.metadata import metadata
@@ -19,6 +23,7 @@ from typing import Any
 from unittest import mock
 
 import click
+from click.testing import CliRunner
 from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser
 
@@ -44,8 +49,37 @@ CHANGED = {
 }
 """Calls that are made smaller here, since the page's take half a minute."""
 
-OTHERS = ("pip", "python", "python3", "pytest", "dask", "sphinx-build", "curl")
-"""Commands of other programs in shell blocks."""
+COMMANDS_NOT_RUN = {
+    ("README.md", "jaxfilter demo"): "tests/test_cli.py runs it on a smaller scene, and this page on its files",
+    ("docs/index.md", "jaxfilter demo"): "as in README.md",
+    (
+        "docs/from_one_tile_to_a_country.md",
+        "jaxfilter ground smrf survey/ s3://",
+    ): "needs an object store; tests/test_remote.py writes into a simulated one",
+    (
+        "docs/from_one_tile_to_a_country.md",
+        "jaxfilter ground smrf survey/ classified/ --scheduler",
+    ): "needs a cluster; tests/test_tiles_run.py starts one on this machine",
+    ("docs/surveys.md", "jaxfilter info s3://"): "needs an object store; tests/test_remote.py has a simulated one",
+}
+"""Page and beginning of a command of jaxfilter that is only parsed."""
+
+OTHERS = {
+    "pip": "installs",
+    "python3": "installs",
+    "pytest": "the tests; tests/test_docs.py runs them on the skeleton of a filter",
+    "dask": "needs a cluster",
+    "sphinx-build": "the site, which continuous integration builds",
+}
+"""Other programs in blocks of commands, none of which is run; names of extras and scripts are looked up."""
+
+FEWER = {
+    "--bounds 512000 5403000 512090 5403060": "--bounds 512000 5403000 512040 5403080 --size 4 --rounds 1",
+    "--bounds 512110 5403170 512200 5403240": "--bounds 512050 5403000 512090 5403080",
+    "--bounds 512290 5403130 512380 5403190": "",
+    "--axis slope=0.05:0.3:0.05 --axis threshold=0.2:1:0.2": "--axis slope=0.1:0.2:0.1 --axis threshold=0.2:1:0.4",
+}
+"""Words of commands that are others here: fewer sets, and patches of the small town."""
 
 
 def in_small(folder: Path) -> dict[str, Any]:
@@ -122,24 +156,94 @@ def check_text(example: Example) -> None:
         assert said == example.parsed, f"printed:\n{said}"
 
 
-def check_shell(example: Example) -> None:
-    """Commands exist, with the options and the number of arguments that they are given."""
+@functools.cache
+def files_for_commands() -> Path:
+    """The files that commands name, made once."""
+    import jaxfilter as jf
+
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder)
+    names = in_small(folder)
+    for name in ("reference.laz", "checked.laz"):
+        shutil.copy(folder / "site.laz", folder / name)
+    town = names["cloud"]
+    east = jf.PointCloud.from_arrays(town.coordinates() + [90.0, 0.0, 0.0], crs=town.crs)
+    jf.write(folder / "survey/b.laz", east, names["truth"])
+    jf.open(str(folder / "survey")).to_vpc(folder / "survey.vpc")
+    (folder / "pipeline.json").write_text('["in.laz", {"type": "filters.smrf", "scalar": 1.2}, "out.laz"]')
+    return folder
+
+
+class Here:
+    """An executor that does each task at once, in this process; the tests of runs have those of other processes."""
+
+    def __init__(self, _: int) -> None:
+        self.done: list[Any] = []
+
+    def room(self) -> int:
+        return 1 - len(self.done)
+
+    def submit(self, tag: Any, function: Any, *arguments: Any) -> None:
+        from jaxfilter.tiles.pool import attempt
+
+        self.done.append((tag, attempt(function, arguments)))
+
+    def completed(self, _: float) -> list[Any]:
+        done, self.done = self.done, []
+        return done
+
+    def close(self) -> None:
+        pass
+
+
+def commands(text: str) -> list[str]:
+    """The commands of a block, one after the other."""
+    lines = (line.split(" #")[0].strip() for line in re.sub(r"\\\n\s*", " ", text).splitlines())
+    return [re.sub(r"^\S*/(?=[\w-]+( |$))", "", part.strip()) for line in lines if line for part in line.split("&&")]
+
+
+def why_not(name: str, command: str) -> str | None:
+    """Why a command of a page is not run; None if it is."""
+    program = command.split()[0]
+    if program != "jaxfilter":
+        assert program in OTHERS, f"{command}: {program} is no known command"
+        return OTHERS[program]
+    return next(
+        (why for (where, begin), why in COMMANDS_NOT_RUN.items() if (where, begin) == (name, command[: len(begin)])),
+        None,
+    )
+
+
+def run_shell(example: Example) -> None:
+    """Run the commands of a block in a fresh folder; of those that are not run, look up options, arguments and extras."""
     from jaxfilter.cli import main
 
     example.namespace.pop("_said", None)
-    text = re.sub(r"\\\n\s*", " ", str(example.parsed))
-    for line in filter(None, (line.split(" #")[0].strip() for line in text.splitlines())):
-        for part in line.split("&&"):
-            words = shlex.split(part)
-            program = Path(words[0]).name
-            if program == "jaxfilter":
-                parse(main, words)
-                continue
-            assert program in OTHERS, f"{line}: {program} is no known command"
-            for extra in re.findall(r"(?:jaxfilter|\.)\[(\w+)\]", part):
-                assert extra in (metadata("jaxfilter").get_all("Provides-Extra") or ()), f"no extra {extra}"
-            scripts = [word for word in words[1:2] if word.endswith(".py")]
-            assert all((ROOT / script).exists() or "/" not in script for script in scripts), line
+    found = commands(str(example.parsed))
+    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.tiles.folder.Pool", Here):
+        if any(why_not(page(example), command) is None for command in found):
+            shutil.copytree(files_for_commands(), folder, dirs_exist_ok=True)
+        with contextlib.chdir(folder):
+            for command in found:
+                run_command(main, page(example), command)
+
+
+def run_command(main: click.Group, name: str, command: str) -> None:
+    """Run one command; it must not fail."""
+    words = shlex.split(command)
+    if why_not(name, command) is None:
+        for whole, part in FEWER.items():
+            command = command.replace(whole, part)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            done = CliRunner().invoke(main, shlex.split(command)[1:])
+        assert done.exit_code == 0, f"{command}: exit code {done.exit_code}\n{done.output}\n{done.exception!r}"
+    elif words[0] == "jaxfilter":
+        parse(main, words)
+    for extra in re.findall(r"(?:jaxfilter|\.)\[(\w+)\]", command):
+        assert extra in (metadata("jaxfilter").get_all("Provides-Extra") or ()), f"no extra {extra}"
+    scripts = [word for word in words[1:2] if word.endswith(".py")]
+    assert all((ROOT / script).exists() or "/" not in script for script in scripts), command
 
 
 def parse(main: click.Group, words: list[str]) -> None:
@@ -158,7 +262,7 @@ pytest_collect_file = Sybil(
     parsers=[
         CodeBlockParser("python", run_python),
         CodeBlockParser("text", check_text),
-        CodeBlockParser("sh", check_shell),
+        CodeBlockParser("sh", run_shell),
     ],
     path=str(ROOT),
     patterns=["README.md", "CONTRIBUTING.md", "docs/*.md", "docs/filters/*.md"],

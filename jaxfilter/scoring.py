@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud, is_laspy
+from .core.cloud import QUANTUM, PointCloud
 from .core.compilation import bucket
 from .core.errors import InputError
 from .core.forks import need_threads
+from .core.inputs import is_laspy
 from .core.result import Decision, FilterResult
 from .ops.metrics import confusion_counts
 

@@ -87,13 +87,29 @@ def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):
 
 
 def test_code_blocks_name_a_language_that_is_run():
-    """conftest.py of the repository runs ``python``, parses ``sh``, and compares ``text`` with what the code before prints."""
+    """conftest.py of the repository runs ``python`` and ``sh``, and compares ``text`` with what the code before prints."""
     root = PAGES.parents[1]
     pages = [root / "README.md", root / "CONTRIBUTING.md", *PAGES.parent.glob("*.md"), *PAGES.glob("*.md")]
     for page in pages:
         fences = re.findall(r"^ *```(.*)$", page.read_text(), re.MULTILINE)
         kinds = {kind for kind in fences[::2] if not kind.startswith("{")}
         assert kinds <= {"python", "sh", "text"}, f"{page}: {kinds}: name the language, python, sh or text"
+
+
+def test_commands_of_pages_that_are_not_run_are_listed_and_nothing_else_is():
+    root, rules = PAGES.parents[1], load(PAGES.parents[1] / "conftest.py")
+    found = [
+        (page.relative_to(root).as_posix(), command)
+        for page in [root / "README.md", root / "CONTRIBUTING.md", *PAGES.parent.glob("*.md"), *PAGES.glob("*.md")]
+        for block in re.findall(r"```sh\n(.*?)```", page.read_text(), re.DOTALL)
+        for command in rules.commands(block)
+    ]
+    run = [command for name, command in found if rules.why_not(name, command) is None]
+    assert len(run) > 20 and all(command.startswith("jaxfilter ") for command in run)
+    for name, begin in rules.COMMANDS_NOT_RUN:
+        assert any(where == name and command.startswith(begin) for where, command in found), begin
+    assert {command.split()[0] for _, command in found} == {"jaxfilter", *rules.OTHERS}
+    assert all(any(words in command for _, command in found) for words in rules.FEWER)
 
 
 def test_code_that_tutorials_only_show_is_listed_with_a_reason_and_compiles():

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
+from jaxfilter.core.params import declared
 from jaxfilter.stages.grid_filter import GridFilter
 
 ARRAYS = Path(__file__).resolve().parents[1] / "docs" / "arrays.md"
@@ -138,3 +139,13 @@ def test_steps_of_a_method_say_what_they_are(method):
 def test_methods_of_classes_operations_and_modules_are_among_the_public_names():
     assert {"read", "PointCloud.select", "Collection.crs", "plots.profile", "ops.morphology.opening"} < set(PUBLIC)
     assert len(METHODS) == len(jf.FILTERS) and len(dict(operations())) >= 20
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
+def test_every_measured_parameter_has_a_unit_or_is_said_to_have_none(method):
+    """Whole numbers are counts or codes, which their text names."""
+    measured = [field for field in declared(method) if "float" in str(field.type)]
+    assert measured
+    for field in measured:
+        meta = field.metadata
+        assert meta.get("unit") or re.search(r"\bshare\b|no unit", meta["doc"]), f"{method.__name__}.{field.name}"

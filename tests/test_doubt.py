@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -144,6 +145,20 @@ def test_the_list_is_read_back_as_it_was_and_is_the_same_bytes_again(tmp_path, s
     before = path.read_bytes()
     jf.review(cloud, result, path, area=10, overwrite=True)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix, words", [(".gpkg", "has none: set"), (".geojson", "for degrees: set")])
+def test_a_list_without_crs_is_written_with_one_warning(tmp_path, suffix, words):
+    geopandas = pytest.importorskip("geopandas")
+    cloud, result = synthetic(np.linspace(0.0, 0.6, 60).reshape(6, 10))
+    path = tmp_path / f"places{suffix}"
+    with warnings.catch_warnings(record=True) as given:
+        warnings.simplefilter("always")
+        table = jf.review(dataclasses.replace(cloud, crs=None), result, path, area=10)
+    assert [one.category for one in given] == [jf.JaxfilterWarning]
+    assert str(path) in str(given[0].message) and words in str(given[0].message)
+    again = geopandas.read_file(path, engine="pyogrio").geometry.set_crs(None, allow_override=True)
+    assert table.crs is None and again.geom_equals_exact(table.geometry, 1e-3).all()
 
 
 def test_the_command_writes_places_and_doubt(tmp_path, scene, result):

@@ -16,7 +16,7 @@ import pyproj
 import pytest
 from las_files import OFFSETS, SCALES, make_copc, make_las, patch
 
-from jaxfilter.core import cloud as core_cloud
+from jaxfilter.core import frame
 from jaxfilter.core.cloud import PointCloud, Units, parse_units
 from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
 from jaxfilter.core.filter import Labels, expand
@@ -267,7 +267,7 @@ def test_many_chunks(tmp_path, monkeypatch, suffix):
     las = make_las(tmp_path / f"in{suffix}", 6, n=1000)
     whole = read(tmp_path / f"in{suffix}")
     monkeypatch.setattr(records, "CHUNK", 33)
-    monkeypatch.setattr(core_cloud, "_ROWS", 47)
+    monkeypatch.setattr(frame, "_ROWS", 47)
     cloud = read(tmp_path / f"in{suffix}")
     assert cloud.xyz.tobytes() == whole.xyz.tobytes() and (cloud.candidate == whole.candidate).all()
     result = result_of(cloud)
@@ -281,7 +281,7 @@ def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
     n = 200_000
     make_las(tmp_path / "in.laz", 6, n=n)
     monkeypatch.setattr(records, "CHUNK", 10_000)
-    monkeypatch.setattr(core_cloud, "_ROWS", 10_000)
+    monkeypatch.setattr(frame, "_ROWS", 10_000)
     tracemalloc.start()
     try:
         cloud = read(tmp_path / "in.laz")

@@ -67,6 +67,22 @@ def test_the_conda_recipe_asks_for_what_pyproject_asks_for():
     assert PROJECT["requires-python"] == ">=" + re.search(r'python_min: "([\d.]+)"', RECIPE)[1]
 
 
+def test_the_conda_recipe_is_rendered_by_its_builder():
+    """It refuses unknown fields; channels are not asked."""
+    rattler = pytest.importorskip(
+        "rattler_build", reason="py-rattler-build is not installed: the recipe is not rendered"
+    )
+    (variant,) = rattler.Stage0Recipe.from_file(str(ROOT / "recipe" / "recipe.yaml")).render(rattler.VariantConfig())
+    made = variant.recipe.to_dict()
+    assert made["package"] == {"name": "jaxfilter", "version": jf.__version__}
+    assert made["build"]["noarch"] == "python"
+    commands = [f"{name} = {place}" for name, place in PROJECT["scripts"].items()]
+    assert made["build"]["python"]["entry_points"] == commands
+    assert made["source"][0]["path"] == f"../dist/jaxfilter-{jf.__version__}.tar.gz"
+    assert made["about"]["license"] == PROJECT["license"] and (ROOT / made["about"]["license_file"][0]).exists()
+    assert len(made["requirements"]["run"]) > len(PROJECT["dependencies"])
+
+
 def test_dependencies_and_extras_are_used():
     used = imported() | BY_FSSPEC
     extras = PROJECT["optional-dependencies"]

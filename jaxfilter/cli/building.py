@@ -33,6 +33,15 @@ units_option = click.option(
 workers_option = click.option(
     "--workers", type=click.IntRange(1), help="Threads for triangulation.  [default: one per core]"
 )
+method_argument = click.argument("method", metavar="METHOD")
+memory_option = click.option(
+    "--memory",
+    type=click.FloatRange(0, min_open=True),
+    default=2.0,
+    show_default=True,
+    metavar="GB",
+    help="That may be held for sets computed at the same time.",
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,3 +97,16 @@ def pairs(option: str, texts: tuple[str, ...]) -> list[tuple[str, str]]:
             raise BadUsage(f"{option} {name}: given twice")
         found[name] = value.strip()
     return list(found.items())
+
+
+def drawn_range(method: type[Filter], name: str, text: str) -> tuple[Any, Any]:
+    """The ends of LOW..HIGH."""
+    from . import flags
+
+    low, dots, high = text.partition("..")
+    if not (dots and low and high):
+        raise BadUsage(f"--axis {name}={text}: write a range as LOW..HIGH")
+    ends = flags.value_of(method, name, low, "--axis"), flags.value_of(method, name, high, "--axis")
+    if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
+        raise BadUsage(f"--axis {name}={text}: a range needs numbers; give words as a list")
+    return ends

@@ -1,7 +1,8 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
-Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py``, info in ``surveys.py``, pages in ``report.py``,
-pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``.
+Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py`` and ``calibrate.py``, info in ``surveys.py``, pages
+in ``report.py``, pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``. What all of them check first is in
+``checks.py``, what they print in ``output.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -11,9 +12,7 @@ where it is used, so that help stays quick.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +21,14 @@ from click.core import ParameterSource
 from rich.console import Console
 
 from .. import __version__
-from ..core.errors import JaxfilterError
 from . import runs
+from .checks import check_reading, check_review, checked_target
+from .output import print_json, print_report, run_report
 from .runs import ground_collection, is_collection
 from .session import BadUsage, Session, logger, session_options, stoppable
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
-    from ..core.result import FilterResult
     from ..host.storage import Place
     from ..scoring import Scores
 
@@ -242,18 +241,6 @@ def _review_options() -> list[click.Option]:
     ]
 
 
-def check_review(path: Path, overwrite: bool) -> None:
-    """Refuse a list of places that cannot be written, before anything is read. Raises BadUsage."""
-    from ..reports.review_list import check_suffix, libraries
-
-    try:
-        check_suffix(path)
-    except JaxfilterError as error:
-        raise BadUsage(str(error)) from error
-    check_target(path, overwrite)
-    libraries()
-
-
 def _ground(
     method: type[Filter] | None,
     changes: dict[str, Any],
@@ -326,118 +313,6 @@ def _ground(
         print_json(report)
     elif not quiet:
         print_report(report)
-
-
-def checked_target(source: Place, target: Place | None, overwrite: bool, in_place: bool, text: bool = True) -> Place:
-    """Where to write, or BadUsage if that would destroy something or cannot work. ``text`` may be written."""
-    from ..host import writing
-    from ..host.text import SUFFIXES
-
-    if target is None:
-        if not in_place:
-            raise BadUsage("OUT is missing: name a file to write, or pass --in-place")
-        return source
-    if check_target(target, overwrite, source) and not in_place:
-        raise BadUsage(f"{target} is both input and output: name another file, or pass --in-place")
-    suffixes = writing.LAS_SUFFIXES + (SUFFIXES if text else ())
-    if target.suffix.lower() not in suffixes:
-        raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
-    return target
-
-
-def check_target(target: Place, overwrite: bool, source: Place | None = None) -> bool:
-    """Whether ``target`` is ``source``. Raises BadUsage if it exists otherwise and not ``overwrite``, or cannot be written."""
-    from ..host.files import is_there
-
-    try:
-        there = is_there(target)
-    except JaxfilterError as error:
-        raise BadUsage(str(error)) from error
-    if isinstance(target, Path) and isinstance(source, Path):
-        same = there and os.path.samefile(source, target)
-    else:
-        same = target == source
-    if there and not same and not overwrite:
-        raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if isinstance(target, Path) and not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
-    return same
-
-
-def check_reading(units: str | None, returns: str) -> None:
-    """Refuse words that ``read`` would refuse, before it reads."""
-    import numpy as np
-
-    from ..core.cloud import PointCloud
-
-    try:
-        PointCloud.from_arrays(np.empty((0, 3)), units=units or "m", returns=returns)
-    except JaxfilterError as error:
-        raise BadUsage(str(error)) from error
-
-
-def run_report(filter_: Filter, result: FilterResult, session: Session) -> dict[str, Any]:
-    """The summary of a run, in plain Python values."""
-    return {
-        "method": type(filter_).__name__,
-        "status": result.status.name,
-        "message": result.status.message,
-        "points": len(result),
-        "candidates": int(result.info["candidates"]),
-        "ground": int(result.ground.sum()),
-        "barred": int(result.barred.sum()),
-        "barred_ground": int((result.barred & result.ground).sum()),
-        "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
-        "counts": result.info,
-        **session.as_dict(),
-    }
-
-
-def print_report(report: dict[str, Any]) -> None:
-    """Prints what `run_report` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
-    share = 100 * report["ground"] / max(report["points"], 1)
-    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
-    compiled = report["compilations"]
-    click.echo(
-        f"{report['output']}: {report['ground']:,} of {report['points']:,} points are ground ({share:.1f} %), "
-        f"{report['candidates']:,} were judged"
-    )
-    kept = report.get("of_ground_class", report["ground"]) - report["ground"]
-    if kept:
-        name, all_ = report["ground_class"], report["of_ground_class"]
-        click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
-    xy, z = report.get("metres_per_unit", (1.0, 1.0))
-    if (xy, z) != (1.0, 1.0):
-        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
-    if report["barred"]:
-        click.echo(
-            f"{report['barred']:,} points were barred from the seeds as outliers, of which "
-            f"{report['barred_ground']:,} are ground in the end"
-        )
-    click.echo(
-        f"{report['method']}: {report['message']}; {seconds}; "
-        f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
-    )
-    if "review" in report:
-        listed = report["review"]
-        click.echo(
-            f"{listed['output']}: {listed['places']:,} places with {listed['expected_errors']:,.0f} expected errors"
-        )
-    if report.get("classes"):
-        print_classes(report["classes"])
-
-
-def print_classes(changes: list[dict[str, int]]) -> None:
-    """A table of old and new classes."""
-    from rich.table import Table
-
-    table = Table("class before", "class after", "points")
-    for column in table.columns:
-        column.justify = "right"
-    for change in changes:
-        old, new = change["before"], change["after"]
-        table.add_row(str(old), "kept" if old == new else str(new), f"{change['points']:,}")
-    Console().print(table)
 
 
 @main.command()
@@ -562,26 +437,3 @@ def methods(as_json: bool) -> None:
 def _summary(method: type[Filter]) -> str:
     """First paragraph of the docstring, on one line."""
     return " ".join((method.__doc__ or "").strip().split("\n\n")[0].split())
-
-
-def print_json(value: Any) -> None:
-    """Print a value on standard output."""
-    click.echo(json_text(value))
-
-
-def json_text(value: Any) -> str:
-    """A value as JSON; see ``_plain`` for what JSON does not know."""
-    return json.dumps(_plain(value), indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    """Values that JSON knows: NumPy values become numbers and lists, NaN becomes null, the rest strings."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None if math.isnan(value) else str(value)
-    return value if value is None or isinstance(value, (bool, int, str)) else str(value)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .commands import main, print_json, print_report, run_report
+from .commands import main
+from .output import print_json, print_report, run_report
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from .building import units_option
-from .commands import main, print_json
+from .commands import main
+from .output import print_json
 from .session import Session, session_options
 
 if TYPE_CHECKING:

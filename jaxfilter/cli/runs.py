@@ -125,7 +125,8 @@ def ground_collection(
     **options: Any,
 ) -> None:
     """Run ``ground`` on a collection and print what it did. Exit code 1 if anything could not be done."""
-    from .commands import check_reading, print_json
+    from .checks import check_reading
+    from .output import print_json
 
     for name in _SINGLE:
         if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE:
@@ -231,7 +232,7 @@ def to_be_resumed() -> Iterator[None]:
 
 
 def _print(report: RunReport, facts: dict[str, Any]) -> None:
-    from .commands import print_classes
+    from .output import print_classes
 
     share = 100 * report.ground / max(report.points, 1)
     click.echo(

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
-from .commands import check_reading, check_target, main, print_json
+from .checks import check_reading, check_target
+from .commands import main
+from .output import print_json
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:

@@ -1,11 +1,10 @@
-"""The ``sweep`` and ``calibrate`` commands: many sets of parameters, and those that suit a cloud."""
+"""The ``sweep`` command: many sets of parameters."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import importlib.util
-import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import building
-from .commands import check_reading, check_target, json_text, main, print_json
+from .checks import check_reading
+from .commands import main
+from .output import print_json
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:
@@ -22,25 +23,13 @@ if TYPE_CHECKING:
 
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
-    from ..host.files import Bounds
-    from ..sweeps.calibrate import Calibration
 
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 CURVES, MAPS, VOTES = "curves.png", "maps.png", "votes{}.png"
 
-_method = click.argument("method", metavar="METHOD")
-_memory = click.option(
-    "--memory",
-    type=click.FloatRange(0, min_open=True),
-    default=2.0,
-    show_default=True,
-    metavar="GB",
-    help="That may be held for sets computed at the same time.",
-)
-
 
 @main.command()
-@_method
+@building.method_argument
 @click.argument(
     "sources",
     metavar="IN [IN ...]",
@@ -78,7 +67,7 @@ _memory = click.option(
     help="What makes a set good.",
 )
 @building.units_option
-@_memory
+@building.memory_option
 @building.workers_option
 @click.option(
     "--resume/--fresh", default=True, show_default=True, help="Go on with the sweep in OUT_DIR, or replace it."
@@ -174,143 +163,6 @@ def sweep(
 sweep.params += session_options()
 
 
-@main.command()
-@_method
-@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "--labels",
-    "labels_file",
-    metavar="FILE",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="LAS or text with some of the points of IN and their classes or labels.  [default: those of IN]",
-)
-@click.option(
-    "--unlabelled",
-    type=click.IntRange(0, 255),
-    multiple=True,
-    default=(0,),
-    show_default=True,
-    metavar="CLASS",
-    help="Points of this class have no label; may be repeated.",
-)
-@click.option(
-    "--bounds",
-    "patches",
-    nargs=4,
-    type=float,
-    multiple=True,
-    metavar="XMIN YMIN XMAX YMAX",
-    help="Only labels within count, file units; may be repeated.",
-)
-@click.option(
-    "--axis",
-    "axes",
-    metavar="FIELD=LOW..HIGH",
-    multiple=True,
-    help="A field to search, and where; may be repeated.  [default: the thresholds of the method]",
-)
-@click.option(
-    "--size", type=click.IntRange(1), default=256, show_default=True, help="Sets that are tried in each round."
-)
-@click.option(
-    "--rounds",
-    type=click.IntRange(1),
-    default=2,
-    show_default=True,
-    help="Each after the first is around the best so far.",
-)
-@click.option("--score", type=click.Choice(["total", "kappa"]), default="total", show_default=True)
-@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Of the cross-validation.")
-@click.option(
-    "--block",
-    type=click.FloatRange(0, min_open=True),
-    metavar="METRES",
-    help="Side of the blocks that folds are made of.",
-)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@building.set_option
-@building.preset_option
-@building.largest_option
-@building.units_option
-@_memory
-@building.workers_option
-@click.option(
-    "--out", metavar="FILE.json", type=click.Path(dir_okay=False, path_type=Path), help="Write what was found."
-)
-@click.option("--overwrite", is_flag=True, help="Replace the file of --out if it exists.")
-def calibrate(
-    method: str,
-    source: Path,
-    labels_file: Path | None,
-    unlabelled: tuple[int, ...],
-    patches: tuple[tuple[float, float, float, float], ...],
-    axes: tuple[str, ...],
-    fixed: tuple[str, ...],
-    preset: str | None,
-    largest_building: float | None,
-    units: str | None,
-    memory: float,
-    out: Path | None,
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-    **search: Any,
-) -> None:
-    """Find the parameters that suit IN from the labels of some of its points.
-
-    Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
-    the rest at class 0. If the rest is class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name
-    the patches with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the others chose.
-    """
-    from ..core.errors import InputError
-    from ..host.files import check_bounds, new_file
-    from ..host.las import read
-    from ..sweeps import calibrate as sweeps
-    from ..sweeps import labels as labelling
-    from ..sweeps.design import make_design
-
-    with Session(quiet=quiet, debug=debug) as session:
-        build = building.builder(method, fixed, preset, largest_building)
-        ranges = {name: _range(build.method, name, text) for name, text in building.pairs("--axis", axes)} or None
-        if ranges is not None:
-            make_design(build.alone(), ranges, "random", 1)  # checks fields and limits
-        check_reading(units, "last,only")
-        try:
-            bounds: list[Bounds] = [check_bounds(patch) for patch in patches]
-        except InputError as error:
-            raise BadUsage(str(error)) from error
-        if out is not None:
-            check_target(out, overwrite)
-        with session.reading(source):
-            cloud = read(source, units=units, progress=session.progress)
-            if labels_file is None:
-                labels = labelling.point_labels(cloud, unlabelled, str(source))
-            else:
-                some = read(labels_file, units=units or cloud.units)
-                own = labelling.point_labels(some, unlabelled, str(labels_file))
-                labels = labelling.labels_from(cloud, some, own, str(labels_file), search["workers"])
-            if bounds:
-                labels = labelling.within(cloud, bounds, labels)
-        filter_ = build.on(cloud)
-        with session.step("calibrate", search["size"] * search["rounds"], "sets"):
-            session.progress(0.0, "labels")
-            found = sweeps.calibrate(
-                filter_, cloud, labels, axes=ranges, memory=memory * 1e9, progress=session.progress, **search
-            )
-        report = _calibration(found, source, labels_file, labels, units) | session.as_dict()
-        if out is not None:
-            with new_file(out, overwrite=overwrite) as temporary:
-                temporary.write_text(json_text(report) + "\n")
-    if as_json:
-        print_json(report)
-    elif not quiet:
-        _print_calibration(found, report, out)
-
-
-calibrate.params += session_options()
-
-
 def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:
     """The values of an axis of a sweep, or the range to draw them from."""
     from . import flags
@@ -323,7 +175,7 @@ def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] 
     if ".." in text:
         if design not in ("random", "sobol"):
             raise BadUsage(f"--axis {name}={text}: a range needs --design random or sobol, and --size")
-        return _range(method, name, text)
+        return building.drawn_range(method, name, text)
     if ":" in text:
         return [value(piece) for piece in _steps(name, text)]
     return [value(piece.strip()) for piece in text.split(",")]
@@ -339,19 +191,6 @@ def _steps(name: str, text: str) -> list[str]:
     if not (step > 0 and stop >= start and count <= 10_000):
         raise BadUsage(f"--axis {name}={text}: a series goes up from START to STOP, in at most 10,000 steps")
     return [f"{start + i * step:.10g}" for i in range(count)]
-
-
-def _range(method: type[Filter], name: str, text: str) -> tuple[Any, Any]:
-    """The ends of LOW..HIGH."""
-    from . import flags
-
-    low, dots, high = text.partition("..")
-    if not (dots and low and high):
-        raise BadUsage(f"--axis {name}={text}: write a range as LOW..HIGH")
-    ends = flags.value_of(method, name, low, "--axis"), flags.value_of(method, name, high, "--axis")
-    if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
-        raise BadUsage(f"--axis {name}={text}: a range needs numbers; give words as a list")
-    return ends
 
 
 def _check_directory(directory: Path, resume: bool) -> None:
@@ -466,55 +305,6 @@ def _print_table(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -
     wanted = Measurement.get(console, console.options.update(max_width=10_000), shown).maximum
     console.width = max(console.width, wanted)  # a value that is cut off is worse than a long line
     console.print(shown)
-
-
-def _calibration(
-    found: Calibration, source: Path, labels_file: Path | None, labels: Any, units: str | None
-) -> dict[str, Any]:
-    """What was found, in plain Python values."""
-    from . import flags
-
-    method = type(found.filter)
-    defaults = {name: field.default for name, field in flags.fields(method).items()}
-    values = {name: getattr(found.filter, name) for name in defaults}
-    changed = {name: value for name, value in values.items() if value != defaults[name]}
-    words = ["jaxfilter", "ground", method.__name__.lower(), str(source), "OUT"]
-    for name, value in changed.items():
-        words += flags.words_for(name, value)
-    words += ["--units", units] if units else []
-    return {
-        "method": method.__name__,
-        "input": str(source),
-        "labels": str(labels_file or source),
-        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
-        "score": found.trials.attrs["score"],
-        "cross_validated": found.score,
-        "spread": found.spread,
-        "before": found.before,
-        "sets": found.trials.sizes["set"],
-        "folds": found.trials.sizes["fold"],
-        "found": {name: values[name] for name in found.searched},
-        "changed": changed,
-        "parameters": values,
-        "command": shlex.join(words),
-    }
-
-
-def _print_calibration(found: Calibration, report: dict[str, Any], out: Path | None) -> None:
-    from ..sweeps.best import word
-
-    what = "total error" if report["score"] == "total" else "kappa"
-    parameters = ", ".join(f"{name} {word(value)}" for name, value in report["found"].items())
-    labelled = report["labelled"]
-    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
-    click.echo(
-        f"{report['method']}: {parameters}\n"
-        f"{what} {report['cross_validated']:.2f} +- {report['spread']:.2f} %, cross-validated over {report['folds']} folds of "
-        f"{labelled['ground']:,} ground and {labelled['object']:,} object points; {report['before']:.2f} % before\n"
-        f"{report['sets']:,} sets; {seconds}\n{report['command']}"
-    )
-    if out is not None:
-        click.echo(f"in {out}")
 
 
 def _counted(number: int, noun: str) -> str:

@@ -11,7 +11,9 @@ import click
 from click.core import ParameterSource
 
 from . import building
-from .commands import check_reading, check_target, checked_target, file_names, main, print_json
+from .checks import check_reading, check_target, checked_target
+from .commands import file_names, main
+from .output import print_json
 from .runs import check_named, is_collection, named, resources, shown, tell, to_be_resumed
 from .session import BadUsage, Session, logger, session_options
 

@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from .errors import InputError, warn
-from .markup import sheet
-from .units import (
-    GEOKEYS,
-    PROJECTION,
-    UNITS,
-    WKT,
-    Units,
-    linear_units,
-    not_metric,
-    parse_crs,
-    parse_units,
-    reference_of,
-    sampled,
+from .frame import QUANTUM as QUANTUM
+from .frame import (
+    check_resolution,
+    check_scales,
+    checked_anchor,
+    extremes,
+    localise,
+    localise_integers,
+    near_points,
 )
-
-QUANTUM = 2.0**-10
-"""Local coordinates are multiples of this many metres (about 1 mm).
-
-Below 16 km from the origin such values, and all differences between them, are exact in float32. A power of two never
-lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
-"""
+from .inputs import GROUND_CLASS as GROUND_CLASS
+from .inputs import is_laspy, is_structured, laspy_parts, structured_parts
+from .markup import sheet
+from .units import UNITS, Units, parse_crs, parse_units
 
 
 class _KeptClasses(tuple[int, ...]):
@@ -43,16 +35,6 @@ class _KeptClasses(tuple[int, ...]):
 KEPT_CLASSES = _KeptClasses((7, 9, *range(17, 256)))
 """ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
 by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
-
-
-GROUND_CLASS = 2
-"""ASPRS class ground."""
-
-LARGEST_SPAN = (1e7, 1e7, 1e5)
-"""Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
-
-SCALES = (1e-12, 100.0)
-"""Scale factors of LAS files that are believed: above the first, up to the second."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,7 +157,7 @@ class PointCloud:
         if not np.issubdtype(xyz.dtype, np.number) or np.issubdtype(xyz.dtype, np.complexfloating):
             raise InputError(f"{name}: coordinates must be real numbers, not {xyz.dtype}")
         xyz = xyz.astype(np.float64, copy=False)
-        scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
+        scale, grid_anchor = parse_units(units), checked_anchor(anchor)
         finite = np.isfinite(xyz).all(axis=1)
         valid = None
         if not finite.all():
@@ -188,12 +170,12 @@ class PointCloud:
             warn(f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
-        low, high = _extremes(xyz)
-        near = _near(lambda axis: xyz[:, axis], low, high, scale, name, drop_invalid)
+        low, high = extremes(xyz)
+        near = near_points(lambda axis: xyz[:, axis], low, high, scale, name, drop_invalid)
         if near is not None:
             valid, xyz = near, np.where(near[:, None], xyz, np.nan)
-            low, high = _extremes(xyz)
-        _check_resolution(low, high, scale, name)
+            low, high = extremes(xyz)
+        check_resolution(low, high, scale, name)
         origin, local = localise(xyz, scale, grid_anchor)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
         return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
@@ -225,17 +207,17 @@ class PointCloud:
         >>> made.coordinates().tolist()
         [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
         """
-        scale, grid_anchor = parse_units(units), _checked_anchor(anchor)
+        scale, grid_anchor = parse_units(units), checked_anchor(anchor)
         check_scales(scales, offsets, name)
         valid = None
         if len(ticks):
             low, high = (end * scales + offsets for end in (ticks.min(axis=0), ticks.max(axis=0)))
-            valid = _near(
+            valid = near_points(
                 lambda axis: ticks[:, axis] * scales[axis] + offsets[axis], low, high, scale, name, drop_invalid
             )
             if valid is not None and valid.any():
                 low, high = (end * scales + offsets for end in (ticks[valid].min(axis=0), ticks[valid].max(axis=0)))
-            _check_resolution(low, high, scale, name)
+            check_resolution(low, high, scale, name)
         origin, local = localise_integers(ticks, scales, offsets, scale, grid_anchor, valid)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
         return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
@@ -261,35 +243,7 @@ class PointCloud:
         >>> len(made) == len(cloud), bool((made.reference == truth).all())
         (True, True)
         """
-        evlrs = las.evlrs if las.header.version.minor >= 4 else None
-        stated = {
-            vlr.record_id: vlr.record_data_bytes()
-            for vlr in [*las.header.vlrs, *(evlrs or ())]
-            if vlr.user_id == PROJECTION and vlr.record_id in (WKT, GEOKEYS)
-        }
-        reference, asked = reference_of(stated, name), None if units is None else parse_units(units)
-        scale = linear_units(reference, asked, name)
-        ticks = np.stack([np.asarray(las[axis], np.int32) for axis in "XYZ"], axis=1)
-        scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)
-        if asked is None:
-            some = ticks[sampled(len(ticks))] * scales + offsets
-            if reason := not_metric(some, len(ticks), reference.units is not None):
-                raise InputError(f"{name}: {reason}")
-        fields = ("return_number", "number_of_returns", "classification")
-        columns: dict[str, Any] = {field: np.array(las[field], np.uint8) for field in fields}
-        is_ground = columns["classification"] == GROUND_CLASS
-        return cls.from_integers(
-            ticks,
-            scales,
-            offsets,
-            units=scale,
-            name=name,
-            crs=reference.crs,
-            withheld=np.array(las["withheld"], bool),
-            reference=is_ground if is_ground.any() else None,
-            **columns,
-            **options,
-        )
+        return cls.from_integers(**laspy_parts(las, units, name), name=name, **options)
 
     @classmethod
     def from_structured(
@@ -309,21 +263,7 @@ class PointCloud:
         >>> jf.PointCloud.from_structured(points).reference.tolist()
         [True, False]
         """
-        named = {_plain(key): key for key in _names_of(points)}
-        if missing := [axis for axis in "xyz" if axis not in named]:
-            raise InputError(
-                f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {', '.join(named.values())}"
-            )
-
-        def get(field: str, kind: Any) -> np.ndarray:
-            key = named[_plain(field)]
-            return np.asarray(getattr(points, key) if hasattr(points, key) else points[key]).astype(kind)
-
-        columns: dict[str, Any] = {name: get(name, kind) for name, kind in _COLUMNS.items() if _plain(name) in named}
-        is_ground = columns.get("classification", np.zeros(0, np.uint8)) == GROUND_CLASS
-        xyz = np.stack([get(axis, np.float64) for axis in "xyz"], axis=1)
-        columns["reference"] = is_ground if is_ground.any() else None
-        return cls.from_arrays(xyz, units=units, name=name, **{**columns, **options})
+        return cls.from_arrays(**{"units": units, "name": name, **structured_parts(points, name), **options})
 
     @classmethod
     def _assembled(
@@ -399,148 +339,6 @@ class PointCloud:
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
 
 
-def localise(xyz: np.ndarray, units: Units, anchor: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Remove a float64 origin and quantise: the only place where raw coordinates become local ones.
-
-    The origin is the lower corner in x, y, z. With an anchor it is whole metres from the anchor, so that clouds with one
-    anchor share one lattice of quantised coordinates. Returns origin f64[3] and local f32[n, 3]; NaN rows become zero.
-    """
-    if len(xyz) == 0 or not np.isfinite(xyz).any():
-        return np.zeros(3), np.zeros((len(xyz), 3), np.float32)
-    factor = np.array([units.xy, units.xy, units.z])
-    origin = _origin(np.nanmin(xyz, axis=0), factor, anchor)
-    local = np.empty(xyz.shape, np.float32)
-    for axis in range(3):  # by axis: bounds the float64 temporaries on large clouds
-        local[:, axis] = np.nan_to_num(_quantised(xyz[:, axis], origin[axis], factor[axis]), nan=0.0)
-    return origin, local
-
-
-def localise_integers(
-    ticks: np.ndarray,
-    scales: np.ndarray,
-    offsets: np.ndarray,
-    units: Units,
-    anchor: np.ndarray | None,
-    valid: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks.
-
-    Rows that are not ``valid`` (bool[n]; by default all are) become zero.
-    """
-    if len(ticks) == 0 or (valid is not None and not valid.any()):
-        return np.zeros(3), np.zeros((len(ticks), 3), np.float32)
-    factor = np.array([units.xy, units.xy, units.z])
-    low = ticks.min(axis=0) if valid is None else ticks[valid].min(axis=0)
-    origin = _origin(low * scales + offsets, factor, anchor)
-    local = ticks.view(np.float32)
-    for start in range(0, len(ticks), _ROWS):
-        rows = slice(start, start + _ROWS)
-        for axis in range(3):
-            column = ticks[rows, axis] * scales[axis] + offsets[axis]
-            local[rows, axis] = _quantised(column, origin[axis], factor[axis])
-    if valid is not None:
-        local[~valid] = 0
-    return origin, local
-
-
-_ROWS = 1_000_000  # points of a large cloud that are converted at a time
-
-
-def _origin(low: np.ndarray, factor: np.ndarray, anchor: np.ndarray | None) -> np.ndarray:
-    if anchor is None:
-        return low
-    base = np.append(anchor, 0.0)
-    return base + np.floor((low - base) * factor) / factor
-
-
-def _checked_anchor(anchor: Iterable[float] | None) -> np.ndarray | None:
-    """f64[2], or None for none. Raises InputError."""
-    if anchor is None:
-        return None
-    try:
-        x, y = (float(v) for v in anchor)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"anchor={anchor!r}: two numbers (x, y) in file units are needed") from error
-    if not max(abs(x), abs(y)) < _RESOLVED:
-        raise InputError(f"anchor={anchor!r}: must be two finite numbers below {_RESOLVED:g}")
-    return np.array([x, y])
-
-
-_RESOLVED = QUANTUM * 2.0**53
-"""Below this many metres float64 resolves the quantum."""
-
-
-def _extremes(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f64[3] least and f64[3] largest coordinates; NaN where there are none."""
-    known = xyz[~np.isnan(xyz[:, 0])] if np.isnan(xyz[:, 0]).any() else xyz
-    return (known.min(axis=0), known.max(axis=0)) if len(known) else (np.full(3, np.nan), np.full(3, np.nan))
-
-
-def _near(
-    column: Callable[[int], np.ndarray], low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
-) -> np.ndarray | None:
-    """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
-
-    ``column(axis)`` gives f64[n] file coordinates, NaN for points that do not count. Medians are taken only of clouds
-    that are too large. Raises: InputError unless points may be dropped (``drop``).
-    """
-    factor = np.array([units.xy, units.xy, units.z])
-    with np.errstate(over="ignore", invalid="ignore"):
-        spans = (high - low) * factor
-    near = None
-    for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
-        limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
-        values = column(axis)
-        known = values[~np.isnan(values)]
-        median = np.partition(known, len(known) // 2)[len(known) // 2]
-        with np.errstate(over="ignore"):
-            distance = abs(values - median) * factor[axis]
-        if not drop:
-            worst = int(np.nanargmax(distance))
-            place = ", ".join(f"{column(i)[worst]:.10g}" for i in range(3))
-            raise InputError(
-                f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
-                f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
-                f"drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
-            )
-        far = distance > limit / 2
-        warn(
-            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
-        )
-        near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
-    return near
-
-
-def _check_resolution(low: np.ndarray, high: np.ndarray, units: Units, name: str) -> None:
-    """Raises: InputError for coordinates that float64 holds less exactly than local ones are."""
-    factor = np.array([units.xy, units.xy, units.z])
-    largest = np.fmax(abs(low), abs(high)) * factor
-    if (largest >= _RESOLVED).any():
-        axis = int(np.argmax(largest >= _RESOLVED))
-        value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
-        raise InputError(
-            f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
-            "scale and offset, or subtract a constant from the coordinates"
-        )
-
-
-def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
-    """Scales and offsets of integer coordinates, f64[3] each. Raises InputError naming the field."""
-    low, high = SCALES
-    for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
-        if not low < scale <= high:
-            raise InputError(
-                f"{name}: {axis} scale factor is {scale:g}; it must be above {low:g} and not above {high:g}, the header is "
-                "damaged"
-            )
-        if not math.isfinite(offset):
-            raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
-
-
-def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
-    return np.rint((column - origin) * (factor / QUANTUM)) * QUANTUM
-
-
 _ECHOES = ("first", "intermediate", "last", "only")
 
 
@@ -569,30 +367,6 @@ def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str
     if "intermediate" in wanted:
         mask |= several & (number > 1) & (number < total)
     return mask
-
-
-def is_laspy(points: Any) -> bool:
-    """Whether this is a ``laspy.LasData``; laspy is not imported to find out."""
-    return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
-
-
-_COLUMNS = {"return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool}
-
-
-def _plain(name: str) -> str:
-    """A name without case and underscores, so that PDAL's are those of the fields."""
-    return name.lower().replace("_", "")
-
-
-def _names_of(points: Any) -> tuple[str, ...]:
-    """Fields of a structured array, or attributes out of x, y, z and the columns."""
-    names = getattr(getattr(points, "dtype", None), "names", None)
-    return tuple(names) if names else tuple(name for name in ("x", "y", "z", *_COLUMNS) if hasattr(points, name))
-
-
-def is_structured(points: Any) -> bool:
-    """Whether these are named columns: a structured array, or an object with attributes ``x``, ``y`` and ``z``."""
-    return bool(getattr(getattr(points, "dtype", None), "names", None)) or {"x", "y", "z"} <= set(_names_of(points))
 
 
 def as_cloud(points: Any) -> PointCloud:

@@ -86,8 +86,9 @@ class AGPTD(Mirroring):
     relative_slope: float = param(
         default=0.06,
         symbol="s_r",
+        unit="rise/run",
         ge=0,
-        doc="divide cells whose mean slope less the least exceeds this (rise over run)",
+        doc="divide cells whose mean slope less the least exceeds this",
     )
     remainder: str = static(
         default="absorbed",
@@ -108,7 +109,9 @@ class AGPTD(Mirroring):
         ge=0,
         doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off",
     )
-    deviations: float = param(default=3.0, gt=0, doc="standard deviations at which the elevation of a point is odd")
+    deviations: float = param(
+        default=3.0, unit="sigma", gt=0, doc="standard deviations at which the elevation of a point is odd"
+    )
     _: dataclasses.KW_ONLY
     radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(

@@ -69,7 +69,9 @@ class ATIN(SlopeMirroring):
     max_distance: float = param(
         default=1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"
     )
-    deviations: float = param(default=15.0, ge=0, doc="limits are this many standard deviations above the median")
+    deviations: float = param(
+        default=15.0, unit="sigma", ge=0, doc="limits are this many standard deviations above the median"
+    )
     thresholds: str = static(
         default="constant",
         choices=("constant", "adaptive"),

@@ -67,7 +67,12 @@ class CSF(Filter):
     )
     threshold: float = param(default=0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
     iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1)
-    time_step: float = param(default=0.65, doc="time between steps of the simulation", symbol="dT", gt=0)
+    time_step: float = param(
+        default=0.65,
+        doc="time between steps of the simulation; it has no unit, since gravity is 0.2 m per its square",
+        symbol="dT",
+        gt=0,
+    )
     gravity: str = static(
         default="equation",
         doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)",

@@ -105,7 +105,7 @@ class OST(Filter):
     scaling: float = param(default=1.0, unit="m/m", ge=0, doc="height per slope of the facet, times the point spacing")
     min_scaling: float = param(default=0.1, unit="m", ge=0, doc="least height per slope of the facet; the most is 1 m")
     relief_scaling: float = param(default=0.0, unit="m", ge=0, doc="height per slope of the landscape")
-    max_distance: float = param(default=1.25, gt=0, doc="distance to the facet in densification, in tolerances")
+    max_distance: float = param(default=1.25, unit="tolerances", gt=0, doc="distance to the facet in densification")
     distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
     max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
     angle_relief: float = param(default=60.0, unit="degrees", ge=0, doc="angle per slope of the landscape")
@@ -113,8 +113,12 @@ class OST(Filter):
         default=0.1, unit="m", ge=0, doc="so near to the plane of its facet a point joins whatever the angle"
     )
     rounds: int = static(default=6, ge=0, doc="rounds of densification")
-    scene_spread: float = param(default=6.0, gt=0, doc="residuals of vertices that are dropped, in sigmas of the scene")
-    local_spread: float = param(default=3.0, gt=0, doc="and in those around, times the spacing up to one metre")
+    scene_spread: float = param(
+        default=6.0, unit="sigma", gt=0, doc="residuals of vertices that are dropped, by the scatter of the scene"
+    )
+    local_spread: float = param(
+        default=3.0, unit="sigma/m", gt=0, doc="and by that of those around, times the spacing up to one metre"
+    )
 
     DOUBTS: ClassVar[bool] = True
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013

@@ -18,8 +18,8 @@ from typing import BinaryIO
 import lazrs
 import numpy as np
 
-from ..core.cloud import check_scales
 from ..core.errors import InputError, OutputError, warn
+from ..core.frame import check_scales
 from .files import CHANGED_IN_READING, Identity
 from .storage import Place, Remote
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud, is_laspy
+from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.errors import InputError, warn
+from ..core.inputs import is_laspy
 from ..core.points import canonical_points
 from ..core.result import Progress, silent
 from ..core.units import (

@@ -1,15 +1,13 @@
 """Point clouds as text: the ISPRS reference samples, xyz and csv; read in runs of lines, rewritten line by line.
 
-A record is a line. Which bytes of it belong to which cell is decided in one place, :func:`_plain`, which blanks out what
-quotes protect and keeps the length: its lines split at every delimiter. The numbers are parsed from them, and the
-positions at which labels are exchanged are found in them, so reading and rewriting cannot differ.
+A record is a line, and ``delimited.py`` decides where its cells are. The numbers are parsed from what it makes of a line,
+and the positions at which labels are exchanged are found in that, so reading and rewriting cannot differ.
 """
 
 from __future__ import annotations
 
 import csv
 import dataclasses
-import functools
 import io
 import itertools
 import re
@@ -20,6 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from ..core.errors import InputError
+from .delimited import BLANK, blanked, cell_pattern, cells_of, check_line, open_quote, shown, spans_of
 from .files import Bounds, Replay
 from .records import inside, reading
 
@@ -31,7 +30,6 @@ _BLOCK = 1_000_000  # bytes that are read at a time
 _LONGEST = 1_000_000  # bytes of a line
 _PREAMBLE = 1000  # lines before the first point, and of comments that may name columns
 _PROBED = 1000  # lines of points whose decimals are counted
-_BLANK = b" \t\r\n"
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 _DELIMITERS = (b";", b",", b"\t", None)
 _WORDS = {b";": "semicolons", b",": "commas", b"\t": "tabs", None: "white space"}
@@ -72,7 +70,7 @@ class Layout:
 def layout_of(path: Path) -> Layout:
     """From the first lines. Raises InputError if the columns cannot be told, or if names and columns do not match."""
     lines, first = _head(path)
-    before = [i for i, line in enumerate(lines[:first]) if line.strip(_BLANK)]
+    before = [i for i, line in enumerate(lines[:first]) if line.strip(BLANK)]
     comments = list(itertools.takewhile(lambda i: _is_comment(lines[i]), reversed(before)))
     other = before[: len(before) - len(comments)][-1:]  # the line above
     headers = [  # what may name the columns, and how
@@ -87,23 +85,23 @@ def layout_of(path: Path) -> Layout:
         headers = [header for header in headers if header[1] in other]
         delimiter, at, cells = headers[0] if headers else (None, None, _UNNAMED[:3])
         if at is not None:
-            _check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
+            check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
         return Layout(delimiter, _columns(path, at, cells), len(cells), at, len(lines), 0)
     point = lines[first]
-    widths = {delimiter: len(_cells(_plain(point, delimiter), delimiter)) for delimiter in _DELIMITERS}
+    widths = {delimiter: len(cells_of(blanked(point, delimiter), delimiter)) for delimiter in _DELIMITERS}
     if fitting := [header for header in headers if len(header[2]) == widths[header[0]]]:
         delimiter, at, cells = fitting[0]
-        _check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
+        check_line(path, at, lines[at], _plain_names(lines[at], delimiter), delimiter)
     elif headers:
         delimiter, at, cells = max(headers, key=lambda header: widths[header[0]])
-        _check_line(path, first, point, _plain(point, delimiter), delimiter)
+        check_line(path, first, point, blanked(point, delimiter), delimiter)
         hint = " (if it is a mere comment, take the names out of it)" if at in comments else ""
         raise InputError(
             f"{path}: line {at + 1} names {len(cells)} columns{hint}, "
             f"{_ragged(first, point, widths[delimiter], delimiter)}"
         )
     elif other:
-        raise InputError(f"{path}: line {other[0] + 1}, {_shown(lines[other[0]])}, names no columns x, y and z")
+        raise InputError(f"{path}: line {other[0] + 1}, {shown(lines[other[0]])}, names no columns x, y and z")
     else:
         delimiter = next((delimiter for delimiter in (b";", b",", None) if widths[delimiter] >= 3), None)
         width = widths[delimiter]
@@ -192,7 +190,7 @@ def rewrite_text(
             else:
                 old = run.values[keep, list(layout.columns).index(name)].astype(np.uint8)
                 values = classes(old, rows)
-            find = _cell(layout.columns[name], layout.delimiter).match
+            find = cell_pattern(layout.columns[name], layout.delimiter).match
             for i, line, value in zip(at, plain, values.tolist(), strict=True):
                 begin, end = find(line).span(1)  # type: ignore[union-attr]
                 lines[i] = b"%b%d%b" % (lines[i][:begin], value, lines[i][end:])
@@ -259,11 +257,11 @@ def _unmarked(line: bytes) -> bytes:
 
 
 def _is_comment(line: bytes) -> bool:
-    return line.lstrip(_BLANK).startswith(b"#")
+    return line.lstrip(BLANK).startswith(b"#")
 
 
 def _holds_data(line: bytes) -> bool:
-    held = line.lstrip(_BLANK)
+    held = line.lstrip(BLANK)
     return bool(held) and held[0] != 0x23  # not a comment
 
 
@@ -272,105 +270,10 @@ def _is_point(line: bytes) -> bool:
     return sum(_NUMBER.fullmatch(token) is not None for token in re.split(rb'[\s,;"]+', line)) >= 3
 
 
-def _shown(cell: bytes) -> str:
-    """Bytes of a file, for messages."""
-    return repr(cell.strip(_BLANK)[:60].decode("utf-8", "replace"))
-
-
-# cells
-
-
-def _plain(lines: bytes, delimiter: bytes | None) -> bytes:
-    """Whole lines, byte for byte as long, which split into cells at every delimiter.
-
-    A cell that begins with a quote ends with the next one that is not doubled (RFC 4180, section 2); blanks may surround
-    it. Its quotes become blanks, and whatever in it has a meaning outside of quotes becomes a question mark, which no
-    number has; so do bytes that are not ASCII. Other control characters than tabs and ends of lines become zeros. A
-    quote where a cell begins is left only if it does not close in its line, or if more than blanks follow in the cell.
-    """
-    if b'"' not in lines:
-        return lines.translate(_TABLE)
-    if 2 * len(_simply_quoted(delimiter).findall(b"\n" + lines)) == lines.count(b'"'):  # much faster, and the same
-        return lines.translate(_TABLE_WITHOUT_QUOTES)
-    return _quoted(delimiter).sub(_unquoted, b"\n" + lines)[1:].translate(_TABLE)
-
-
-_TABLE = bytes(0x3F if i > 0x7E else 0 if i < 0x20 and i not in _BLANK else i for i in range(256))
-_TABLE_WITHOUT_QUOTES = _TABLE.replace(b'"', b" ")
-_PROTECTED = bytes.maketrans(b' \t,;"', b"?????")  # in quotes
-_ENDS = {b";": rb";\r\n", b",": rb",\r\n", b"\t": rb"\t\r\n", None: rb" \t\r\n"}  # what a cell ends with
-_PADS = {b";": rb"[ \t]*", b",": rb"[ \t]*", b"\t": rb" *", None: rb""}  # blanks around it
-
-
-@functools.cache
-def _simply_quoted(delimiter: bytes | None) -> re.Pattern[bytes]:
-    """Quoted cells without blanks around them, and in which nothing needs the quotes; each has an end before it."""
-    return re.compile(rb'[%b]"[^" \t\r\n,;]+"(?=[%b]|\Z)' % (_ENDS[delimiter], _ENDS[delimiter]))
-
-
-@functools.cache
-def _quoted(delimiter: bytes | None) -> re.Pattern[bytes]:
-    ends, pad = _ENDS[delimiter], _PADS[delimiter]
-    return re.compile(rb'([%b]%b)"((?:[^"\r\n]++|"")*+)"(?=%b(?:[%b]|\Z))' % (ends, pad, pad, ends))
-
-
-@functools.cache
-def _open_quote(delimiter: bytes | None) -> re.Pattern[bytes]:
-    return re.compile(rb'[%b]%b"' % (_ENDS[delimiter], _PADS[delimiter]))
-
-
-def _unquoted(match: re.Match[bytes]) -> bytes:
-    before, content = match.groups()
-    kept = content.strip(b" \t")
-    if not kept:
-        return before + b"?" * (len(content) + 2)
-    begin = 1 + len(content) - len(content.lstrip(b" \t"))
-    return before + b" " * begin + kept.translate(_PROTECTED) + b" " * (len(content) + 2 - begin - len(kept))
-
-
-def _check_line(path: Path, number: int, line: bytes, plain: bytes, delimiter: bytes | None) -> None:
-    """Raises InputError naming the line (number from 0) where :func:`_plain` says that it cannot be split."""
-    if b"\0" in plain:
-        value = line[plain.index(b"\0")]
-        raise InputError(f"{path}: line {number + 1} holds the control character 0x{value:02x}; remove it")
-    if found := _open_quote(delimiter).search(b"\n" + plain):
-        column = len(_cells(plain[: found.end() - 1], delimiter))
-        raise InputError(
-            f"{path}: line {number + 1}: the quote at the start of column {column} does not close at the end of a cell in "
-            "this line; take line breaks out of cells, and double the quotes within them"
-        )
-
-
-def _spans(plain: bytes, delimiter: bytes | None) -> list[slice]:
-    """Where in a plain line its cells are, without the blanks around them."""
-    if delimiter is None:
-        return [slice(*token.span()) for token in re.finditer(rb"[^ \t\r\n]+", plain)]
-    spans, at = [], 0
-    for cell in plain.split(delimiter):
-        begin = at + len(cell) - len(cell.lstrip(_BLANK))
-        spans.append(slice(begin, max(begin, at + len(cell.rstrip(_BLANK)))))
-        at += len(cell) + 1
-    return spans
-
-
-def _cells(plain: bytes, delimiter: bytes | None) -> list[bytes]:
-    """The cells of a plain line, without the blanks around them."""
-    return plain.split() if delimiter is None else [cell.strip(_BLANK) for cell in plain.split(delimiter)]
-
-
-@functools.cache
-def _cell(column: int, delimiter: bytes | None) -> re.Pattern[bytes]:
-    """What matches a plain line from its start, with a cell that holds a number as group 1; faster than the spans."""
-    if delimiter is None:
-        return re.compile(rb"[ \t]*(?:[^ \t]+[ \t]+){%d}([^ \t\r\n]+)" % column)
-    pad, ends = _PADS[delimiter], _ENDS[delimiter]
-    return re.compile(rb"(?:[^%b]*%b){%d}%b([^%b \t]+)" % (delimiter, delimiter, column, pad, ends))
-
-
 def _appended(line: bytes, text: bytes, layout: Layout) -> bytes:
     """A line with one more cell."""
     if layout.delimiter is None:
-        body = line.rstrip(_BLANK)
+        body = line.rstrip(BLANK)
         return b"%b%b%b%b" % (body, b"\t" if b"\t" in body else b" ", text, line[len(body) :])
     body = line.rstrip(b"\r\n")
     return b"%b%b%b%b" % (body, layout.delimiter, text, line[len(body) :])
@@ -382,11 +285,11 @@ def _appended(line: bytes, text: bytes, layout: Layout) -> bytes:
 def _plain_names(line: bytes, delimiter: bytes | None) -> bytes:
     """A line that may name columns, plain and with blanks for the signs of a comment before it."""
     prefix = re.match(rb"[/# \t]*", line)[0]  # type: ignore[index]
-    return _plain(b" " * len(prefix) + line[len(prefix) :], delimiter)
+    return blanked(b" " * len(prefix) + line[len(prefix) :], delimiter)
 
 
 def _names(line: bytes, delimiter: bytes | None) -> list[bytes]:
-    return [line[span] for span in _spans(_plain_names(line, delimiter), delimiter)]
+    return [line[span] for span in spans_of(_plain_names(line, delimiter), delimiter)]
 
 
 def _meaning(name: bytes) -> str | None:
@@ -400,7 +303,7 @@ def _columns(path: Path, header: int | None, cells: list[bytes]) -> dict[str, in
         name = _meaning(cell)
         if name in columns and header is not None:
             raise InputError(
-                f"{path}: line {header + 1}: the columns {_shown(cells[columns[name]])} and {_shown(cell)} both name the "
+                f"{path}: line {header + 1}: the columns {shown(cells[columns[name]])} and {shown(cell)} both name the "
                 f"{name.replace('_', ' ')}; rename the one that does not count"
             )
         if name is not None:
@@ -418,7 +321,7 @@ class Run(NamedTuple):
         start: number of the first line, from 0.
         lines: as in the file.
         at: which of them hold data.
-        plain: those lines as :func:`_plain` gives them.
+        plain: those lines as :func:`blanked` gives them.
         values: f64[data lines, named columns], the named columns in the order of ``Layout.columns``.
     """
 
@@ -445,7 +348,7 @@ def _runs(path: Path, layout: Layout) -> Iterator[Run]:
             skip = max(layout.first - start, 0)
             at = [i for i, line in enumerate(clean[skip:], skip) if _holds_data(line)]
             data = clean if len(at) == len(clean) else [clean[i] for i in at]
-            whole = _plain(b"".join(data), layout.delimiter)
+            whole = blanked(b"".join(data), layout.delimiter)
             plain = whole.splitlines(keepends=True) if len(whole) else []
             run = Run(start, lines, at, plain, np.zeros((len(at), len(layout.columns))))
             _check_cells(path, layout, run, whole)
@@ -458,9 +361,9 @@ def _runs(path: Path, layout: Layout) -> Iterator[Run]:
 
 def _check_cells(path: Path, layout: Layout, run: Run, whole: bytes) -> None:
     """Raises InputError for the first line that cannot be split, or has not as many columns as the layout."""
-    if b"\0" in whole or (b'"' in whole and _open_quote(layout.delimiter).search(b"\n" + whole)):
+    if b"\0" in whole or (b'"' in whole and open_quote(layout.delimiter).search(b"\n" + whole)):
         for i, line in zip(run.at, run.plain, strict=True):
-            _check_line(path, run.start + i, run.lines[i], line, layout.delimiter)
+            check_line(path, run.start + i, run.lines[i], line, layout.delimiter)
     if layout.delimiter is None:
         widths = [len(line.split()) for line in run.plain]
     else:
@@ -483,7 +386,7 @@ def _ragged(number: int, line: bytes, width: int, delimiter: bytes | None) -> st
     if delimiter == b",":
         hints.append("write decimals with a point")
     hints.append(f"put quotes around cells that hold {_WORDS[delimiter]}")
-    return f"line {number + 1} has {width}, {_shown(line)}; {', '.join(hints)}"
+    return f"line {number + 1} has {width}, {shown(line)}; {', '.join(hints)}"
 
 
 def _numbers(path: Path, layout: Layout, run: Run, whole: bytes) -> np.ndarray:
@@ -518,17 +421,17 @@ def _numbers_one_by_one(path: Path, layout: Layout, run: Run, count: int) -> np.
     """The named columns of the first lines. Raises InputError with line and name of the first cell that is no number."""
     values = np.empty((count, len(layout.columns)))
     for row, line in enumerate(run.plain[:count]):
-        cells = _cells(line, layout.delimiter)
+        cells = cells_of(line, layout.delimiter)
         for i, (name, column) in enumerate(layout.columns.items()):
             if not _NUMBER.fullmatch(cells[column]):
-                cell = run.lines[run.at[row]][_spans(line, layout.delimiter)[column]]
+                cell = run.lines[run.at[row]][spans_of(line, layout.delimiter)[column]]
                 hint = "; write decimals with a point and nothing between thousands" if re.search(b"[, ]", cell) else ""
-                raise InputError(f"{path}: {run.place(row)}: {name} is {_shown(cell)}, not a number{hint}")
+                raise InputError(f"{path}: {run.place(row)}: {name} is {shown(cell)}, not a number{hint}")
             values[row, i] = float(cells[column])
     return values
 
 
 def _decimals(lines: list[bytes], delimiter: bytes | None, columns: dict[str, int]) -> int:
-    rows = [_cells(_plain(line, delimiter), delimiter) for line in lines if _holds_data(line)]
+    rows = [cells_of(blanked(line, delimiter), delimiter) for line in lines if _holds_data(line)]
     cells = [row[columns[axis]] for row in rows if len(row) > max(columns.values()) for axis in "xyz"]
     return max(len(re.match(rb"[^.]*\.?(\d*)", cell)[1]) for cell in cells)  # type: ignore[index]

@@ -128,7 +128,7 @@ def places(cloud: PointCloud, doubt: np.ndarray, wrong: np.ndarray | None, cell:
 
 def _cell(xyz: np.ndarray) -> float:
     """Metres: about one point per cell, and at most :data:`MAX_PIXELS` cells."""
-    width, height = (max(float(v), 1.0) for v in np.ptp(xyz[:, :2], axis=0))
+    width, height = (max(float(v), 1.0) for v in (np.ptp(xyz[:, 0]), np.ptp(xyz[:, 1])))
     side = math.sqrt(width * height / min(len(xyz), MAX_PIXELS))
     return max(side, max(width, height) / 8000, 0.05)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from concurrent.futures import ThreadPoolExecutor
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -106,7 +107,8 @@ def report(
         facts, arrays = _contents(cloud, result, truth, counted, slider, layers, max_points)
         notify(0.9, "page")
         name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
-        temporary.write_text(_page(cloud, result, title or name, slider, layers, facts, arrays), encoding="utf-8")
+        text = _page(cloud, result, title or name, slider, layers, facts, arrays, workers)
+        temporary.write_text(text, encoding="utf-8")
     notify(1.0, "done")
     return path
 
@@ -219,11 +221,14 @@ def _page(
     layers: Layers | None,
     facts: dict[str, Any],
     arrays: dict[str, np.ndarray],
+    workers: int | None,
 ) -> str:
     folder = files(__package__)
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        packed = list(pool.map(pack, arrays.values()))
     data = "\n".join(
-        f'<script type="application/octet-stream" id="data-{name}" data-bytes="{values.dtype.itemsize}">{pack(values)}</script>'
-        for name, values in arrays.items()
+        f'<script type="application/octet-stream" id="data-{name}" data-bytes="{values.dtype.itemsize}">{text}</script>'
+        for (name, values), text in zip(arrays.items(), packed, strict=True)
     )
     run = result.run if isinstance(result, FilterResult) else None
     values = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..core.cloud import as_cloud
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import Decision, FilterResult
 from ..host.files import new_file
 from .places import Squares, squares
@@ -57,7 +58,7 @@ def review(
     (m2), ``points`` (judged), ``expected_errors``, ``mean_doubt``, ``reason`` (the decision to which most of the doubt
     belongs) and ``geometry``. No row if no point was judged.
     Raises: ParameterError; InputError (a result without doubt or of another length, too many squares); OutputError (suffix,
-    exists, disk); ImportError without geopandas and pyogrio.
+    exists, disk); ImportError without geopandas and pyogrio. Warns: if a file is written and the cloud has no CRS.
 
     >>> places = jf.review(cloud, result, "places.geojson", area=10.0)
     >>> places["rank"].tolist() == list(range(1, len(places) + 1))
@@ -88,6 +89,11 @@ def review(
     geometry = [shapes[i] for i in order]
     table = geopandas.GeoDataFrame({"rank": np.arange(1, len(order) + 1), **rows}, geometry=geometry, crs=cloud.crs)
     if target is not None:
+        if cloud.crs is None:
+            taken = "; programs take its coordinates for degrees" * (DRIVERS[target.suffix.lower()] == "GeoJSON")
+            warn(
+                f"{target}: the cloud has no CRS, so the file has none{taken}: set the CRS of the layer where it is opened"
+            )
         with new_file(target, overwrite=overwrite) as temporary:
             _save(table, target, temporary)
     return table
@@ -171,7 +177,9 @@ def _save(table: geopandas.GeoDataFrame, target: Path, temporary: Path) -> None:
     before = pyogrio.get_gdal_config_option(date)
     try:
         pyogrio.set_gdal_config_options({date: "1970-01-01T00:00:00Z"})
-        table.to_file(named, driver=DRIVERS[target.suffix.lower()], engine="pyogrio", **options)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+            table.to_file(named, driver=DRIVERS[target.suffix.lower()], engine="pyogrio", **options)
     except Exception as error:
         raise OutputError(f"{target}: cannot be written: {error}") from error
     finally:

@@ -1,0 +1,164 @@
+"""From file coordinates to the local metric frame, and what coordinates are believed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from .errors import InputError, warn
+from .units import Units
+
+QUANTUM = 2.0**-10
+"""Local coordinates are multiples of this many metres (about 1 mm).
+
+Below 16 km from the origin such values, and all differences between them, are exact in float32. A power of two never
+lies half-way between two decimal centimetres or millimetres, so clouds that differ by a shift become equal bit for bit.
+"""
+LARGEST_SPAN = (1e7, 1e7, 1e5)
+"""Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
+SCALES = (1e-12, 100.0)
+"""Scale factors of LAS files that are believed: above the first, up to the second."""
+
+
+def localise(xyz: np.ndarray, units: Units, anchor: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Remove a float64 origin and quantise: the only place where raw coordinates become local ones.
+
+    The origin is the lower corner in x, y, z. With an anchor it is whole metres from the anchor, so that clouds with one
+    anchor share one lattice of quantised coordinates. Returns origin f64[3] and local f32[n, 3]; NaN rows become zero.
+    """
+    if len(xyz) == 0 or not np.isfinite(xyz).any():
+        return np.zeros(3), np.zeros((len(xyz), 3), np.float32)
+    factor = np.array([units.xy, units.xy, units.z])
+    origin = _origin(np.nanmin(xyz, axis=0), factor, anchor)
+    local = np.empty(xyz.shape, np.float32)
+    for axis in range(3):  # by axis: bounds the float64 temporaries on large clouds
+        local[:, axis] = np.nan_to_num(_quantised(xyz[:, axis], origin[axis], factor[axis]), nan=0.0)
+    return origin, local
+
+
+def localise_integers(
+    ticks: np.ndarray,
+    scales: np.ndarray,
+    offsets: np.ndarray,
+    units: Units,
+    anchor: np.ndarray | None,
+    valid: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks.
+
+    Rows that are not ``valid`` (bool[n]; by default all are) become zero.
+    """
+    if len(ticks) == 0 or (valid is not None and not valid.any()):
+        return np.zeros(3), np.zeros((len(ticks), 3), np.float32)
+    factor = np.array([units.xy, units.xy, units.z])
+    low = ticks.min(axis=0) if valid is None else ticks[valid].min(axis=0)
+    origin = _origin(low * scales + offsets, factor, anchor)
+    local = ticks.view(np.float32)
+    for start in range(0, len(ticks), _ROWS):
+        rows = slice(start, start + _ROWS)
+        for axis in range(3):
+            column = ticks[rows, axis] * scales[axis] + offsets[axis]
+            local[rows, axis] = _quantised(column, origin[axis], factor[axis])
+    if valid is not None:
+        local[~valid] = 0
+    return origin, local
+
+
+_ROWS = 1_000_000  # points of a large cloud that are converted at a time
+
+
+def _origin(low: np.ndarray, factor: np.ndarray, anchor: np.ndarray | None) -> np.ndarray:
+    if anchor is None:
+        return low
+    base = np.append(anchor, 0.0)
+    return base + np.floor((low - base) * factor) / factor
+
+
+def checked_anchor(anchor: Iterable[float] | None) -> np.ndarray | None:
+    """f64[2], or None for none. Raises InputError."""
+    if anchor is None:
+        return None
+    try:
+        x, y = (float(v) for v in anchor)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"anchor={anchor!r}: two numbers (x, y) in file units are needed") from error
+    if not max(abs(x), abs(y)) < _RESOLVED:
+        raise InputError(f"anchor={anchor!r}: must be two finite numbers below {_RESOLVED:g}")
+    return np.array([x, y])
+
+
+_RESOLVED = QUANTUM * 2.0**53
+"""Below this many metres float64 resolves the quantum."""
+
+
+def extremes(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[3] least and f64[3] largest coordinates; NaN where there are none."""
+    known = xyz[~np.isnan(xyz[:, 0])] if np.isnan(xyz[:, 0]).any() else xyz
+    return (known.min(axis=0), known.max(axis=0)) if len(known) else (np.full(3, np.nan), np.full(3, np.nan))
+
+
+def near_points(
+    column: Callable[[int], np.ndarray], low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
+) -> np.ndarray | None:
+    """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
+
+    ``column(axis)`` gives f64[n] file coordinates, NaN for points that do not count. Medians are taken only of clouds
+    that are too large. Raises: InputError unless points may be dropped (``drop``).
+    """
+    factor = np.array([units.xy, units.xy, units.z])
+    with np.errstate(over="ignore", invalid="ignore"):
+        spans = (high - low) * factor
+    near = None
+    for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
+        limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
+        values = column(axis)
+        known = values[~np.isnan(values)]
+        median = np.partition(known, len(known) // 2)[len(known) // 2]
+        with np.errstate(over="ignore"):
+            distance = abs(values - median) * factor[axis]
+        if not drop:
+            worst = int(np.nanargmax(distance))
+            place = ", ".join(f"{column(i)[worst]:.10g}" for i in range(3))
+            raise InputError(
+                f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
+                f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
+                f"drop_invalid=True to label them non-ground, or, if it is not stray, correct scale and offset or pass units="
+            )
+        far = distance > limit / 2
+        warn(
+            f"{name}: {int(far.sum())} points more than {limit / 2:g} m from the median of {letter} are labelled non-ground"
+        )
+        near = distance <= limit / 2 if near is None else near & (distance <= limit / 2)
+    return near
+
+
+def check_resolution(low: np.ndarray, high: np.ndarray, units: Units, name: str) -> None:
+    """Raises: InputError for coordinates that float64 holds less exactly than local ones are."""
+    factor = np.array([units.xy, units.xy, units.z])
+    largest = np.fmax(abs(low), abs(high)) * factor
+    if (largest >= _RESOLVED).any():
+        axis = int(np.argmax(largest >= _RESOLVED))
+        value = low[axis] if abs(low[axis]) > abs(high[axis]) else high[axis]
+        raise InputError(
+            f"{name}: {'XYZ'[axis]} reaches {value:.10g} units, where float64 does not resolve {QUANTUM:.2g} m: correct "
+            "scale and offset, or subtract a constant from the coordinates"
+        )
+
+
+def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
+    """Scales and offsets of integer coordinates, f64[3] each. Raises InputError naming the field."""
+    low, high = SCALES
+    for axis, scale, offset in zip("XYZ", scales, offsets, strict=True):
+        if not low < scale <= high:
+            raise InputError(
+                f"{name}: {axis} scale factor is {scale:g}; it must be above {low:g} and not above {high:g}, the header is "
+                "damaged"
+            )
+        if not math.isfinite(offset):
+            raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
+
+
+def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
+    return np.rint((column - origin) * (factor / QUANTUM)) * QUANTUM
