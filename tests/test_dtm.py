@@ -102,6 +102,12 @@ def test_tin_is_the_linear_interpolator_of_scipy(rng):
     assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
 
 
+def test_a_raster_shows_itself_in_a_line(rng):
+    raster = model(scattered(rng, n=50), cell=10.0)
+    missing = np.isnan(raster.values).sum()
+    assert repr(raster).startswith(f"Raster(5 x 5 cells of 10, {missing} without height, bounds 447310, 5301200, ")
+
+
 def test_many_cells_at_once_are_shared_between_threads(rng):
     cloud = scattered(rng)
     one, three = (model(cloud, cell=0.08, workers=workers).values for workers in (1, 3))
