@@ -240,6 +240,13 @@ def test_bounds_choose_the_raster_and_tiles_fit_together(rng):
     np.testing.assert_array_equal(np.hstack([west.values, east.values]), whole.values[:, :51])
 
 
+@LINEAR
+def test_bounds_away_from_the_ground_are_said(rng, method):
+    with pytest.warns(jf.JaxfilterWarning, match="no cell has a height: bounds 0, 0, 10, 10 are away.*447312.*5301208"):
+        raster = model(scattered(rng, n=400), bounds=(0, 0, 10, 10), method=method)
+    assert raster.values.shape == (10, 10) and np.isnan(raster.values).all()
+
+
 def test_ground_is_given_or_the_reference(rng):
     cloud = scattered(rng, n=400)
     truth = rng.random(len(cloud)) < 0.7
