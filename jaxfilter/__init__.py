@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .tiles.collection import Collection, open
     from .tiles.ground import ground
     from .tiles.heights import heights
+    from .tiles.options import RunOptions
     from .tiles.terrain import terrain_model
 
 _HOMES = {
@@ -47,22 +48,22 @@ _HOMES = {
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",), "pdal": ("from_pdal",),
     "stages.border": ("CutObject", "cut_objects"), "stages.grid_filter": ("soft_labels",),
-    "scoring": ("Scores", "evaluate"),
-    "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
+    "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"), "reports": ("report", "review"),
-    "tiles.ground": ("ground",), "tiles.heights": ("heights",), "tiles.terrain": ("terrain_model",),
+    "tiles.ground": ("ground",), "tiles.heights": ("heights",), "tiles.options": ("RunOptions",),
+    "tiles.terrain": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     "Calibration", "Collection", "Comparison", "CutObject", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
-    "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Scores",
-    "Status", "Study", "calibrate", "citation", "class_changes", "compare", "cut_objects", "default_filter", "dtm", "dtm_rmse",
-    "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "info", "open", "plots", "read", "report", "review",
-    "scenes", "soft_labels", "sweep", "terrain_model", "write",
+    "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "RunOptions",
+    "Scores", "Status", "Study", "calibrate", "citation", "class_changes", "compare", "cut_objects", "default_filter", "dtm",
+    "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "info", "open", "plots", "read",
+    "report", "review", "scenes", "soft_labels", "sweep", "terrain_model", "write",
 ]  # fmt: skip
 
 

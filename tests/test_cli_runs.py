@@ -153,6 +153,11 @@ def test_what_is_a_collection(tmp_path):
     for words in ([one, one, "out"], [str(tmp_path), "out"], ["*.laz", "out"], ["all.vpc", "out"], [one, "out/"]):
         assert is_collection(words), words
     assert is_collection(["s3://bucket/a.laz", "out"]) and is_collection([one, str(tmp_path)])
+    assert is_collection([one, "s3://bucket/out"]) and is_collection(["s3://bucket/", "out.laz"])
+    for out in ("s3://bucket/out.laz", "s3://bucket/out.csv", "s3://bucket/out.TIF"):
+        assert not is_collection([one, out]), out
+    assert not is_collection(["s3://bucket/a.laz", "out.laz"])
+    assert is_collection(["s3://bucket/a.laz", "dtm.tif"]), "read in windows"
 
 
 @pytest.mark.parametrize("text, size", [("4GB", 4e9), ("512MiB", 2**29), ("1e9", 1e9), ("1.5 g", 1.5e9), ("7", 7.0)])

@@ -12,7 +12,7 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
 from jaxfilter.host.cells import Cells
-from jaxfilter.host.depressions import _ascending, depressions
+from jaxfilter.host.depressions import Basins, _ascending
 from jaxfilter.host.trend import low_trend
 from jaxfilter.scenes import Kind
 from jaxfilter.stages.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
@@ -95,7 +95,7 @@ def flooded(z, depth, max_cells):
 def pits_of(z, depth, max_points, points=None):
     """Depressions of a grid that has one point in each cell."""
     around = Cells.of(*map(np.ravel, np.indices(z.shape)), z.shape)[0].around()
-    return depressions(z.ravel(), around, np.ones(z.size, np.int64) if points is None else points, depth, max_points)
+    return Basins(z.ravel(), around).depressions(np.ones(z.size, np.int64) if points is None else points, depth, max_points)
 
 
 @pytest.mark.parametrize("seed", range(12))

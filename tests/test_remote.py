@@ -10,6 +10,7 @@ from las_files import OFFSETS, make_copc, make_deep_copc, make_las
 from servers import Faulty, RangeServer
 from test_border import ROOF, field
 from test_border import write as write_field
+from test_cli_runs import run
 from test_read_window import assert_is_mask, boxes_of
 from test_tiles_run import Here
 
@@ -233,3 +234,71 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     assert into(west_and_east, out, work=work, overwrite=True).complete
     with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
         into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")
+
+
+PMF = {"max_window": 9.0, "low_clusters": False}
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
+    """It appears whole; where the store fails, no tile is made twice; a store that refuses is found out before any is made."""
+    pytest.importorskip("rasterio")
+    target, work, local = "s3://surveys/dtm/all.tif", tmp_path / "work", tmp_path / "local.tif"
+
+    def model(target, executor, **how):
+        return jf.terrain_model(west_and_east, target, jf.PMF, PMF, cell=0.5, tile=30.0, executor=executor, **how)
+
+    def stored():
+        bucket.invalidate_cache()
+        return [path.rpartition("/")[2] for path in bucket.find("surveys/dtm")]
+
+    assert model(local, Here()).complete
+    with pytest.raises(jf.ParameterError, match=r"s3://surveys/dtm/all\.tif is not on a local disk.* pass work="):
+        model(target, Here())
+    with pytest.raises(jf.OutputError, match=r"all\.png: the suffix must be one of \.tif, \.tiff"):
+        model("s3://surveys/dtm/all.png", Here(), work=work)
+    refused = Here()
+    with pytest.raises(jf.OutputError, match=r"s3://no-such-bucket/all\.tif.*no such bucket"):
+        model("s3://no-such-bucket/all.tif", refused, work=work)
+    assert refused.calls == [] and list(work.iterdir()) == []
+    bucket.faults.failures, bucket.faults.suffix = [503] * 500, "all.tif"
+    with pytest.raises(jf.OutputError, match=r"s3://surveys/dtm/all\.tif: failed 5 times"):
+        model(target, Here(), work=work)
+    assert stored() == []
+    again, bucket.faults.failures = Here(), [503, 0, 500]
+    assert model(target, again, work=work, resume=True).complete
+    assert again.calls == [] and bucket.faults.failures == [] and list(work.iterdir()) == []
+    assert stored() == ["all.tif"] and bucket.cat_file("surveys/dtm/all.tif") == local.read_bytes()
+    with pytest.raises(jf.OutputError, match=r"all\.tif: the file exists"):
+        model(target, refused, work=work)
+    assert refused.calls == []
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
+    pytest.importorskip("rasterio")
+    source, out = west_and_east / "west.laz", "s3://surveys/one"
+    fields = [f"--{name.replace('_', '-')}={value}" for name, value in PMF.items() if value] + ["--no-low-clusters"]
+    how = ["--filter", "pmf", *(f"--set={name}={value}" for name, value in PMF.items())]
+    pairs = (
+        (["ground", "pmf", *fields], "a.laz", "b.laz"),
+        (["height", *how], "h.laz", "i.laz"),
+        (["dtm", *how], "c.tif", "d.tif"),
+    )
+    for words, there, here in pairs:
+        for target in (f"{out}/{there}", tmp_path / here):
+            result = run(*words, source, target, "--quiet")
+            assert result.exit_code == 0, result.output
+        assert bucket.cat_file(f"surveys/one/{there}") == (tmp_path / here).read_bytes(), there
+        wrong = run(*words, source, f"{out}/{there}")
+        assert wrong.exit_code == 2 and f"{out}/{there} exists" in wrong.stderr, wrong.output
+    back = run("ground", "pmf", *fields, f"{out}/a.laz", tmp_path / "again.laz", "--quiet")
+    assert back.exit_code == 0 and (tmp_path / "again.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
+    wrong = run("ground", "pmf", f"{out}/a.laz", f"{out}/a.laz")
+    assert wrong.exit_code == 2 and "is both input and output" in wrong.stderr, wrong.output
+    wrong = run("dtm", west_and_east, f"{out}/e.tif")
+    assert wrong.exit_code == 2 and "e.tif is not on a local disk" in wrong.stderr and "--work" in wrong.stderr, (
+        wrong.output
+    )
+    missing = run("ground", "pmf", f"{out}/absent.laz", tmp_path / "new.laz")
+    assert missing.exit_code == 1 and "absent.laz: no such file" in missing.stderr, missing.output

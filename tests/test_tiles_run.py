@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import collections
 import json
+import multiprocessing
 import os
+import pickle
 import shutil
+import subprocess
+import sys
 
 import laspy
 import numpy as np
@@ -12,10 +17,11 @@ import pytest
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.tiles import task
+from jaxfilter.tiles import dask, task
+from jaxfilter.tiles.dask import Cluster
 from jaxfilter.tiles.folder import SCRATCH
 from jaxfilter.tiles.ground import ground
-from jaxfilter.tiles.pool import Outcome, Pool, attempt
+from jaxfilter.tiles.pool import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -288,6 +294,158 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
     ):
         report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
+
+
+@pytest.fixture(scope="module")
+def odd(files, tmp_path_factory):
+    """Those files, one of them twice, one without points, and beyond them water and points that are not judged."""
+    folder = tmp_path_factory.mktemp("odd") / "survey"
+    shutil.copytree(files, folder)
+    shutil.copy(files / "00.laz", folder / "00-again.laz")
+    las = laspy.read(files / "11.laz")
+    x, y = np.floor(las.x.max()), np.floor(las.y.max())
+    for name, class_, echoes, rows, east in (
+        ("empty", 0, 1, 0, 0.0), ("water", 9, 1, 200, 30.0), ("first", 0, 2, 200, 60.0)
+    ):  # fmt: skip
+        one = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        one.header.scales, one.header.offsets = np.full(3, 0.01), (x, y, 0.0)
+        grid = np.arange(rows)
+        one.x, one.y, one.z = x + east + 1.3 * (grid % 20), y - 1.7 * (grid // 20), np.full(rows, 3.0)
+        one.classification, one.return_number = np.full(rows, class_), np.ones(rows, int)
+        one.number_of_returns = np.full(rows, echoes)
+        one.write(folder / f"{name}.laz")
+    return folder
+
+
+def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_all_others(odd, tmp_path):
+    for halo in (0.0, 20.0):
+        out = tmp_path / f"{halo:g}"
+        report = run(odd, out, halo=halo)
+        before, after = ({p.name: laspy.read(p) for p in folder.glob("*.laz")} for folder in (odd, out))
+        assert report.complete and before.keys() == after.keys() and len(after) == 8
+        assert report.points == sum(len(one) for one in after.values()) and report.statuses["NO_CANDIDATES"] >= 2
+        for name, one in before.items():
+            assert np.array_equal(one.xyz, after[name].xyz), name
+        classes = {name: np.asarray(one.classification) for name, one in after.items()}
+        assert np.array_equal(classes["00.laz"], classes["00-again.laz"]) and (classes["00.laz"] == 2).any()
+        assert (classes["water.laz"] == 9).all() and (classes["first.laz"] == 0).all()
+
+
+def test_a_terrain_model_has_no_heights_where_there_is_no_ground(odd, tmp_path):
+    pytest.importorskip("rasterio")
+    report = jf.terrain_model(odd, tmp_path / "a.tif", jf.PMF, PMF_FIELDS, cell=1.0, tile=40.0, executor=Here())
+    values = jf.Raster.read(tmp_path / "a.tif").values
+    assert report.complete and report.points == sum(len(laspy.read(path)) for path in odd.glob("*.laz"))
+    assert np.isnan(values[:, -50:]).all() and np.isfinite(values[10:80, 10:90]).all()
+
+
+def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
+    (tmp_path / "in").mkdir()
+    for name, crs in (("m", "EPSG:25832"), ("ft", "EPSG:2263")):
+        cloud = jf.read(files / "00.laz", units="m")
+        jf.write(tmp_path / "in" / f"{name}.laz", jf.PointCloud.from_arrays(cloud.coordinates(), crs=crs), None)
+    for function in (jf.ground, jf.heights, jf.terrain_model):
+        with pytest.raises(jf.InputError, match="different units"):
+            function(tmp_path / "in", tmp_path / "out.tif", executor=Here())
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+UNGUARDED = """
+from jaxfilter.tiles.pool import Pool, check_main
+print("begun", flush=True)
+check_main()
+Pool(2).close()
+"""
+
+
+def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypatch):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stdout.split() == ["begun"] * 2
+    assert "script.py: processes that it starts import it" in done.stderr and 'if __name__ == "__main__"' in done.stderr
+    assert done.stderr.count("Traceback") == 2, "an error and its cause; the worker says nothing"
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(jf.JaxfilterError, match="processes that it starts import it"):
+        run(tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_runs_are_known_by_name(files, tmp_path):
+    for function in (jf.ground, jf.heights, jf.terrain_model):
+        with pytest.raises(TypeError, match=rf"{function.__name__}\(\) got an unexpected keyword argument 'tiel'"):
+            function(files, tmp_path / "out.tif", tiel=25.0)
+    assert not list(tmp_path.iterdir())
+
+
+class Scheduler:
+    """What a client of Dask does with one thread: bundles are done when they are submitted, but for the ``deadly`` ones."""
+
+    def __init__(self, deadly=lambda calls: False):
+        self.deadly, self.bundles, self.held = deadly, [], 0
+
+    def nthreads(self):
+        return {"worker": 1}
+
+    def map(self, function, bundles, key, pure):
+        assert len(set(key)) == len(bundles) and not pure
+        self.held = max(self.held, len(bundles))
+        return [Future(self, name, function, bundle) for name, bundle in zip(key, bundles, strict=True)]
+
+
+class Future:
+    def __init__(self, owner, key, function, bundle):
+        self.key, self.failed = key, owner.deadly(pickle.loads(bundle))
+        self.value = None if self.failed else function(bundle)
+        owner.bundles.append(0 if self.failed else len(self.value[0]))
+
+    def add_done_callback(self, call):
+        call(self)
+
+    def result(self):
+        if self.failed:
+            raise RuntimeError("the worker died")
+        return self.value
+
+    def release(self):
+        pass
+
+
+def numbers(client, count):
+    """What a cluster makes of ``abs`` of as many numbers, in the order in which they end."""
+    pytest.importorskip("distributed")
+    todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
+    return [outcome.value for _, outcome in carried_out(Cluster(client), todo, collections.deque(), lambda: None)]
+
+
+def test_a_scheduler_is_given_short_tasks_in_bundles_and_long_ones_one_by_one(monkeypatch):
+    client = Scheduler()
+    assert sorted(numbers(client, 1000)) == list(range(1000))
+    assert client.held <= 2 and sum(client.bundles) == 1000 and max(client.bundles) <= 100
+    assert len(client.bundles) < 40 and client.bundles[:2] == [1, 1]
+    monkeypatch.setattr(dask, "_LASTS", 0.0)
+    client = Scheduler()
+    assert sorted(numbers(client, 50)) == list(range(50)) and client.bundles == [1] * 50
+
+
+def test_a_bundle_ends_when_its_time_is_over_and_what_it_left_is_done_once(monkeypatch):
+    """The seventh bundle and later ones do one task each, whatever they hold."""
+
+    def soon_over(calls):
+        if len(client.bundles) == 6:
+            monkeypatch.setattr(dask, "_LASTS", 0.0)
+        return False
+
+    client = Scheduler(soon_over)
+    assert sorted(numbers(client, 60)) == list(range(60))
+    assert max(client.bundles[:6]) > 1 and set(client.bundles[6:]) == {1} and sum(client.bundles) == 60
+
+
+def test_what_kills_workers_is_told_from_what_was_with_it():
+    client = Scheduler(lambda calls: (abs, (77,)) in calls)
+    found = numbers(client, 200)
+    assert sorted(n for n in found if n is not None) == [n for n in range(200) if n != 77] and found.count(None) == 1
+    assert client.bundles.count(0) == 4, "with others, and three times alone"
 
 
 def test_a_report_and_a_map_lie_beside_the_files(done):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import collections
 import filecmp
+import itertools
+import math
 import os
 import random
 import shutil
@@ -27,7 +29,7 @@ from jaxfilter.tiles.pool import Task, carried_out
 
 FLAGS = ["--tile", "150", "--halo", "40", "--quiet"]
 _KILL_EVERY = 20.0  # seconds
-_LOOK = 200  # tasks
+_LOOK = 0.5  # seconds
 
 
 def kills(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
@@ -96,29 +98,36 @@ def cluster(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
 
 
 def tasks(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    """Tasks that do nothing, more and more of them, through a real scheduler: time, and what the scheduler holds."""
+    """Tasks that do nothing, more and more of them, through a real scheduler, in bundles and one by one: time, and what the
+    scheduler holds."""
     rows: list[Row] = []
-    for count in options.tasks:
+    for most, count in itertools.product((100, 1), options.tasks):
         with _scheduler(options.work) as (address, _, _, scheduler):
-            executor = Cluster(address)
-            held, peak, start = 0, 0, time.perf_counter()
+            executor = Cluster(address, most)
             todo = (Task(abs, number, lambda last, number=number: (number,)) for number in range(count))
             done = carried_out(executor, todo, collections.deque(), lambda: None)
+            held, peak, looked = 0, 0, -math.inf
+            start = time.perf_counter()
             for number, (task, outcome) in enumerate(done):
                 if outcome.value != task.number:
                     raise AssertionError(f"task {task.number}: {outcome}")
-                if number % _LOOK == 0:
+                if time.perf_counter() - looked > _LOOK or number == count - 1:
                     held = max(held, executor._client.run_on_scheduler(_tasks_of))
                     peak = max(peak, psutil.Process(scheduler.pid).memory_info().rss)
-            seconds = time.perf_counter() - start
+                    looked = time.perf_counter()
+            seconds, submissions = time.perf_counter() - start, executor.submissions
             executor.close()
         rows.append(
-            {"tasks": count, "seconds": seconds, "each": 1000 * seconds / count, "held": held, "peak": peak / 1e6}
-        )
+            {
+                "tasks": count, "most": most, "submissions": submissions, "seconds": seconds, "each": 1000 * seconds / count,
+                "held": held, "peak": peak / 1e6,
+            }
+        )  # fmt: skip
         print(rows[-1], file=sys.stderr, flush=True)
     columns: list[Column] = [
-        ("tasks", "tasks", ",d"), ("seconds", "seconds", ".1f"), ("each", "ms per task", ".2f"),
-        ("held", "most tasks in the scheduler", "d"), ("peak", "peak memory of the scheduler, MB", ".0f"),
+        ("tasks", "tasks", ",d"), ("most", "at most in a bundle", "d"), ("submissions", "bundles", ",d"),
+        ("seconds", "seconds", ".1f"), ("each", "ms per task", ".2f"), ("held", "most bundles in the scheduler", "d"),
+        ("peak", "peak memory of the scheduler, MB", ".0f"),
     ]  # fmt: skip
     return rows, columns, "Empty tasks through the scheduler of a Dask cluster of two workers"
 

@@ -30,6 +30,7 @@ from .session import BadUsage, Session, logger, session_options, stoppable
 if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..core.result import FilterResult
+    from ..host.storage import Place
     from ..scoring import Scores
 
 
@@ -220,16 +221,21 @@ def _preset(method: type[Filter]) -> click.Option:
     return click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters.")
 
 
-def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Path, Path | None]:
+def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Place, Place | None]:
     """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
     from ..filters import FILTERS
+    from ..host.storage import Remote, place_of
 
     words = dict(zip(("IN", "OUT"), paths, strict=False))
-    found = []
+    found: list[Place] = []
     for name, word in words.items():
+        place = place_of(word)
+        if isinstance(place, Remote):
+            found.append(place)
+            continue
         kind = click.Path(exists=name == "IN", dir_okay=False, path_type=Path)
         try:
-            found.append(kind.convert(word, None, ctx))
+            found.append(kind.convert(place, None, ctx))
         except click.BadParameter as error:
             message = error.message
             if name == "IN" and ctx.info_name == _DEFAULT and "." not in word:
@@ -272,8 +278,8 @@ def _ground(
     method: type[Filter] | None,
     changes: dict[str, Any],
     *,
-    source: Path,
-    target: Path | None,
+    source: Place,
+    target: Place | None,
     preset: str | None,
     for_cloud: bool,
     largest_building: float | None,
@@ -342,7 +348,7 @@ def _ground(
         print_report(report)
 
 
-def checked_target(source: Path, target: Path | None, overwrite: bool, in_place: bool, text: bool = True) -> Path:
+def checked_target(source: Place, target: Place | None, overwrite: bool, in_place: bool, text: bool = True) -> Place:
     """Where to write, or BadUsage if that would destroy something or cannot work. ``text`` may be written."""
     from ..host import writing
     from ..host.text import SUFFIXES
@@ -359,18 +365,21 @@ def checked_target(source: Path, target: Path | None, overwrite: bool, in_place:
     return target
 
 
-def check_target(target: Path, overwrite: bool, source: Path | None = None) -> bool:
+def check_target(target: Place, overwrite: bool, source: Place | None = None) -> bool:
     """Whether ``target`` is ``source``. Raises BadUsage if it exists otherwise and not ``overwrite``, or cannot be written."""
-    from ..host.files import existing
+    from ..host.files import is_there
 
     try:
-        status = existing(target)
+        there = is_there(target)
     except JaxfilterError as error:
         raise BadUsage(str(error)) from error
-    same = status is not None and source is not None and os.path.samefile(source, target)
-    if status is not None and not same and not overwrite:
+    if isinstance(target, Path) and isinstance(source, Path):
+        same = there and os.path.samefile(source, target)
+    else:
+        same = target == source
+    if there and not same and not overwrite:
         raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if not target.absolute().parent.is_dir():
+    if isinstance(target, Path) and not target.absolute().parent.is_dir():
         raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
     return same
 

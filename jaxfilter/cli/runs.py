@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _CUT_LISTED = 5
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
-LAS = (".las", ".laz")
 _SINGLE = ("bounds", "in_place", "review", "review_area")
 """Options that only a single file takes."""
 
@@ -91,14 +90,22 @@ def of_collections(words: str, default: str = "") -> str:
 
 
 def is_collection(paths: Sequence[str]) -> bool:
-    """Whether the words IN... OUT name more than a file and a file."""
+    """Whether the words IN... OUT name more than a file and a file.
+
+    Of URLs the name decides: OUT is a file if it ends as one. IN is a file if OUT is one of points.
+    """
+    from ..host.raster import SUFFIXES
+    from ..host.text import SUFFIXES as TEXT
+    from ..host.writing import LAS_SUFFIXES as LAS
+
     *inputs, last = paths
     if len(inputs) != 1:
         return len(inputs) > 1
     name = inputs[0]
+    into_points = last.lower().endswith((*LAS, *TEXT))
     many = (
-        "://" in name
-        or ("://" in last and not last.lower().endswith(LAS))
+        ("://" in name and not (into_points and name.lower().endswith(LAS)))
+        or ("://" in last and not (into_points or last.lower().endswith(SUFFIXES)))
         or os.path.isdir(name)
         or name.lower().endswith(".vpc")
     )

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 from rich.console import Console
@@ -25,6 +25,9 @@ from rich.text import Text
 
 from .. import __version__
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
+
+if TYPE_CHECKING:
+    from ..host.storage import Place
 
 
 class BadUsage(click.ClickException):
@@ -292,9 +295,9 @@ class Session:
         self.seconds[name] = time.perf_counter() - start
         logger.info(f"{name}: {self.seconds[name]:.2f} s")
 
-    def reading(self, *paths: Path) -> contextlib.AbstractContextManager[None]:
-        """The step in which files are read; its rate is that of their bytes."""
-        return self.step("read", sum(path.stat().st_size for path in paths), "B")
+    def reading(self, *paths: Place) -> contextlib.AbstractContextManager[None]:
+        """The step in which files are read; its rate is that of their bytes. Raises: InputError for URLs."""
+        return self.step("read", sum(p.stat().st_size if isinstance(p, Path) else p.status()[0] for p in paths), "B")
 
     def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:
         """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step.

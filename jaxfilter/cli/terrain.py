@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
     from ..core.result import FilterResult
+    from ..host.storage import Place
     from ..tiles.collection import Collection
 
 
@@ -82,7 +82,7 @@ class Ground:
         return changes
 
     def found(
-        self, session: Session, source: Path, cloud: PointCloud, changes: dict[str, Any]
+        self, session: Session, source: Place, cloud: PointCloud, changes: dict[str, Any]
     ) -> FilterResult | np.ndarray:
         """What is ground in one file: the result of the filter, or bool[n] by class or label. Raises InputError where nothing
         is."""
@@ -179,7 +179,7 @@ def _ground_options(*words: str) -> Callable[[Callable[..., None]], Callable[...
     return decorated
 
 
-def _one_file(ctx: click.Context, names: tuple[str, ...], how: Ground) -> tuple[Path, Path | None]:
+def _one_file(ctx: click.Context, names: tuple[str, ...], how: Ground) -> tuple[Place, Place | None]:
     """IN and OUT of a single file. Raises BadUsage for options that it does not take."""
     source, target = file_names(ctx, names)
     for name in ("tile", "memory", "scheduler", "work", "resume"):
@@ -192,7 +192,7 @@ def _one_file(ctx: click.Context, names: tuple[str, ...], how: Ground) -> tuple[
 @click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
 @click.option("--cell", type=float, default=1.0, show_default=True, help="Side of a cell, file units.")
 @click.option("--method", default="tin", show_default=True, help="Interpolation: tin, natural, idw or kriging.")
-@_ground_options("tile", "memory", "scheduler", "resume")
+@_ground_options("tile", "memory", "scheduler", "work", "resume")
 @click.option("--max-gap", type=float, help="No height farther than this from every ground point, file units.")
 @click.option("--fill", is_flag=True, help="Give cells outside the hull of the ground points a height too.")
 @click.option(
@@ -259,17 +259,18 @@ dtm.params += session_options()
 
 def _dtm_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, settings: dict[str, Any]) -> None:
     """``dtm`` of a collection. Exit code 1 if a tile could not be done."""
+    from ..host.storage import place_of
+
     *inputs, out = names
-    target = Path(out)
     with how.session() as session:
-        _check_model(target, how.overwrite or how.resources["resume"], settings)
+        _check_model(place_of(out), how.overwrite or how.resources["resume"], settings)
         check_named(inputs)
         changes = how.changes()
         from ..tiles.terrain import terrain_model
 
         collection = how.opened(session, inputs)
         with session.step("tiles", collection.count), to_be_resumed():
-            report = terrain_model(collection, target, how.method, changes, **how.over_tiles(session), **settings)
+            report = terrain_model(collection, out, how.method, changes, **how.over_tiles(session), **settings)
         if report.uncertain:
             session.warn(f"{report.uncertain:,} cells over voids so wide that neighbouring tiles may differ")
         for one in [*report.set_aside, *report.left_out]:
@@ -387,12 +388,12 @@ def _height_facts(span: tuple[float, float], replace_z: bool) -> dict[str, Any]:
     return {"dimension": "Z" if replace_z else HEIGHT, "lowest": span[0], "highest": span[1]}
 
 
-def _height_line(target: Path | str, points: int, ground: int, span: tuple[float, float], replace_z: bool) -> str:
+def _height_line(target: Place | str, points: int, ground: int, span: tuple[float, float], replace_z: bool) -> str:
     dimension = _height_facts(span, replace_z)["dimension"]
     return f"{target}: {points:,} points {span[0]:.2f} to {span[1]:.2f} above {ground:,} ground points, in {dimension}"
 
 
-def _check_model(target: Path, overwrite: bool, settings: dict[str, Any]) -> None:
+def _check_model(target: Place, overwrite: bool, settings: dict[str, Any]) -> None:
     """Raises BadUsage if writing would destroy something or cannot work, ParameterError for settings."""
     from ..host import raster
     from ..terrain import check_settings

@@ -194,6 +194,16 @@ def existing(path: Path) -> os.stat_result | None:
     return status
 
 
+def is_there(place: Place) -> bool:
+    """Whether an output of this name would replace a file. Raises: OutputError as :func:`existing`, or if a store refuses."""
+    if not isinstance(place, Remote):
+        return existing(place) is not None
+    try:
+        return place.exists()
+    except InputError as error:
+        raise OutputError(str(error)) from error
+
+
 _KINDS = {
     "folder": stat.S_ISDIR,
     "pipe": stat.S_ISFIFO,

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError, OutputError
 from .files import new_file
+from .storage import Place, Remote, place_of
 
 if TYPE_CHECKING:
     import xarray
@@ -108,10 +109,10 @@ class Raster:
         out.encoding = {"_FillValue": np.float32(self.nodata), "grid_mapping": "spatial_ref"}
         return out
 
-    def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
+    def write(self, path: str | Path | Remote, *, overwrite: bool = False) -> Path | Remote:
         """Write a GeoTIFF: float32, tiled, deflated, cells are areas, with transform, CRS and nodata.
 
-        The file appears whole or not at all.
+        ``path`` may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``). The file appears whole or not at all.
 
         Returns: the path.
         Raises: OutputError (suffix, exists and not ``overwrite``, disk); ImportError if rasterio is missing.
@@ -119,9 +120,8 @@ class Raster:
         >>> jf.dtm(cloud, result, cell=5.0).write("dtm.tif").name
         'dtm.tif'
         """
-        path = Path(path)
-        if path.suffix.lower() not in SUFFIXES:
-            raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
+        path = place_of(path)
+        check_target(path)
         rasterio = _rasterio()
         crs = None if self.crs is None else rasterio.crs.CRS.from_wkt(self.crs.to_wkt())
         profile = {
@@ -166,14 +166,14 @@ class Raster:
 
 
 def write_mosaic(
-    path: Path,
+    path: Place,
     shape: tuple[int, int],
     transform: tuple[float, float, float, float, float, float],
     crs: Any,
     parts: Callable[[], Iterable[tuple[int, int, np.ndarray]]],
     *,
     overwrite: bool = False,
-) -> Path:
+) -> Place:
     """Write a Cloud Optimized GeoTIFF out of parts, none of which is held longer than needed: overviews, deflated, BigTIFF
     where it has to be.
 
@@ -216,6 +216,12 @@ def write_mosaic(
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"{path}: cannot be written: {error}") from error
     return path
+
+
+def check_target(path: Place) -> None:
+    """Raises OutputError if the name is not that of a GeoTIFF."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
 
 
 def check_library() -> None:

@@ -139,7 +139,9 @@ class Remote:
     def put(self, local: Path) -> None:
         """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
         system, path = self._system()
-        _persistent(self.uri, lambda: system.put_file(str(local), path))
+        _persistent(
+            self.uri, lambda: system.put_file(str(local), path), "there is no such bucket or folder to write to"
+        )
 
     def _system(self) -> tuple[Any, str]:
         import fsspec
@@ -248,8 +250,18 @@ def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
         raise
 
 
-def _persistent(uri: str, act: Callable[[], _T]) -> _T:
-    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI."""
+def check_writable(place: Remote) -> None:
+    """Put an empty file beside ``place`` and remove it, before much is done for it. Raises: OutputError if the store refuses."""
+    probe = Remote(f"{place}.jaxfilter-run")
+    with new_object(probe, overwrite=True) as part:
+        part.touch()
+    with contextlib.suppress(InputError):  # it may be allowed to write, but not to remove
+        probe.remove()
+
+
+def _persistent(uri: str, act: Callable[[], _T], missing: str = "no such file") -> _T:
+    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI; ``missing``: what is
+    said of "not found"."""
     for attempt in range(ATTEMPTS):
         try:
             return act()
@@ -260,7 +272,7 @@ def _persistent(uri: str, act: Callable[[], _T]) -> _T:
             cause = known if isinstance(known, Exception) else error
             status = _status(cause)
             if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
-                raise InputError(f"{uri}: no such file") from error
+                raise InputError(f"{uri}: {missing}") from error
             reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
             if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
                 raise InputError(f"{uri}: cannot be reached: {reason}") from error

@@ -267,6 +267,8 @@ def _coarse_first(count: int) -> list[np.ndarray]:
     Where many nodes fall into few triangles, as along lines, this keeps the number of new triangles per node small; the
     other way round it does so when nodes are taken out.
     """
-    number = np.arange(count)
-    level = np.where(number % 64 == 0, 0, np.where(number % 8 == 0, 1, 2))
-    return [number[level == k] for k in range(3)] if count > 64 else [number]
+    if count <= 64:
+        return [np.arange(count)]
+    eighth = np.arange(0, count, 8)
+    rest = np.arange(-(-count // 8) * 8).reshape(-1, 8)[:, 1:].ravel()
+    return [eighth[::8], np.delete(eighth, np.s_[::8]), rest[: count - len(eighth)]]

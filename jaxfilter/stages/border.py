@@ -112,11 +112,10 @@ def cut_objects(
     ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
     if ground.shape != (len(cloud),) or ground.dtype != bool:
         raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
-    valid = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
     if not cloud.candidate.any():
         return []
     try:
-        frame = _Frame.of(cloud, valid)
+        frame = _Frame.of(cloud)
     except InputError as error:  # labels are none the worse for it
         warn(f"objects that the border of the data cuts are not looked for: {error}")
         return []
@@ -126,10 +125,9 @@ def cut_objects(
         return []
     cell = frame.cells_of(cloud.xyz)
     covered = np.zeros(frame.shape, bool)
-    covered.flat[cell[valid]] = True
+    covered.flat[_rows(cell, cloud.valid)] = True
     outside = _connected(~_closed(covered) & ~unknown, outside)
-    rows = cloud.candidate
-    z, is_ground = _surface(frame, cell[rows], cloud.xyz[rows, 2], ground[rows])
+    z, is_ground = _surface(frame, *(_rows(v, cloud.candidate) for v in (cell, cloud.xyz[:, 2], ground)))
     found = _standing(_filled(z), outside, is_ground, frame.cell)
     objects = [(frame.place(one), one) for one in found]
     if core is not None:
@@ -160,9 +158,9 @@ class _Frame:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, cloud: PointCloud, valid: np.ndarray) -> _Frame:
+    def of(cls, cloud: PointCloud) -> _Frame:
         cell = cell_for(plain_points(cloud).spacing(), 1.5)
-        grid = grid_over(cloud.xyz[valid], cell, cloud.grid_offset(cell), name="cut_objects: cell")
+        grid = grid_over(_rows(cloud.xyz, cloud.valid), cell, cloud.grid_offset(cell), name="cut_objects: cell")
         lag = _MARGIN * cell
         return cls(cloud, grid.x0 - lag, grid.y0 - lag, cell, (grid.ny + 2 * _MARGIN, grid.nx + 2 * _MARGIN))
 
@@ -222,6 +220,11 @@ class _Frame:
     def _file(self, x: float, y: float) -> tuple[float, float]:
         factor, origin = self.cloud.units.xy, self.cloud.origin
         return float(origin[0]) + x / factor, float(origin[1]) + y / factor
+
+
+def _rows(values: np.ndarray, which: np.ndarray | None) -> np.ndarray:
+    """The rows ``which``, bool[n], of [n, ...]; not a copy where that is all of them, as it mostly is."""
+    return values if which is None or which.all() else values[which]
 
 
 def _surface(frame: _Frame, cell: np.ndarray, level: np.ndarray, ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

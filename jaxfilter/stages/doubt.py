@@ -79,7 +79,7 @@ def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
     out = np.empty(len(ground), np.float32)
     for start in range(0, len(out), _ROWS):
         rows = slice(start, start + _ROWS)
-        weights = MODEL[ground[rows].astype(np.int64)]
-        total = weights[:, 0] + (weights[:, 1:] * evidence[rows]).sum(axis=1)
+        other, own = (evidence[rows] @ MODEL[:, 1:].T + MODEL[:, 0]).T
+        total = np.where(ground[rows], own, other)
         out[rows] = np.minimum(1 / (1 + np.exp(-total)), 0.5)
     return out

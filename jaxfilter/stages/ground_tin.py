@@ -130,7 +130,7 @@ class GroundTin:
         e, around = self.residual, self.roughness
         spread = 1.4826 * float(np.median(np.abs(e[nodes])))
         inner = np.ones(len(self.xyz), bool)
-        ghosts = tin.triangles[(tin.triangles == -1).any(axis=1)]
+        ghosts = tin.triangles[np.flatnonzero(tin.triangles.ravel() == -1) // 3]
         inner[ghosts[ghosts >= 0]] = False
         over = e - np.maximum(np.float32(scene * spread), np.float32(local) * around)
         drop = nodes[inner[nodes] & (over[nodes] > 0)]

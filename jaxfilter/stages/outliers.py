@@ -12,7 +12,7 @@ from ..core.errors import ParameterError
 from ..core.grid import lattice_over
 from ..core.points import Points
 from ..host.cells import Cells
-from ..host.depressions import depressions
+from ..host.depressions import Basins
 from ..host.neighbours import few_neighbours, groups, nearest, tree_of
 from ..host.trend import low_trend
 from ..ops.morphology import ring_minimum
@@ -152,7 +152,8 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     lowest = np.full((2, len(cells)), np.inf, np.float32)  # +inf in cells that are only beside one with points
     np.minimum.at(lowest[0], at, z)
     np.minimum.at(lowest[1], at, points.xyz[:, 2])
-    low = _Low(cells, cell, cells.around(), *lowest)
+    around = cells.around()
+    low = _Low(cells, cell, around, Basins(_close_gaps(lowest[0], around), around), *lowest)
     level = np.full(len(cells), -np.inf, np.float32)
     clusters = 0
     for times in (1, FARTHER):
@@ -164,12 +165,13 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
 class _Low(NamedTuple):
     """The lowest points of cells: ``z``, f32[c], over the trend of the terrain, and ``elevation``, f32[c]; +inf where none is.
 
-    ``side``: of a cell, metres; ``around``: i64[9, c].
+    ``side``: of a cell, metres; ``around``: i64[9, c]; ``basins``: of ``z`` with small gaps closed.
     """
 
     cells: Cells
     side: float
     around: np.ndarray
+    basins: Basins
     z: np.ndarray
     elevation: np.ndarray
 
@@ -178,7 +180,7 @@ class _Low(NamedTuple):
 
         ``held``: i64[c], points of each cell that count.
         """
-        pits = depressions(_close_gaps(self.z, self.around), self.around, held, depth, max_points)
+        pits = self.basins.depressions(held, depth, max_points)
         if len(pits) == 0:
             return 0
         deepest = np.lexsort((pits.cell, self.z[pits.cell], pits.owner))

@@ -20,10 +20,11 @@ from .collection import Collection
 from .dask import Cluster
 from .journal import NAME, Journal
 from .layout import Layout
+from .options import RunOptions
 from .outputs import target_names
 from .plan import Plan
 from .pool import Executor, Pool
-from .run import Run, RunReport, Standing, Step, report_of, write_report
+from .run import Run, RunReport, Step, report_of, write_report
 from .task import Job
 
 SCRATCH = ".jaxfilter-run"
@@ -40,24 +41,15 @@ class Folder:
     names: list[str]
 
     @classmethod
-    def prepared(
-        cls, out: str | Path, work: str | Path | None, collection: Collection, *, resume: bool, overwrite: bool
-    ) -> Folder:
+    def prepared(cls, out: str | os.PathLike[str], collection: Collection, run: RunOptions) -> Folder:
         """The folders of a run, made, and empty but for what may stay.
 
         Raises: OutputError if one holds something and neither ``resume`` nor ``overwrite`` is asked for, or holds an input;
-        ParameterError if ``out`` is remote and ``work`` is missing.
+        ParameterError as :func:`work_of`.
         """
-        place = place_of(str(out))
-        if work is None and isinstance(place, Remote):
-            raise ParameterError(
-                f"work=None: {out} is not on a local disk, and the journal needs a folder that all workers see: pass work=..."
-            )
-        local = Path(place if work is None else work)  # type: ignore[arg-type]
-        if isinstance(place_of(str(local)), Remote):
-            raise ParameterError(f"work={work!r}: must be a local folder")
-        folder = cls(place, local, target_names(list(collection.uris)))
-        folder._prepare(collection, resume, overwrite)
+        place = place_of(out)
+        folder = cls(place, work_of(run, place, place), target_names(list(collection.uris)))
+        folder._prepare(collection, run.get("resume", False), run.get("overwrite", False))
         return folder
 
     @property
@@ -110,6 +102,22 @@ class Folder:
                 (self.out / name).remove()
 
 
+def work_of(run: RunOptions, target: Place, beside: Place) -> Path:
+    """The local folder for the journal of a run: ``beside`` its ``target``, or that which is named.
+
+    Raises: ParameterError if none is named and the target is remote, or if that is.
+    """
+    work = run.get("work")
+    if work is None and isinstance(beside, Remote):
+        raise ParameterError(
+            f"work=None: {target} is not on a local disk, and the journal needs a folder that all workers see: pass work=..."
+        )
+    local = beside if work is None else place_of(work)
+    if isinstance(local, Remote):
+        raise ParameterError(f"work={work!r}: must be a local folder")
+    return local
+
+
 def _held(folder: Place) -> list[str]:
     """Names in a folder, sorted. Raises OutputError."""
     try:
@@ -127,10 +135,7 @@ def run_in(
     collection: Collection,
     step: Step,
     prepared: Callable[[float | None], tuple[Job, Layout, Plan, dict[str, Any]]],
-    *,
-    client: Any = None,
-    executor: Executor | None = None,
-    progress: Callable[[Standing], None] | None = None,
+    run: RunOptions,
 ) -> RunReport:
     """Set up a run over a collection, do it, and put its report beside the files.
 
@@ -143,7 +148,7 @@ def run_in(
         with _taken_back(folder.scratch, journal):
             most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
             job, cut, plan, more = prepared(most)
-            executor = executor_of(executor, client, cut)
+            executor = executor_of(run, cut)
             try:
                 journal.begin(facts_of(collection, job, cut, plan) | more)
                 if isinstance(folder.out, Remote):  # a store that refuses is found out before anything is done
@@ -151,11 +156,19 @@ def run_in(
             except JaxfilterError:
                 executor.close()
                 raise
-        run = Run(
-            job, plan, collection, folder.targets, journal, executor, step=step, overwrite=True, progress=progress
+        this = Run(
+            job,
+            plan,
+            collection,
+            folder.targets,
+            journal,
+            executor,
+            step=step,
+            overwrite=True,
+            progress=run.get("progress"),
         )
-        run()
-        report = report_of(run)
+        this()
+        report = report_of(this)
     if report.complete:
         shutil.rmtree(folder.scratch, ignore_errors=True)
     report.failed += [{"file": name, "reason": reason} for name, reason in collection.unreadable]
@@ -167,8 +180,9 @@ def run_in(
     return report
 
 
-def executor_of(executor: Executor | None, client: Any, cut: Layout) -> Executor:
+def executor_of(run: RunOptions, cut: Layout) -> Executor:
     """What does the work: what is given, a cluster, or processes of this machine."""
+    executor, client = run.get("executor"), run.get("client")
     if executor is not None:
         return executor
     return Pool(cut.workers) if client is None else Cluster(client)

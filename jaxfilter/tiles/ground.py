@@ -5,18 +5,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from ..core.cloud import KEPT_CLASSES, Whole
 from ..core.filter import Filter
 from .collection import Collection
-from .collection import open as open_collection
 from .folder import Folder, run_in
 from .layout import Layout, layout
+from .options import RunOptions, begun
 from .outputs import write_file
 from .plan import Plan
-from .pool import Executor
-from .run import RunReport, Standing, Step
+from .run import RunReport, Step
 from .setup import filter_for, sampled, whole_for
 from .task import Job, filter_tile, labels_path
 
@@ -30,13 +29,6 @@ def ground(
     *,
     units: str | None = None,
     halo: float | None = None,
-    tile: float | None = None,
-    memory: float | None = None,
-    workers: int | None = None,
-    client: Any = None,
-    work: str | Path | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
     returns: str = "last,only",
     ignore_classes: Iterable[int] = KEPT_CLASSES,
     keep_withheld: bool = False,
@@ -47,9 +39,8 @@ def ground(
     only_ground: bool = False,
     noise_class: int | None = None,
     extra: Iterable[str] = (),
-    executor: Executor | None = None,
-    progress: Callable[[Standing], None] | None = None,
     setup: Callable[[Collection, dict[str, Any], Path], tuple[Filter, Whole]] | None = None,
+    **run: Unpack[RunOptions],
 ) -> RunReport:
     """Classify the ground points of the files of a collection, tile by tile, into one file for each in a folder.
 
@@ -62,29 +53,21 @@ def ground(
             write to (``"s3://bucket/prefix"``); every file appears there whole or not at all.
         filter_: by default the default method, set up for the collection.
         halo: metres around each tile that are read as well; by default what the method needs (``Filter.tile_halo``).
-        tile: side of a tile in metres; by default as large as the memory allows.
-        memory: bytes for all processes together; by default seven tenths of what is free.
-        workers: processes; by default one per processor, as far as the memory goes.
-        client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
-        work: local folder for the journal, and for labels until their files are complete; all workers see it. By default
-            ``out``, unless that is a URL.
-        executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
-        resume: go on with the run that was begun in the folder. overwrite: begin anew; files in it are replaced.
         returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
         ground_class, other_class, reset, only_ground, noise_class, extra: as in :func:`jaxfilter.write`.
-        progress: called with the :class:`Standing` about four times a second.
         setup: in place of ``filter_``: makes filter and whole of the collection, the reading options and the folder for
             what is found out about files.
+        run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it.
-    Raises: InputError, ParameterError, OutputError before anything is filtered; OutputError if the journal cannot be written.
+    Raises: InputError, ParameterError, OutputError before anything is filtered, JaxfilterError if workers cannot be started;
+    OutputError if the journal cannot be written.
 
     >>> report = jf.ground("survey", "classified", jf.SMRF(), units="m", workers=1)
     >>> len(report.files), report.set_aside, 0 < report.ground < report.candidates
     (2, [], True)
     """
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
-    metre = collection.metre  # which is refused where files do not go together
+    collection = begun("ground", what, units, run)
     reading = {
         "returns": returns,
         "ignore_classes": tuple(ignore_classes),
@@ -98,7 +81,7 @@ def ground(
         "only_ground": only_ground,
         "noise_class": noise_class,
     }
-    folder = Folder.prepared(out, work, collection, resume=resume, overwrite=overwrite)
+    folder = Folder.prepared(out, collection, run)
     index = folder.scratch / "index"
 
     def prepared(most: float | None) -> tuple[Job, Layout, Plan, dict[str, Any]]:
@@ -112,13 +95,11 @@ def ground(
             collection,
             halo=chosen.tile_halo() if halo is None else halo,
             lattice=chosen.lattice(),
-            tile=tile,
-            memory=memory,
-            workers=workers,
             most_points=most,
+            **run,
         )
-        width, height = (side * metre for side in cut.plan.largest())
+        width, height = (side * collection.metre for side in cut.plan.largest())
         whole = dataclasses.replace(whole, width=width, height=height)
         return Job(chosen, reading, classes, tuple(extra), whole, folder.scratch, index), cut, cut.plan, {}
 
-    return run_in(folder, collection, GROUND, prepared, client=client, executor=executor, progress=progress)
+    return run_in(folder, collection, GROUND, prepared, run)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -16,14 +16,12 @@ from ..core.filter import Filter
 from ..core.result import Status
 from ..host.writing import HEIGHT, class_changes, write
 from ..terrain import heights_of
-from .collection import Collection
-from .collection import open as open_collection
 from .folder import Folder, run_in
 from .layout import Layout
+from .options import RunOptions, begun
 from .outputs import FileReport, FileTask, collected, handle_of
 from .plan import Plan
-from .pool import Executor
-from .run import RunReport, Standing, Step
+from .run import RunReport, Step
 from .surroundings import HALOS, Doubt, GroundJob, ground_job, surroundings
 from .task import CANDIDATE, GROUND, Job, Tile, TileReport, cut_at_border, heard, labels_path, part_of, store
 
@@ -117,16 +115,8 @@ def heights(
     replace_z: bool = False,
     units: str | None = None,
     largest_building: float | None = None,
-    ground_classes: tuple[int, ...] = (GROUND_CLASS,),
-    tile: float | None = None,
-    memory: float | None = None,
-    workers: int | None = None,
-    client: Any = None,
-    work: str | Path | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    executor: Executor | None = None,
-    progress: Callable[[Standing], None] | None = None,
+    ground_classes: Iterable[int] = (GROUND_CLASS,),
+    **run: Unpack[RunOptions],
 ) -> RunReport:
     """Write the files of a collection with the height of every point above the ground, tile by tile and without seams.
 
@@ -136,20 +126,21 @@ def heights(
     Args:
         finder: the method that finds the ground, whose classes are then written as well; by default the points of
             ``ground_classes`` are it, less withheld ones.
-        changes: its fields. largest_building: as in ``Filter.for_cloud``.
+        changes: its fields. largest_building: metres, as in ``Filter.for_cloud``.
         replace_z: put heights in place of Z instead of into the extra dimension ``HeightAboveGround``.
-        tile: metres. memory: bytes. These and what, out, units, workers, client, work, resume, overwrite, executor, progress: as
-            in :func:`jaxfilter.ground`.
+        what, out, units: as in :func:`jaxfilter.ground`.
+        run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it. Tiles without ground within 320 m are set aside.
-    Raises: InputError, ParameterError, OutputError before anything is done; OutputError if the journal cannot be written.
+    Raises: InputError, ParameterError, OutputError before anything is done, JaxfilterError if workers cannot be started;
+    OutputError if the journal cannot be written.
 
     >>> report = jf.heights("survey", "heights", units="m", workers=1)
     >>> len(report.files), report.points == len(cloud), report.heights[0] < 1 < report.heights[1]
     (2, True, True)
     """
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
-    folder = Folder.prepared(out, work, collection, resume=resume, overwrite=overwrite)
+    collection = begun("heights", what, units, run)
+    folder = Folder.prepared(out, collection, run)
 
     def prepared(most: float | None) -> tuple[Job, Layout, Plan, dict[str, Any]]:
         job, cut, plan = ground_job(
@@ -160,9 +151,7 @@ def heights(
             largest_building=largest_building,
             ground_classes=ground_classes,
             grain=_GRAIN,
-            tile=tile,
-            memory=memory,
-            workers=workers,
+            run=run,
             most_points=most,
             classes=_CLASSES,
             scratch=folder.scratch,
@@ -170,4 +159,4 @@ def heights(
         )
         return job, cut, plan, {"heights": {"ground_classes": job.ground_classes, "replace_z": replace_z}}
 
-    return run_in(folder, collection, HEIGHTS, prepared, client=client, executor=executor, progress=progress)
+    return run_in(folder, collection, HEIGHTS, prepared, run)

@@ -7,11 +7,13 @@ import dataclasses
 import math
 import os
 from pathlib import Path
+from typing import Unpack
 
 import psutil
 
 from ..core.errors import ParameterError
 from .collection import Collection
+from .options import RunOptions
 from .plan import Plan, plan_tiles
 
 _BASE = 350e6
@@ -39,15 +41,14 @@ def layout(
     *,
     halo: float,
     lattice: float,
-    tile: float | None = None,
-    memory: float | None = None,
-    workers: int | None = None,
     most_points: float | None = None,
+    **run: Unpack[RunOptions],
 ) -> Layout:
-    """The tiles of a run, by the memory there is, or so that none has more than so many points; see :func:`jaxfilter.ground`.
+    """The tiles of a run, by the memory there is, or so that none has more than so many points; see :class:`RunOptions`.
 
     Raises: ParameterError, InputError.
     """
+    tile, memory, workers = run.get("tile"), run.get("memory"), run.get("workers")
     if not 0 <= halo < math.inf:
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     if memory is not None and not memory > 0:

@@ -8,16 +8,19 @@ import errno
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
-from ..core.errors import OutputError
+from ..core.errors import JaxfilterError, OutputError
 
 RETRIES = 2
 """Times that a task that failed is tried again before it is set aside."""
 _WAIT = 0.25  # seconds between ticks
+_NAME, _UNGUARDED = "jaxfilter-worker", 83
+"""Name of our processes, and exit code of those that come to start workers themselves."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,14 +122,48 @@ def _is_full(error: BaseException | None) -> bool:
     return False
 
 
+def check_main() -> None:
+    """Raises JaxfilterError in a process that is being spawned, and so imports a script that comes here: it would start processes
+    for ever. One of ours ends, and :class:`Pool` tells why."""
+    process = multiprocessing.current_process()
+    if getattr(process, "_inheriting", False):
+        if process.name == _NAME:
+            raise SystemExit(_UNGUARDED)
+        raise JaxfilterError(_unguarded())
+
+
+def _unguarded() -> str:
+    script = getattr(sys.modules["__main__"], "__file__", None) or "the script"
+    return (
+        f"{script}: processes that it starts import it, and would begin the run again: put what it does under "
+        'if __name__ == "__main__":'
+    )
+
+
 class Pool:
     """Processes of this machine. They are spawned, since JAX must not be forked, and die with their parent."""
 
     def __init__(self, workers: int) -> None:
+        """The first worker is started, to know that it can be. Raises: JaxfilterError."""
         self._context = multiprocessing.get_context("spawn")
         self._size = workers
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, tuple[_Worker, Any]] = {}
+        first = _Worker(self._context)
+        try:
+            first.connection.send((os.getpid, ()))
+            first.connection.recv()
+        except (EOFError, OSError) as error:
+            code = first.stopped()
+            if code == _UNGUARDED:
+                raise JaxfilterError(_unguarded()) from error
+            raise JaxfilterError(
+                f"a worker process ended as it began ({_end(code)}); what it said stands above"
+            ) from error
+        except BaseException:
+            first.process.kill()
+            raise
+        self._idle.append(first)
 
     def room(self) -> int:
         """Workers without a task."""
@@ -148,8 +185,7 @@ class Pool:
                 outcome = ready.recv()
                 self._idle.append(worker)
             except (EOFError, OSError):
-                code = worker.stopped()
-                how = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+                how = _end(worker.stopped())
                 outcome = Outcome(reason=f"the worker died ({how}); where the memory was short, pass a smaller tile=")
             found.append((tag, outcome))
         return found
@@ -164,12 +200,16 @@ class Pool:
             worker.stopped()
 
 
+def _end(code: int | None) -> str:
+    return f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+
+
 class _Worker:
     """A process that does one task after the other."""
 
     def __init__(self, context: Any) -> None:
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs,), name=_NAME, daemon=True)
         self.process.start()
         theirs.close()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +17,7 @@ from ..host.files import Bounds
 from ..host.interpolation import Heights, Linear
 from .collection import Collection
 from .layout import Layout, layout
+from .options import RunOptions
 from .plan import Plan, plan_with_halo, window_around
 from .setup import filter_for, sampled, whole_for
 from .task import Around, Job, Tile, inside, read_tile
@@ -76,11 +77,9 @@ def ground_job(
     changes: dict[str, Any],
     *,
     largest_building: float | None,
-    ground_classes: tuple[int, ...],
+    ground_classes: Iterable[int],
     grain: float,
-    tile: float | None,
-    memory: float | None,
-    workers: int | None,
+    run: RunOptions,
     most_points: float | None,
     classes: dict[str, Any],
     scratch: Path,
@@ -99,14 +98,12 @@ def ground_job(
         collection,
         lattice=grain,
         halo=HALOS[0] + filter_halo,
-        tile=tile,
-        memory=memory,
-        workers=workers,
         most_points=most_points,
+        **run,
     )
     job = kind(
         filter_ or PMF(), READING, classes, (), whole, scratch, index, collection.bounds,
-        None if finder is not None else ground_classes, grain / metre, lattice / metre, filter_halo / metre, **more,
+        None if finder is not None else tuple(ground_classes), grain / metre, lattice / metre, filter_halo / metre, **more,
     )  # fmt: skip
     return job, cut, plan_with_halo(cut.plan, collection, HALOS[-1] + filter_halo + lattice)
 

@@ -6,23 +6,23 @@ import dataclasses
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
-from ..host.files import Bounds, existing
-from ..host.raster import write_mosaic
-from ..terrain import interpolated
-from .collection import Collection
-from .folder import executor_of, facts_of
+from ..host.files import Bounds, check_bounds, is_there
+from ..host.raster import check_library, check_target, write_mosaic
+from ..host.storage import Place, Remote, check_writable, place_of
+from ..terrain import check_settings, interpolated
+from .folder import executor_of, facts_of, work_of
 from .journal import NAME, Journal
-from .pool import Executor
-from .run import Run, Standing, Step
+from .options import RunOptions, begun
+from .run import Run, Step
 from .surroundings import Doubt, GroundJob, ground_job, surroundings
 from .task import Tile, keep
 
@@ -156,24 +156,22 @@ def _clipped(box: Bounds, limits: Bounds) -> Bounds:
 
 
 def terrain_model(
-    collection: Collection,
-    target: Path,
+    what: Any,
+    target: str | Path,
     finder: type[Filter] | None = None,
     changes: dict[str, Any] | None = None,
     *,
     cell: float = 1.0,
+    method: str = "tin",
+    max_gap: float | None = None,
+    fill: bool = False,
+    bounds: Iterable[float] | None = None,
+    neighbours: int = 12,
+    power: float = 2.0,
+    units: str | None = None,
     largest_building: float | None = None,
-    ground_classes: tuple[int, ...] = (GROUND_CLASS,),
-    tile: float | None = None,
-    memory: float | None = None,
-    workers: int | None = None,
-    client: Any = None,
-    executor: Executor | None = None,
-    bounds: Bounds | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    progress: Callable[[Standing], None] | None = None,
-    **settings: Any,
+    ground_classes: Iterable[int] = (GROUND_CLASS,),
+    **run: Unpack[RunOptions],
 ) -> TerrainReport:
     """Make one terrain model of a collection and write it as a Cloud Optimized GeoTIFF.
 
@@ -181,24 +179,32 @@ def terrain_model(
     whatever way, goes on with ``resume``.
 
     Args:
+        what, units: as in :func:`jaxfilter.ground`.
+        target: .tif or .tiff; may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``), where the file appears whole or
+            not at all; then the hidden folder lies in ``work``.
         finder: the method that finds the ground; by default the points of ``ground_classes`` are it, less withheld ones.
-        changes: its fields. largest_building: as in ``Filter.for_cloud``.
-        cell, bounds, settings: as in :func:`jaxfilter.dtm`, in file units.
-        resume: go on with the run that was begun for ``target``. overwrite: begin anew; replace ``target``.
-        tile, memory, workers, client, executor, progress: as in :func:`jaxfilter.ground`.
+        changes: its fields. largest_building: metres, as in ``Filter.for_cloud``.
+        cell, method, max_gap, fill, bounds, neighbours, power: as in :func:`jaxfilter.dtm`, in file units.
+        run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
-    Raises: InputError if no tile has ground; ParameterError; OutputError.
+    Returns: TerrainReport; tiles that could not be done are in it.
+    Raises: InputError if no tile has ground; ParameterError; OutputError; JaxfilterError if workers cannot be started;
+    ImportError if rasterio is missing.
 
-    >>> from pathlib import Path
-    >>> report = jf.terrain_model(jf.open("survey", units="m"), Path("dtm.tif"), cell=2.0, workers=1)
+    >>> report = jf.terrain_model("survey", "dtm.tif", cell=2.0, units="m", workers=1)
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    settings = {"method": "tin", "max_gap": None, "fill": False, "neighbours": 12, "power": 2.0} | settings
+    check_settings(cell, method, max_gap, neighbours, power)
+    settings = {"method": method, "max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
+    place = place_of(target)
+    check_target(place)
+    check_library()
+    collection = begun("terrain_model", what, units, run)
     metre, start = collection.metre, time.perf_counter()
-    raster = raster_bounds(collection.bounds if bounds is None else bounds, cell)
+    raster = raster_bounds(collection.bounds if bounds is None else check_bounds(bounds), cell)
     shape = (round((raster[3] - raster[1]) / cell), round((raster[2] - raster[0]) / cell))
-    work = _prepared(target, resume=resume, overwrite=overwrite)
+    work = _prepared(place, run)
     with Journal(work / NAME) as journal:
         try:
             job, cut, plan = ground_job(
@@ -209,9 +215,7 @@ def terrain_model(
                 largest_building=largest_building,
                 ground_classes=ground_classes,
                 grain=cell * metre,
-                tile=tile,
-                memory=memory,
-                workers=workers,
+                run=run,
                 most_points=(journal.fact("tiles") or {}).get("most_points"),
                 classes={},
                 scratch=work,
@@ -219,8 +223,10 @@ def terrain_model(
                 settings=settings,
                 raster=raster,
             )
-            executor = executor_of(executor, client, cut)
+            executor = executor_of(run, cut)
             try:
+                if isinstance(place, Remote):
+                    check_writable(place)
                 model = {"ground_classes": job.ground_classes, "cell": cell, "raster": raster, **settings}
                 journal.begin(facts_of(collection, job, cut, plan) | {"model": model})
             except BaseException:
@@ -231,13 +237,13 @@ def terrain_model(
                 journal.close()
                 shutil.rmtree(work, ignore_errors=True)
             raise
-        run = Run(job, plan, collection, [], journal, executor, step=MODEL, progress=progress)
-        run()
+        this = Run(job, plan, collection, [], journal, executor, step=MODEL, progress=run.get("progress"))
+        this()
         report = TerrainReport(
             rows=shape[0], columns=shape[1], tiles=len(plan), transform=(cell, 0.0, raster[0], 0.0, -cell, raster[3]),
             bounds=raster,
         )  # fmt: skip
-        _add(report, run)
+        _add(report, this)
 
     def parts() -> Iterator[tuple[int, int, np.ndarray]]:
         for number in range(len(plan)):
@@ -251,22 +257,25 @@ def terrain_model(
         more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
         shutil.rmtree(work, ignore_errors=True)
         raise InputError(
-            f"{collection!r}: no point is ground; classify it first, or pass filter= to find the ground{more}"
+            f"{collection!r}: no point is ground; classify it first, or find the ground with a filter{more}"
         )
     report.empty = shape[0] * shape[1] - sum(int(np.isfinite(values).sum()) for _, _, values in parts())
-    write_mosaic(target, shape, report.transform, collection.crs, parts, overwrite=overwrite or resume)
+    replace = run.get("overwrite", False) or run.get("resume", False)
+    write_mosaic(place, shape, report.transform, collection.crs, parts, overwrite=replace)
     if report.complete:
         shutil.rmtree(work, ignore_errors=True)
     report.seconds = time.perf_counter() - start
     return report
 
 
-def _prepared(target: Path, *, resume: bool, overwrite: bool) -> Path:
-    """The folder of a run for ``target``, made. Raises: OutputError if something is there that would be lost."""
+def _prepared(target: Place, run: RunOptions) -> Path:
+    """The folder of a run for ``target``, made. Raises: OutputError if something is there that would be lost; ParameterError."""
     target = target.absolute()
-    work = target.with_name(f".{target.name}.jaxfilter-run")
+    parent = work_of(run, target, target if isinstance(target, Remote) else target.parent)
+    work = parent / f".{target.name}.jaxfilter-run"
     begun = (work / NAME).exists()
-    if existing(target) is not None and not overwrite and not (resume and begun):
+    resume, overwrite = run.get("resume", False), run.get("overwrite", False)
+    if is_there(target) and not overwrite and not (resume and begun):
         raise OutputError(f"{target}: the file exists; pass overwrite=True to replace it")
     if begun and not resume:
         if not overwrite:
@@ -278,9 +287,9 @@ def _prepared(target: Path, *, resume: bool, overwrite: bool) -> Path:
             pass
         shutil.rmtree(work)
     try:
-        work.mkdir(exist_ok=True)
+        work.mkdir(exist_ok=True, parents=run.get("work") is not None)
     except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+        raise OutputError(f"{work}: cannot be made: {error.strerror}") from error
     return work
 
 

@@ -70,6 +70,11 @@ def from_elsewhere(points: np.ndarray, raster: jf.Raster) -> jf.Filter:
     jf.read("in.laz", progress=lambda fraction, step: print(f"{step} {fraction:.0%}"))
     report = jf.ground("survey/", "classified/", noise_class=7)
     print(report.complete)
+    how: jf.RunOptions = {"tile": 500.0, "workers": 2, "progress": lambda standing: print(f"{standing.rate:.0f}")}
+    print(jf.heights("classified/", Path("heights/"), replace_z=True, **how).uncertain)
+    print(
+        jf.terrain_model(["a.laz", "b.laz"], "s3://bucket/dtm.tif", cell=0.5, fill=True, work="run/", units="m").empty
+    )
     return one
 
 
