@@ -95,7 +95,9 @@ def flooded(z, depth, max_cells):
 def pits_of(z, depth, max_points, points=None):
     """Depressions of a grid that has one point in each cell."""
     around = Cells.of(*map(np.ravel, np.indices(z.shape)), z.shape)[0].around()
-    return Basins(z.ravel(), around).depressions(np.ones(z.size, np.int64) if points is None else points, depth, max_points)
+    return Basins(z.ravel(), around).depressions(
+        np.ones(z.size, np.int64) if points is None else points, depth, max_points
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))

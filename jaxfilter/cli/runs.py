@@ -210,8 +210,9 @@ def check_named(inputs: Sequence[str], bare: bool = False) -> None:
 def check_folder(out: str) -> None:
     """Raises BadUsage if the OUT of a collection has the name of a file."""
     from ..host.text import SUFFIXES
+    from ..host.writing import LAS_SUFFIXES
 
-    if out.lower().endswith((*LAS, *SUFFIXES)) and not os.path.isdir(out):
+    if out.lower().endswith((*LAS_SUFFIXES, *SUFFIXES)) and not os.path.isdir(out):
         raise BadUsage(
             f"{out}: a collection is written into a folder, and this is the name of a file: name a folder as OUT"
         )
