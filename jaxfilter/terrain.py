@@ -20,6 +20,7 @@ from .host.raster import Raster
 
 _CELLS = 1 << 18  # that are interpolated at a time
 _SNAP = 2.0**-20  # metres: cell centres are multiples of it, so that a shift of the cloud changes no bit of a height
+_FAR = 2.0**20  # metres from the corner: no point is as far, and the lattice of triangulations reaches twice as far
 
 
 def dtm(
@@ -76,7 +77,15 @@ def dtm(
     cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
     settings: dict[str, Any] = {"max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
-    return interpolated(cloud, ground, cell, method, bounds, progress=progress, workers=workers, **settings)
+    raster = interpolated(cloud, ground, cell, method, bounds, progress=progress, workers=workers, **settings)
+    if bounds is not None and len(cloud) and np.isnan(raster.values).all():
+        ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
+        low, high = dataclasses.replace(cloud, xyz=ends).coordinates()
+        warn(
+            f"dtm: no cell has a height: bounds {', '.join(f'{edge:.10g}' for edge in raster.bounds)} are away from the ground "
+            f"points, which lie in {', '.join(f'{edge:.10g}' for edge in (*low[:2], *high[:2]))}"
+        )
+    return raster
 
 
 def interpolated(
@@ -324,6 +333,7 @@ def _extent(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> t
 
 
 def _local(cloud: PointCloud, axis: int, first: int, count: int, cell: float) -> np.ndarray:
-    """f64[count]: the centres of the cells along an axis, local metres."""
+    """f64[count]: the centres of the cells along an axis, local metres; those farther than any point as :data:`_FAR`."""
     centre = (first + np.arange(count) + 0.5) * cell
-    return np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / _SNAP)) * _SNAP
+    local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / _SNAP)) * _SNAP
+    return np.clip(local, -_FAR, _FAR)

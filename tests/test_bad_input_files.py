@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from las_files import OFFSETS, make_copc, make_las, patch
 
-from jaxfilter.core.cloud import PointCloud
+from jaxfilter.core.cloud import PointCloud, as_cloud
 from jaxfilter.core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError
 from jaxfilter.host.las import info, read, write
 
@@ -70,9 +70,11 @@ def test_signature_alone(tmp_path):
 
 
 def test_missing_file_folder_and_unknown_suffix(tmp_path):
+    with pytest.raises(InputError, match=r"absent\.laz: is a name.*jaxfilter\.read"):
+        as_cloud(tmp_path / "absent.laz")
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "none.las")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"is a folder.*jaxfilter\.open"):
         read(tmp_path)
     (tmp_path / "in.ply").write_text("ply\n")
     with pytest.raises(InputError, match="neither LAS nor one of"):

@@ -372,8 +372,10 @@ def test_methods_and_info_speak_json(folder, scene):
         assert all(f"  --preset {preset}: {values.note}\n" in listed for preset, values in method.PRESETS.items())
     assert table["fptd"]["notes"]["D1"] == FILTERS["fptd"].PRESETS["D1"].note
     facts = json.loads(run("info", folder / "scene.laz", "--json").stdout)
-    assert facts["points"] == len(scene)
-    assert run("info", folder / "scene.laz").exit_code == 0
+    assert facts["points"] == len(scene) and facts["extra_bytes"] == []
+    shown = dict(line.split("  ", 1) for line in run("info", folder / "scene.laz").stdout.splitlines())
+    assert shown["points"].strip() == f"{len(scene):,}" and shown["extra bytes"].strip() == "none"
+    assert float(shown["candidates per m2"]) == pytest.approx(facts["density"], rel=1e-3)
 
 
 def demo(folder, cache, *arguments):
@@ -398,6 +400,12 @@ def test_demo_spares_folders_with_other_files(tmp_path):
     assert_one_line(run("demo", tmp_path), 2, "mine.txt", "--overwrite")
     assert run("demo", tmp_path / "demo", "--method", "nosuch").exit_code == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.txt"]
+
+
+def test_help_of_the_default_lists_its_options_and_the_methods():
+    shown = run("ground", "--help").stdout
+    assert all(f"\n  {words} " in shown for words in ("--overwrite", "--noise-class", "--review", "smrf", "ost"))
+    assert "--scaling" not in shown and "default [OPTIONS]" not in run("ground", "in.laz", "--nosuch").stderr
 
 
 def test_help_does_not_wait_for_jax():

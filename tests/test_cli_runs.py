@@ -82,6 +82,8 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
         (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
         (("pmf", "{survey}/west.laz", "out.laz", "--halo", 5), "--halo is for a collection"),
         (("smfr", "out.laz"), "does not exist. It is no method either"),
+        (("pmf", "{survey}", "out.laz"), "out.laz: a collection is written into a folder"),
+        (("absent.laz", "out.laz"), "ground [OPTIONS] IN... OUT"),
     ],
 )
 def test_wrong_usage_ends_before_anything_is_written(survey, tmp_path, monkeypatch, words, message):
@@ -138,6 +140,7 @@ def test_heights_of_a_folder(done, tmp_path):
         ((done[0], tmp_path / "new", "--in-place"), "--in-place is for a single file"),
         ((done[0] / "west.laz", tmp_path / "a.laz", "--work", "x"), "--work is for a collection"),
         ((done[0], "s3://bucket/out"), "pass --work"),
+        ((done[0], tmp_path / "a.laz"), "a.laz: a collection is written into a folder"),
     ):
         wrong = run("height", *words)
         assert wrong.exit_code == 2 and message in wrong.stderr, wrong.output

@@ -406,3 +406,10 @@ def test_the_time_left_follows_the_mean_rate_of_this_run():
         now[0] = 300.0
         session.progress(0.9, "sets")
         assert session._bar.tasks[0].time_remaining == pytest.approx(50.0, abs=1.0)
+    with session.step("filter", 1_000_000):
+        session.progress(0.0, "lowest")
+        now[0] = 300.001
+        session.progress(0.2, "surface")
+        assert Rate().render(session._bar.tasks[0]).plain == "", "no rate of a millisecond"
+        now[0] = 302.0
+        assert Rate().render(session._bar.tasks[0]).plain == "100 k points/s"

@@ -375,6 +375,10 @@ def test_the_command(folder):
         and "4 files, 620 points" in result.stdout
         and "files without points: 1 (" in result.stdout
     )
+    for row in jf.open(folder).table().itertuples():  # a line for each, nothing cut
+        spans = [f"{low:.2f} to {high:.2f} " for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
+        line = next(line for line in result.stdout.splitlines() if os.path.basename(row.uri) in line)
+        assert all(span in line for span in spans) and (not isinstance(row.crs, str) or row.crs in line), line
     facts = json.loads(run("info", folder / "*.laz", "--json").stdout)
     assert facts["files"] == 3 and facts["points"] == 520 and [m["points"] for m in facts["members"]] == [120, 400, 0]
     assert len(facts["findings"]["empty"]) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import re
 
 import numpy as np
 import pandas
@@ -64,6 +65,7 @@ def test_tables_are_written_as_markdown_and_latex(compared):
     )
     assert markdown([("a", "A", ""), ("b", "B", "d")], [{"a": "x"}]) == "| A | B |\n|---|---:|\n| x | – |"
     assert "<table" in compared._repr_html_()
+    assert str(compared).splitlines()[0].split() == re.findall(r"<th>(.+)</th>", compared._repr_html_())
 
 
 @pytest.mark.parametrize(

@@ -102,6 +102,12 @@ def test_tin_is_the_linear_interpolator_of_scipy(rng):
     assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
 
 
+def test_a_raster_shows_itself_in_a_line(rng):
+    raster = model(scattered(rng, n=50), cell=10.0)
+    missing = np.isnan(raster.values).sum()
+    assert repr(raster).startswith(f"Raster(5 x 5 cells of 10, {missing} without height, bounds 447310, 5301200, ")
+
+
 def test_many_cells_at_once_are_shared_between_threads(rng):
     cloud = scattered(rng)
     one, three = (model(cloud, cell=0.08, workers=workers).values for workers in (1, 3))
@@ -232,6 +238,13 @@ def test_bounds_choose_the_raster_and_tiles_fit_together(rng):
     east = model(cloud, bounds=(left + 20.0, bottom, left + 50.5, top))
     assert east.bounds == (left + 20.0, bottom, left + 51.0, top)
     np.testing.assert_array_equal(np.hstack([west.values, east.values]), whole.values[:, :51])
+
+
+@LINEAR
+def test_bounds_away_from_the_ground_are_said(rng, method):
+    with pytest.warns(jf.JaxfilterWarning, match="no cell has a height: bounds 0, 0, 10, 10 are away.*447312.*5301208"):
+        raster = model(scattered(rng, n=400), bounds=(0, 0, 10, 10), method=method)
+    assert raster.values.shape == (10, 10) and np.isnan(raster.values).all()
 
 
 def test_ground_is_given_or_the_reference(rng):

@@ -234,6 +234,8 @@ def test_extra_dimensions(tmp_path, suffix, described):
     np.testing.assert_array_equal(out.height, result.height)
     np.testing.assert_array_equal(out.margin, result.margin)
     assert out.height.dtype == np.float32
+    described_as = {one.name: one.description for one in out.point_format.extra_dimensions}
+    assert described_as["height"].startswith("metres") and described_as["margin"]
     if described:
         assert_same_but_classes(las, out)
     else:

@@ -310,6 +310,16 @@ def test_bad_axes_are_named_before_anything_runs(axes, options, named, cloud, mo
         jf.sweep(jf.SMRF(), cloud, axes, **options)
 
 
+@pytest.mark.parametrize("filter_", ["smrf", jf.SMRF, None])
+def test_only_instances_of_filters_are_swept_and_calibrated(filter_, cloud):
+    for call in (
+        lambda: jf.sweep(filter_, cloud, {"slope": [0.1]}),
+        lambda: jf.calibrate(filter_, cloud, np.ones(len(cloud))),
+    ):
+        with pytest.raises(jf.ParameterError, match=r"filter_=.*an instance of a filter is needed"):
+            call()
+
+
 def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):
     path, axes = tmp_path / "sweep.npz", {"cell": [1.0, 2.0], "threshold": [0.3, 0.5, 0.9]}
     whole = jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True)

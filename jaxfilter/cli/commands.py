@@ -51,8 +51,26 @@ def main() -> None:
 _DEFAULT = "default"
 
 
+class _WithoutName(click.Context):
+    """Of the default command, which is called by the name of its group."""
+
+    @property
+    def command_path(self) -> str:
+        """That of the group."""
+        return self.parent.command_path if self.parent is not None else super().command_path
+
+
+class _Default(click.Command):
+    context_class = _WithoutName
+
+
 class Methods(click.Group):
     """A subcommand per registered filter, and one without a name: what is no filter is IN already."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The options of the default command, which most methods share, and the methods."""
+        _ground_command(None).format_options(ctx, formatter)
+        self.format_commands(ctx, formatter)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the name of the default command where none is given."""
@@ -88,6 +106,8 @@ def ground() -> None:
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
     (--ignore-class).
+
+    The options below are those without METHOD. METHOD --help adds its parameters and --preset.
     """
 
 
@@ -175,7 +195,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             ["--extra"],
             multiple=True,
             type=click.Choice(writing.EXTRAS),
-            help="Also write this quantity of each point; may be repeated.",
+            help="Also write this quantity of each point, in metres or degrees whatever the file has; may be repeated.",
         ),
         *(_review_options() if method is None or method.DOUBTS else ()),
         click.Option(
@@ -192,7 +212,7 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
     ]
     if method is None:
         words = "The default method, set up for the data."
-        return click.Command(_DEFAULT, params=parameters, callback=run, help=words, hidden=True)
+        return _Default(_DEFAULT, params=parameters, callback=run, help=words, hidden=True)
     return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
 
 

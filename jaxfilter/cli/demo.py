@@ -43,8 +43,8 @@ def demo(
 ) -> None:
     """Make a scene whose ground is known, filter it, score the result and draw it.
 
-    Writes into DIR (by default jaxfilter-demo): scene.laz, scene_ground.laz, and pictures of the true ground, of the
-    filtered ground and of the errors.
+    Writes into DIR (by default jaxfilter-demo): scene.laz, scene_truth.laz, scene_ground.laz, and pictures of
+    the true ground, of the filtered ground, of the errors, and of all three.
     """
     from .. import evaluate as score
     from .. import read, scenes, write

@@ -133,6 +133,7 @@ def ground_collection(
             raise BadUsage(f"--{name.replace('_', '-')} is for a single file, and {named(paths)} is a collection")
     *inputs, out = paths
     check_named(inputs, method is None)
+    check_folder(out)
     reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     kept = ("halo", "tile", "memory", "workers", "work", "resume", "overwrite", "ground_class", "other_class", "reset")
@@ -146,7 +147,8 @@ def ground_collection(
 
         with session.step("headers"):
             collection = open_collection(inputs, units=options["units"])
-            for line in collection.check().lines():
+            findings = dataclasses.replace(collection.check(), mixed=None)  # the run says that in its error
+            for line in findings.lines():
                 if not quiet:
                     click.echo(f"note: {line}", err=True)
         chosen: list[Filter] = []
@@ -206,6 +208,17 @@ def check_named(inputs: Sequence[str], bare: bool = False) -> None:
         raise BadUsage(f"{name}: no such file or folder{words}")
 
 
+def check_folder(out: str) -> None:
+    """Raises BadUsage if the OUT of a collection has the name of a file."""
+    from ..host.text import SUFFIXES
+    from ..host.writing import LAS_SUFFIXES
+
+    if out.lower().endswith((*LAS_SUFFIXES, *SUFFIXES)) and not os.path.isdir(out):
+        raise BadUsage(
+            f"{out}: a collection is written into a folder, and this is the name of a file: name a folder as OUT"
+        )
+
+
 def shown(session: Session) -> Any:
     """The callback that shows how far a run is."""
 
@@ -214,6 +227,11 @@ def shown(session: Session) -> Any:
         session.progress(standing.tiles_done / max(standing.tiles, 1), standing.step, note, standing.rate)
 
     return show
+
+
+def count(number: int, noun: str) -> str:
+    """1 tile, 1,200 tiles."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def named(paths: Sequence[str]) -> str:
@@ -236,11 +254,11 @@ def _print(report: RunReport, facts: dict[str, Any]) -> None:
 
     share = 100 * report.ground / max(report.points, 1)
     click.echo(
-        f"{facts['output']}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground "
+        f"{facts['output']}: {count(len(report.files), 'file')}, {report.ground:,} of {report.points:,} points are ground "
         f"({share:.1f} %), {report.candidates:,} were judged"
     )
     click.echo(
-        f"{facts['method']}: {report.tiles:,} tiles in {report.seconds:.1f} s; with their halos they hold "
+        f"{facts['method']}: {count(report.tiles, 'tile')} in {report.seconds:.1f} s; with their halos they hold "
         f"{report.read / max(report.points, 1):.2f} times the points"
     )
     if facts["classes"]:

@@ -140,14 +140,21 @@ LINE_EVERY = 60.0
 """Seconds between lines of progress where there is no terminal, and in the log."""
 
 
+_RATED = 0.5
+"""Seconds before a rate is shown."""
+
+
 class Rate(ProgressColumn):
     """Items per second; the step has said how many there are."""
 
     def render(self, task: Task) -> Text:
         """Nothing while it is not known."""
-        items, unit, given = (task.fields[key] for key in ("items", "unit", "rate"))
-        rate = given if given is not None else task.speed * items if task.speed and items else None
-        return Text("" if rate is None else f"{short(rate, unit)}/s")
+        items, unit, rate, since = (task.fields[key] for key in ("items", "unit", "rate", "since"))
+        if rate is None and items and since is not None:
+            start, before = since
+            seconds = task.get_time() - start  # up to now: a first short step says nothing on the long one after it
+            rate = (task.completed - before) * items / seconds if seconds >= _RATED else None
+        return Text(f"{short(rate, unit)}/s" if rate else "")
 
 
 class Memory(ProgressColumn):
@@ -227,7 +234,7 @@ class Session:
             console=self._console,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task = self._bar.add_task("", total=1.0, items=None, unit="", rate=None)
+        self._task = self._bar.add_task("", total=1.0, items=None, unit="", rate=None, since=None)
         self._said = self._start = time.perf_counter()
         self._stack = contextlib.ExitStack()
         self._mark = ("", 0.0)
@@ -281,7 +288,7 @@ class Session:
     def step(self, name: str, items: float | None = None, unit: str = "points") -> Iterator[None]:
         """Show and time a step of the command; ``items``: how many points or other things it deals with, for its rate."""
         start = time.perf_counter()
-        self._bar.reset(self._task, description=name, items=items, unit=unit, rate=None)
+        self._bar.reset(self._task, description=name, items=items, unit=unit, rate=None, since=None)
         self._begun = False
         yield
         self._next("")
@@ -301,6 +308,7 @@ class Session:
         if not self._begun:  # what a resumed sweep had done before does not count as speed
             self._bar.reset(self._task)
             fraction, self._begun = max(fraction, 1e-9), True
+            self._bar.update(self._task, since=(self._bar.get_time(), fraction))
         self._bar.update(self._task, description=f"{step} {note}".rstrip(), completed=fraction, rate=rate)
         if time.perf_counter() - self._said > LINE_EVERY:
             self._said = time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,14 @@ from rich.console import Console
 from .checks import check_reading, check_target
 from .commands import main
 from .output import print_json
-from .session import BadUsage, Session, session_options
+from .runs import count
+from .session import BadUsage, Session, in_flags, session_options
 
 if TYPE_CHECKING:
     from ..tiles.collection import Collection
 
 _ROWS = 40  # of a table on the screen
+_WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"}  # of the facts on a file
 
 
 @main.command()
@@ -58,16 +61,36 @@ def info(
         if one is not None:
             facts = las.info(one, units=units)
         else:
-            facts = _survey(session, names, units, vpc, picture, overwrite, table=not (quiet or as_json))
+            facts, show = _survey(session, names, units, vpc, picture, overwrite)
     if as_json:
         print_json(facts)
     elif one is not None:
-        width = max(len(k) for k in facts)
-        for key, value in facts.items():
-            click.echo(f"{key.replace('_', ' '):{width}}  {value}")
+        lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in facts.items()}
+        width = max(len(k) for k in lines)
+        for key, value in lines.items():
+            click.echo(f"{key:{width}}  {value}")
+    elif not quiet:
+        show()
 
 
 info.params += session_options()
+
+
+def _plain(value: Any) -> str:
+    """A fact on a file in words: no brackets, and no digits that say nothing."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {one:,}" for key, one in value.items() if one) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    return (
+        f"{value:.4g}"
+        if isinstance(value, float)
+        else f"{value:,}"
+        if isinstance(value, int)
+        else "none"
+        if value is None
+        else str(value)
+    )
 
 
 def _check_names(names: tuple[str, ...]) -> None:
@@ -97,8 +120,8 @@ def _survey(
     vpc: Path | None,
     picture: Path | None,
     overwrite: bool,
-    table: bool,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], Callable[[], None]]:
+    """Facts on a survey, and what prints them for people."""
     from ..host.files import new_file
     from ..tiles.collection import open as open_survey
 
@@ -112,12 +135,14 @@ def _survey(
         figure = survey.plot().figure
         with new_file(picture, overwrite=overwrite) as part:
             figure.savefig(part, format=picture.suffix[1:].lower())
-    if table:
+
+    def show() -> None:
         _print_survey(survey)
         for line in findings.lines():
-            click.echo(line)
+            click.echo(in_flags(line))
+
     mixed = findings.mixed is not None
-    return {
+    facts = {
         "files": len(survey),
         "points": survey.count,
         "bounds": None if mixed else survey.bounds,
@@ -129,6 +154,7 @@ def _survey(
         "members": survey.table().to_dict(orient="records"),
         **session.as_dict(),
     }
+    return facts, show
 
 
 def _print_survey(survey: Collection) -> None:
@@ -136,15 +162,20 @@ def _print_survey(survey: Collection) -> None:
 
     frame = survey.table()
     shown = Table("file", "format", "points", "x", "y", "z", "per m2", "CRS")
+    for column in shown.columns:
+        column.overflow = "fold"  # a cut name or number would be of no use
     for column in shown.columns[2:7]:
         column.justify = "right"
     for row in frame.head(_ROWS).itertuples():
-        spans = [f"{low:.10g} to {high:.10g}" for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
+        spans = [f"{low:.2f} to {high:.2f}" for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
         crs = row.crs if isinstance(row.crs, str) else ""
-        heights, density = f"{row.zmin:.6g} to {row.zmax:.6g}", f"{row.density:.3g}"
+        heights, density = f"{row.zmin:.2f} to {row.zmax:.2f}", f"{row.density:.3g}"
         shown.add_row(Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs)
-    Console(soft_wrap=True).print(shown)
+    console = Console()
+    if not console.is_terminal:
+        console.width = 10_000  # a line for each file, for other programs
+    console.print(shown)
     more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
     click.echo(
-        f"{more}{len(frame):,} files, {survey.count:,} points on {survey.area / 1e6:,.4g} km2, {survey.density:.3g} per m2"
+        f"{more}{count(len(frame), 'file')}, {survey.count:,} points on {survey.area / 1e6:,.4g} km2, {survey.density:.3g} per m2"
     )

@@ -14,7 +14,7 @@ from . import building
 from .checks import check_reading, check_target, checked_target
 from .commands import file_names, main
 from .output import print_json
-from .runs import check_named, is_collection, named, resources, shown, tell, to_be_resumed
+from .runs import check_folder, check_named, count, is_collection, named, resources, shown, tell, to_be_resumed
 from .session import BadUsage, Session, logger, session_options
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def _dtm_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, set
     elif not how.quiet:
         click.echo(
             f"{out}: {report.rows:,} x {report.columns:,} cells of {settings['cell']:g} through {report.ground:,} ground "
-            f"points, {report.empty:,} cells without height\n{report.tiles:,} tiles in {report.seconds:.1f} s"
+            f"points, {report.empty:,} cells without height\n{count(report.tiles, 'tile')} in {report.seconds:.1f} s"
         )
     if not report.complete:
         ctx.exit(1)
@@ -356,6 +356,7 @@ def _height_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, 
     *inputs, out = names
     with how.session() as session:
         check_named(inputs)
+        check_folder(out)
         changes = how.changes()
         from ..tiles.heights import heights
 
@@ -377,7 +378,7 @@ def _height_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, 
     elif not how.quiet:
         click.echo(
             f"{_height_line(out, report.points, report.ground, span, replace_z)}\n"
-            f"{len(report.files):,} files, {report.tiles:,} tiles in {report.seconds:.1f} s"
+            f"{count(len(report.files), 'file')}, {count(report.tiles, 'tile')} in {report.seconds:.1f} s"
         )
     if not report.complete:
         ctx.exit(1)

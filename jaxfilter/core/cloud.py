@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterable
 from typing import Any
 
@@ -376,4 +377,8 @@ def as_cloud(points: Any) -> PointCloud:
         return points
     if is_laspy(points):
         return PointCloud.from_laspy(points)
+    if isinstance(points, (str, os.PathLike)):
+        raise InputError(
+            f"{os.fspath(points)}: is a name, and points are needed: read the file first, by jaxfilter.read"
+        )
     return PointCloud.from_structured(points) if is_structured(points) else PointCloud.from_arrays(points)

@@ -12,7 +12,7 @@ import dataclasses
 import datetime
 import hashlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import BinaryIO
 
 import lazrs
@@ -244,9 +244,11 @@ class Header:
                 at += size
         return found if at <= self.record_length else None
 
-    def rewritten(self, compressor: bytes | None, extra: tuple[str, ...] = (), drop: tuple[str, ...] = ()) -> Header:
+    def rewritten(
+        self, compressor: bytes | None, extra: Mapping[str, str] | None = None, drop: tuple[str, ...] = ()
+    ) -> Header:
         """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
-        float32 dimensions ``extra``, and without the records of the users in ``drop``."""
+        float32 dimensions ``extra`` (names and descriptions), and without the records of the users in ``drop``."""
         kept = [r for r in self.vlrs if r.key != _LASZIP and r.user not in drop]
         blocks = [self.head[r.start : r.end] for r in kept]
         length = self.record_length
@@ -256,7 +258,7 @@ class Header:
                 raise OutputError(f"{self.path}: the description of its extra bytes is damaged, so none can be added")
             end = max((d.start + d.size for d in described), default=RECORD_LENGTHS[self.point_format])
             entries = [_entry(f"undescribed {i + 1}", _UINT8) for i in range(length - end)]  # they precede the new ones
-            entries += [_entry(name, FLOAT32) for name in extra]
+            entries += [_entry(name, FLOAT32, words) for name, words in extra.items()]
             old = [i for i, r in enumerate(kept) if r.key == _EXTRA_BYTES]
             payload = b"".join(entries)
             if old:
@@ -478,8 +480,8 @@ def new_header(
     return _parse(path, bytes(block) + record, None)
 
 
-def _entry(name: str, data_type: int) -> bytes:
-    return struct.pack("<HBB32s", 0, data_type, 0, name.encode()).ljust(_EXTRA_ENTRY, b"\0")
+def _entry(name: str, data_type: int, description: str = "") -> bytes:
+    return struct.pack("<HBB32s124x32s", 0, data_type, 0, name.encode(), description.encode())
 
 
 def _text(raw: bytes) -> str:

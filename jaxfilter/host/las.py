@@ -114,9 +114,9 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
     """What is in a file, for people and for JSON; angular, geocentric and far-off coordinates are no error here.
 
     Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
-    (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``classes`` and ``echoes`` (counts), ``withheld``,
-    ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of occupied area). None where a file
-    says nothing.
+    (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``extra_bytes`` (names of extra dimensions), ``classes`` and
+    ``echoes`` (counts), ``withheld``, ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of
+    occupied area). None where a file says nothing.
 
     >>> facts = jf.info("scene.laz", units="m")
     >>> facts["points"] == len(cloud), facts["format"]
@@ -151,6 +151,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
         "z": None if low is None or high is None else [low[2], high[2]],
         "scales": None if header is None else header.scales.tolist(),
         "offsets": None if header is None else header.offsets.tolist(),
+        "extra_bytes": _extra_names(header),
         "classes": _counts(cloud.classification),
         "echoes": _echo_counts(cloud),
         "withheld": None if cloud.withheld is None else int(cloud.withheld.sum()),
@@ -158,6 +159,11 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
         "spacing": spacing,
         "density": None if spacing is None else 1 / spacing**2,
     }
+
+
+def _extra_names(header: Header | None) -> list[str] | None:
+    found = None if header is None else header.extra_dimensions()
+    return None if found is None else [one.name for one in found]
 
 
 def _table(path: Place) -> Path | None:

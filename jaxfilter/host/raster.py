@@ -42,6 +42,11 @@ class Raster:
     crs: Any = None
     nodata: float = NODATA
 
+    def __repr__(self) -> str:
+        rows, columns = self.values.shape
+        place = ", ".join(f"{edge:.10g}" for edge in self.bounds)
+        return f"Raster({rows} x {columns} cells of {self.cell:g}, {np.isnan(self.values).sum()} without height, bounds {place})"
+
     @property
     def cell(self) -> float:
         """Side of a cell.

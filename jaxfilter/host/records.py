@@ -39,6 +39,10 @@ def reading(path: Place) -> Iterator[None]:
         raise
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(
+            f"{path}: is a folder: name one of its files, or open all of them by jaxfilter.open"
+        ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, IndexError, OverflowError, MemoryError, struct.error) as error:

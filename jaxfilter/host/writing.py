@@ -24,11 +24,21 @@ from .records import CHUNK, Writer, read_records, reading
 from .storage import Place, Remote, place_of
 
 RESETS = ("ground", "all", "none")
-EXTRAS = ("height", "slope", "angle", "elevation", "margin", "doubt")
-"""Quantities of a FilterResult that can be written along with the points."""
-
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
+
+_DESCRIPTIONS = {  # at most 32 bytes each
+    "height": "metres above the final surface",
+    "slope": "of that surface, degrees",
+    "angle": "last tested to a facet, degrees",
+    "elevation": "last tested, metres",
+    "margin": "tested value less its threshold",
+    "doubt": "probability that label is wrong",
+    HEIGHT: "in the units of Z",
+}
+
+EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
+"""Quantities of a FilterResult that can be written along with the points."""
 
 LAS_SUFFIXES = (".las", ".laz")
 
@@ -238,7 +248,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             raise OutputError(
                 f"{path}: the input has extra bytes named {dimension.name!r} that are not float32 or float64"
             )
-    added = tuple(name for name in labels.extra if name not in existing)
+    added = {name: _DESCRIPTIONS[name] for name in labels.extra if name not in existing}
     compressor = None
     if path.suffix.lower() == ".laz":
         width = header.record_length + 4 * len(added)

@@ -24,7 +24,7 @@ from ..scoring import Scores, reference_labels
 from .best import word
 from .design import Design, make_design
 from .inference import Sample
-from .ranges import Range, around, search_ranges
+from .ranges import Range, around, check_filter, search_ranges
 from .sweep import about
 
 if TYPE_CHECKING:
@@ -119,6 +119,7 @@ class Study:
         workers: int | None = None,
         memory: float = 2e9,
     ) -> None:
+        check_filter(filter_)
         check_resources(workers, memory)
         _check_whole(folds=folds)
         if score not in SCORES:

@@ -122,8 +122,14 @@ class Comparison:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
         return score
 
+    def __str__(self) -> str:
+        return self._shown().to_string(index=False, float_format="%.3f")
+
     def _repr_html_(self) -> str:
-        return self.table[[key for key, _, _ in self._columns()]].to_html(index=False, float_format="%.3f")
+        return self._shown().to_html(index=False, float_format="%.3f")
+
+    def _shown(self) -> pandas.DataFrame:
+        return self.table[[key for key, _, _ in self._columns()]]
 
 
 def compare(

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
+from .ranges import check_filter
 
 DESIGNS = ("grid", "random", "sobol", "list")
 """All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""
@@ -53,6 +54,7 @@ def make_design(
 
     Raises: ParameterError naming the axis and what is wrong, before anything is computed.
     """
+    check_filter(filter_)
     if kind not in DESIGNS:
         raise ParameterError(f"design={kind!r}: choose one of {', '.join(map(repr, DESIGNS))}")
     if not isinstance(axes, Mapping) or not axes:
