@@ -44,6 +44,7 @@ class Toy:
         ({"angle": True}, "angle=True.*number"),
         ({"floor": -1e-9}, "must be >= 0 m"),
         ({"window": 0.0}, "window=0.0"),
+        ({"window": math.inf}, "window=inf.*finite and > 0 m"),
         ({"rounds": 1000}, "must be >= 1 and < 1000"),
         ({"rounds": 2.5}, r"Toy\(rounds=2.5\): a whole number is needed"),
         ({"rounds": math.inf}, "rounds=inf.*whole number"),

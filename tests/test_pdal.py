@@ -194,5 +194,11 @@ def test_arrays_of_pdal_are_clouds(scene):
     likewise = as_cloud(types.SimpleNamespace(x=x, y=y, z=z, intensity=z, **echoes))  # as the points of laspy
     np.testing.assert_array_equal(likewise.xyz, scene.cloud.xyz)
     np.testing.assert_array_equal(likewise.candidate, scene.cloud.candidate)
+    wrong = points.astype([(n, "i4" if n == "Classification" else points.dtype[n]) for n in points.dtype.names])
+    wrong["Classification"][7] = 300
+    with pytest.raises(jf.InputError, match=r"classification of point 7 is .*300.*: whole numbers from 0 to 255"):
+        jf.PointCloud.from_structured(wrong)
+    with pytest.raises(jf.InputError, match=r"withheld of point 1 is .*2.*: True or False"):
+        jf.PointCloud.from_arrays(np.zeros((2, 3)), withheld=[1, 2])
     with pytest.raises(jf.InputError, match="there is no field Z"):
         jf.SMRF()(points[["X", "Y", "Intensity"]])

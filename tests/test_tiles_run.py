@@ -226,6 +226,11 @@ def test_folders_that_hold_something_are_refused(files, done, tmp_path):
         run(files, files, overwrite=True)
     other = tmp_path / "other"
     shutil.copytree(files, other)
+    with pytest.raises(jf.ParameterError, match=r"one\.laz: a collection is written into a folder"):
+        jf.heights(files, tmp_path / "one.laz")
+    with pytest.raises(jf.ParameterError, match="filter_='smrf': is no filter"):
+        jf.ground(files, tmp_path / "out", "smrf")
+    assert not (tmp_path / "one.laz").exists() and not (tmp_path / "out").exists()
     with pytest.raises(jf.OutputError, match="both be written as 00"):
         run([str(files), str(other)], tmp_path / "out")
     (tmp_path / "kept").mkdir()

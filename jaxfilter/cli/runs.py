@@ -133,7 +133,6 @@ def ground_collection(
             raise BadUsage(f"--{name.replace('_', '-')} is for a single file, and {named(paths)} is a collection")
     *inputs, out = paths
     check_named(inputs, method is None)
-    check_folder(out)
     reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     kept = ("halo", "tile", "memory", "workers", "work", "resume", "overwrite", "ground_class", "other_class", "reset")
@@ -206,17 +205,6 @@ def check_named(inputs: Sequence[str], bare: bool = False) -> None:
             f", and no method: choose one of {', '.join(FILTERS)}" if bare and number == 0 and "." not in name else ""
         )
         raise BadUsage(f"{name}: no such file or folder{words}")
-
-
-def check_folder(out: str) -> None:
-    """Raises BadUsage if the OUT of a collection has the name of a file."""
-    from ..host.text import SUFFIXES
-    from ..host.writing import LAS_SUFFIXES
-
-    if out.lower().endswith((*LAS_SUFFIXES, *SUFFIXES)) and not os.path.isdir(out):
-        raise BadUsage(
-            f"{out}: a collection is written into a folder, and this is the name of a file: name a folder as OUT"
-        )
 
 
 def shown(session: Session) -> Any:

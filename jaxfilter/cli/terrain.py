@@ -14,7 +14,7 @@ from . import building
 from .checks import check_reading, check_target, checked_target
 from .commands import file_names, main
 from .output import print_json
-from .runs import check_folder, check_named, count, is_collection, named, resources, shown, tell, to_be_resumed
+from .runs import check_named, count, is_collection, named, resources, shown, tell, to_be_resumed
 from .session import BadUsage, Session, logger, session_options
 
 if TYPE_CHECKING:
@@ -356,7 +356,6 @@ def _height_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, 
     *inputs, out = names
     with how.session() as session:
         check_named(inputs)
-        check_folder(out)
         changes = how.changes()
         from ..tiles.heights import heights
 

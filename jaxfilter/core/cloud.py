@@ -20,8 +20,8 @@ from .frame import (
     localise_integers,
     near_points,
 )
+from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
-from .inputs import is_laspy, is_structured, laspy_parts, structured_parts
 from .markup import sheet
 from .units import UNITS, Units, parse_crs, parse_units
 
@@ -282,6 +282,8 @@ class PointCloud:
                 continue
             if len(value) != len(local):
                 raise InputError(f"{name}: {key} has {len(value)} entries for {len(local)} points")
+            if key in COLUMNS:
+                attributes[key] = as_column(key, value, name)
         cloud = cls(origin=origin, xyz=local, units=units, anchor=anchor, **attributes)
         return cloud.select(name=name, **chosen)
 

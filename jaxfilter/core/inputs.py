@@ -18,7 +18,19 @@ def is_laspy(points: Any) -> bool:
     return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
 
 
-_COLUMNS = {"return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool}
+COLUMNS = {"return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool}
+"""What is known of points beside their coordinates, and how it is held."""
+
+
+def as_column(field: str, values: Any, name: str) -> np.ndarray:
+    """One of :data:`COLUMNS`, [n], as it is held. Raises: InputError for values that it cannot hold."""
+    given, kind = np.asarray(values), COLUMNS[field]
+    with np.errstate(invalid="ignore"):
+        held = given.astype(kind)
+    if given.dtype != kind and len(wrong := np.flatnonzero(held != given)):
+        allowed = "True or False" if kind is bool else "whole numbers from 0 to 255"
+        raise InputError(f"{name}: {field} of point {wrong[0]} is {given[wrong[0]]!r}: {allowed} are needed")
+    return held if given.dtype != kind else given
 
 
 def _plain(name: str) -> str:
@@ -29,7 +41,7 @@ def _plain(name: str) -> str:
 def _names_of(points: Any) -> tuple[str, ...]:
     """Fields of a structured array, or attributes out of x, y, z and the columns."""
     names = getattr(getattr(points, "dtype", None), "names", None)
-    return tuple(names) if names else tuple(name for name in ("x", "y", "z", *_COLUMNS) if hasattr(points, name))
+    return tuple(names) if names else tuple(name for name in ("x", "y", "z", *COLUMNS) if hasattr(points, name))
 
 
 def is_structured(points: Any) -> bool:
@@ -53,7 +65,7 @@ def laspy_parts(las: Any, units: str | Units | None, name: str) -> dict[str, Any
         some = ticks[sampled(len(ticks))] * scales + offsets
         if reason := not_metric(some, len(ticks), reference.units is not None):
             raise InputError(f"{name}: {reason}")
-    columns = {field: np.array(las[field], kind) for field, kind in _COLUMNS.items()}
+    columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items()}
     placed = {"ticks": ticks, "scales": scales, "offsets": offsets, "units": scale, "crs": reference.crs}
     return placed | columns | {"reference": _ground_of(columns)}
 
@@ -66,12 +78,12 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
             f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {', '.join(named.values())}"
         )
 
-    def get(field: str, kind: Any) -> np.ndarray:
+    def get(field: str) -> np.ndarray:
         key = named[_plain(field)]
-        return np.asarray(getattr(points, key) if hasattr(points, key) else points[key]).astype(kind)
+        return np.asarray(getattr(points, key) if hasattr(points, key) else points[key])
 
-    columns = {field: get(field, kind) for field, kind in _COLUMNS.items() if _plain(field) in named}
-    xyz = np.stack([get(axis, np.float64) for axis in "xyz"], axis=1)
+    columns = {field: as_column(field, get(field), name) for field in COLUMNS if _plain(field) in named}
+    xyz = np.stack([get(axis).astype(np.float64) for axis in "xyz"], axis=1)
     return {"xyz": xyz, **columns, "reference": _ground_of(columns)}
 
 

@@ -60,13 +60,15 @@ def static(
     le: float | None = None,
     choices: tuple[Any, ...] | None = None,
     optional: bool = False,
+    endless: bool = False,
 ) -> Any:
-    """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off").
+    """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off"), ``endless`` ones
+    infinite.
 
     ``default`` is a keyword, as in :func:`param`.
     """
     meta = {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le}
-    return _field(default, True, {**meta, "choices": choices, "optional": optional})
+    return _field(default, True, {**meta, "choices": choices, "optional": optional, "endless": endless})
 
 
 class Preset(dict[str, Any]):
@@ -205,8 +207,10 @@ def check_fields(params: Any) -> None:
             continue
         if _is_whole(f) and not isinstance(value, numbers.Integral):
             raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
-        if math.isnan(value) or not all(ok(value, bound) for _, bound, ok in limits):
+        beyond = math.isinf(value) and meta.get("static") and not meta.get("endless")
+        if math.isnan(value) or beyond or not all(ok(value, bound) for _, bound, ok in limits):
             wanted = " and ".join(f"{sign} {bound:g}" for sign, bound, _ in limits) or "a number"
+            wanted = "finite and " * bool(beyond) + wanted
             unit = f" {meta['unit']}" if meta.get("unit") else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
 

@@ -92,7 +92,11 @@ class PPDF(Filter):
     )
     low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the planes")
     reach: float = static(
-        default=30.0, unit="m", gt=0, doc="distance to the farthest reference point; inf = any distance"
+        default=30.0,
+        unit="m",
+        gt=0,
+        endless=True,
+        doc="distance to the farthest reference point; inf = any distance",
     )
     reference_cell: float = static(
         default=1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"

@@ -16,6 +16,8 @@ from .. import __version__
 from ..core.errors import JaxfilterError, OutputError, ParameterError
 from ..host.files import remove_dead
 from ..host.storage import Place, Remote, place_of
+from ..host.text import SUFFIXES
+from ..host.writing import LAS_SUFFIXES
 from .collection import Collection
 from .dask import Cluster
 from .journal import NAME, Journal
@@ -45,9 +47,13 @@ class Folder:
         """The folders of a run, made, and empty but for what may stay.
 
         Raises: OutputError if one holds something and neither ``resume`` nor ``overwrite`` is asked for, or holds an input;
-        ParameterError as :func:`work_of`.
+        ParameterError for the name of a file, and as :func:`work_of`.
         """
         place = place_of(out)
+        if place.suffix.lower() in (*LAS_SUFFIXES, *SUFFIXES) and not (isinstance(place, Path) and place.is_dir()):
+            raise ParameterError(
+                f"{place}: a collection is written into a folder, and this is the name of a file: name a folder as OUT"
+            )
         folder = cls(place, work_of(run, place, place), target_names(list(collection.uris)))
         folder._prepare(collection, run.get("resume", False), run.get("overwrite", False))
         return folder

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from ..core.cloud import KEPT_CLASSES, Whole
+from ..core.errors import ParameterError
 from ..core.filter import Filter
 from .collection import Collection
 from .folder import Folder, run_in
@@ -67,6 +68,8 @@ def ground(
     >>> len(report.files), report.set_aside, 0 < report.ground < report.candidates
     (2, [], True)
     """
+    if not isinstance(filter_, Filter | None):
+        raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
     collection = begun("ground", what, units, run)
     reading = {
         "returns": returns,
