@@ -177,11 +177,12 @@ def measured(
     known: list[clouds.Known], filters: dict[str, Callable[[jf.PointCloud], jf.Filter]], path: Path
 ) -> pd.DataFrame:
     """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
-    if path.exists():
-        return scored(pd.read_csv(path).to_dict("records"))
-    rows = []
+    rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    done = {(row["set"], row["cloud"]) for row in rows}
     for name, make in filters.items():
         for one in known:
+            if (name, one.name) in done:
+                continue
             truth = one.ground[one.scored]
             found = make(one.cloud)(one.cloud).ground[one.scored]
             rows.append({
@@ -189,6 +190,7 @@ def measured(
                 "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()),
             })  # fmt: skip
         print(name, file=sys.stderr, flush=True)
+    rows.sort(key=lambda row: list(filters).index(row["set"]))
     pd.DataFrame(rows).to_csv(path, index=False)
     return scored(rows)
 

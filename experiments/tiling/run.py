@@ -143,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--methods", nargs="+", default=list(jf.FILTERS), choices=list(jf.FILTERS), metavar="METHOD")
     parser.add_argument("--side", type=int, default=1000, help="of the generated survey, metres [%(default)s]")
     parser.add_argument(
-        "--files", type=int, nargs="+", default=[3, 6, 13, 25], help="of 4 million points each, for scale"
+        "--files", type=int, nargs="+", default=[3, 7, 14, 27], help="of 3.7 million points each, for scale"
     )
     parser.add_argument("--small", type=int, default=600, help="the same for halos, kills and cluster [%(default)s]")
     parser.add_argument("--halos", type=float, nargs="+", default=HALOS, help="metres, for halos [%(default)s]")

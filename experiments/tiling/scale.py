@@ -23,22 +23,22 @@ COMMAND = [sys.executable, "-c", "from jaxfilter.cli import main; main(prog_name
 
 
 def table(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    """SMRF over more and more files, and file by file."""
+    """SMRF over more and more files, and file by file; FPTD over all of them."""
     paths = files(options.work, max(options.files))
     rows = [measured("smrf", paths[:count], options.work) for count in options.files]
-    alone: Row = {"how": "file by file", "points": 0, "wall": 0.0, "cpu": 0.0, "peak": 0.0, "tiles": 0}
+    alone: Row = {"how": "SMRF, file by file", "points": 0, "wall": 0.0, "cpu": 0.0, "peak": 0.0, "tiles": 0}
     for path in paths[: options.files[0]]:
         one = _watched([*COMMAND, "smrf", str(path), str(options.work / "alone.laz"), "--overwrite", "--json"])
         alone |= {key: alone[key] + one[key] for key in ("points", "wall", "cpu")}
         alone["peak"] = max(alone["peak"], one["peak"])
-    rows.append(alone)
+    rows += [alone, measured("fptd", paths, options.work)]
     for row in rows:
         row["per_million"] = row["cpu"] / row["points"] * 1e6
     columns: list[Column] = [
         ("how", "how", ""), ("points", "points", ",d"), ("tiles", "tiles", "d"), ("wall", "seconds", ".0f"),
         ("cpu", "CPU seconds", ".0f"), ("per_million", "CPU seconds per million", ".2f"), ("peak", "peak memory, GB", ".2f"),
     ]  # fmt: skip
-    return rows, columns, "SMRF: time and memory by size"
+    return rows, columns, "Time and memory by size"
 
 
 def files(folder: Path, count: int) -> list[Path]:
@@ -64,7 +64,7 @@ def measured(method: str, paths: list[Path], work: Path, *more: str) -> Row:
     shutil.rmtree(out, ignore_errors=True)
     row = _watched([*COMMAND, method, *map(str, paths), str(out), "--json", *more])
     print(row, file=sys.stderr, flush=True)
-    return {"how": f"{len(paths)} files", **row}
+    return {"how": f"{method.upper()}, {len(paths)} files", **row}
 
 
 def _watched(command: list[str]) -> Row:
