@@ -58,6 +58,10 @@ COMMANDS_NOT_RUN = {
     ): "needs an object store; tests/test_remote.py writes into a simulated one",
     (
         "docs/from_one_tile_to_a_country.md",
+        "jaxfilter dtm classified/ s3://",
+    ): "needs an object store; tests/test_remote.py writes into a simulated one",
+    (
+        "docs/from_one_tile_to_a_country.md",
         "jaxfilter ground smrf survey/ classified/ --scheduler",
     ): "needs a cluster; tests/test_tiles_run.py starts one on this machine",
     ("docs/surveys.md", "jaxfilter info s3://"): "needs an object store; tests/test_remote.py has a simulated one",

@@ -249,9 +249,14 @@ def scenes(methods: list[str], out: Path) -> list[str]:
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)
     table.to_csv(path, index=False)
-    table = table[table["method"].isin(["ost", *methods])].sort_values("density", kind="stable")
-    total = table.pivot_table(index="layout", columns="method", values="total", sort=False)
-    rmse = table.pivot_table(index="density", columns="method", values="rmse", sort=False)
+    order = ["ost", *methods]
+    total, rmse = (
+        table.pivot_table(index=by, columns="method", values=value, sort=False)[order].sort_index(key=key)
+        for by, value, key in (
+            ("layout", "total", lambda names: names.map(list(jf.scenes.LAYOUTS).index)),
+            ("density", "rmse", None),
+        )
+    )
     total.loc["mean"], rmse.loc["mean"] = total.mean(), rmse.mean()
     return [
         "## Scenes", "", "Total error in percent, mean of 0.3, 1, 4 and 15 pulses per m2; every method by `for_cloud`.", "",

@@ -12,7 +12,7 @@ import laspy
 import numpy as np
 
 import jaxfilter as jf
-from jaxfilter.core.cloud import LARGEST_SPAN, QUANTUM
+from jaxfilter.core.frame import LARGEST_SPAN, QUANTUM
 
 REFUSED, EQUAL = "refused", "equal"
 CLASS_BYTE = (15, 16)  # in a point record, of formats 0 to 5 and 6 to 10
