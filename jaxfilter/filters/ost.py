@@ -139,8 +139,9 @@ class OST(Filter):
         return own | {"spacing": spacing, "cell": cell_for(spacing, 1 / 4)}
 
     def halo(self) -> float:
-        """The largest disk, there and back, or three sigmas of the landscape, whichever is more; and a facet over a roof."""
-        return max(2 * self.window, 3 * self.landscape) + 2 * self.window
+        """The largest disk, there and back, or three sigmas of the landscape, whichever is more; a segment as wide as the largest
+        building, which is judged as a whole; and a facet over a roof."""
+        return max(2 * self.window, 3 * self.landscape) + 4 * self.window
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
