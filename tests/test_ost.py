@@ -10,7 +10,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 import jaxfilter as jf
-from jaxfilter.core.points import canonical_points
+from jaxfilter.core.points import Points, canonical_points
 from jaxfilter.host import rings, shapes
 from jaxfilter.host.tin import Tin
 from jaxfilter.ops.morphology import ring_minimum
@@ -30,7 +30,9 @@ def points_of(xyz):
 
 
 def cells_of(xyz, cell=1.0):
-    return lowest_cells(xyz, cell, (0.0, 0.0), name="cell")
+    every = np.arange(len(xyz))
+    points = Points(jf.PointCloud.from_arrays(xyz), xyz, every, every, np.ones(len(xyz), np.int32))
+    return lowest_cells(points, cell, "cell", corner=(0.0, 0.0))
 
 
 def nodes(side, z):

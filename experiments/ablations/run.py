@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
-import functools
 import shlex
 import statistics
 import sys
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
@@ -28,12 +26,11 @@ from experiments.report import Column, Row, machine, markdown, read_csv, save_pn
 from jaxfilter.core.points import Points
 from jaxfilter.filters import smrf
 from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
-from jaxfilter.ops.morphology import progressive_opening
 from jaxfilter.stages import outliers
 from jaxfilter.stages.grid_filter import Surface
 from jaxfilter.stages.growth import Border
 from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
-from jaxfilter.stages.surfaces import Cells, steepness
+from jaxfilter.stages.surfaces import Cells, steepest_drops
 from jaxfilter.stages.tin_filter import TinFilter
 
 HERE = Path(__file__).parent
@@ -488,15 +485,12 @@ def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
 
     def prepare(self: Any, cells: Cells) -> smrf.Opened:
         filled = fill(cells.lowest, cells.seen, cells.valid)
-        _, bare, counts = smrf._open(filled, cells.seen, cells.valid, cells.frame[2], 0, 0)
-        radii, nothing = np.arange(1, self.reach + 1), jnp.zeros_like(filled)
-        open_all = functools.partial(progressive_opening, reach=self.reach, element=element)
-        return smrf.Opened(cells, filled, open_all(filled, cells.valid, radii, smrf.steeper, nothing)[1], bare, counts)
+        return self._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
 
     def surface(self: Any, prepared: smrf.Opened) -> Surface:
         cells, filled, steepest, bare, _ = prepared
         terrain = fill(filled, bare & (steepest <= self.slope * self.cell), cells.valid)
-        return Surface(terrain, steepness(terrain, cells.extent, cells.frame[2]), cells.extent, cells.frame)
+        return Surface.over(cells, terrain)
 
     return {"prepare": prepare, "surface": surface}
 

@@ -235,11 +235,7 @@ class Filter:
         >>> bool((found[0] <= found[1]).all())
         True
         """
-        names = [field.name for field in declared(self) if field.name not in self.LAST]
-        alike: dict[tuple[Any, ...], list[int]] = {}
-        for number, one in enumerate(sets):
-            alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
-        jobs = list(alike.values())
+        jobs = alike_but(sets, self.LAST)
         threads = workers or os.cpu_count() or 1
         at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
 
@@ -300,6 +296,15 @@ class Filter:
             )
         heading = ("parameter", "value", "symbol", "unit", "meaning")
         return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
+
+
+def alike_but(sets: Sequence[Filter], names: Sequence[str]) -> list[list[int]]:
+    """Numbers of the sets, those together that differ in no field but these; in the order of their other values."""
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for number, one in enumerate(sets):
+        others = tuple(getattr(one, field.name) for field in declared(one) if field.name not in names)
+        alike.setdefault(others, []).append(number)
+    return [numbers for _, numbers in sorted(alike.items())]
 
 
 def check_resources(workers: int | None, memory: float = 1.0) -> None:

@@ -58,16 +58,19 @@ def static(
     ge: float | None = None,
     lt: float | None = None,
     le: float | None = None,
+    cells: int | None = None,
     choices: tuple[Any, ...] | None = None,
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
     """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off"), ``endless`` ones
-    infinite.
+    infinite, those with ``cells`` so many times as long as ``cell`` at most; a switch, whose default is True or False, may be
+    either.
 
     ``default`` is a keyword, as in :func:`param`.
     """
-    meta = {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le}
+    choices = (True, False) if isinstance(default, bool) else choices
+    meta = {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le, "cells": cells}
     return _field(default, True, {**meta, "choices": choices, "optional": optional, "endless": endless})
 
 
@@ -80,6 +83,20 @@ class Preset(dict[str, Any]):
     def __init__(self, note: str, /, **fields: Any) -> None:
         super().__init__(fields)
         self.note = note
+
+
+def sample_presets(note: str, names: str, rows: Mapping[int, tuple[float, ...]], /, **fields: Any) -> dict[str, Preset]:
+    """The presets "samp11", ... of a table with a row of values for each ISPRS sample.
+
+    ``names``: the fields that the columns are, separated by spaces; ``fields``: values of others, which all samples share;
+    ``note``: follows the number of the sample and its values.
+    """
+    out = {}
+    for number, row in rows.items():
+        values = dict(zip(names.split(), row, strict=True))
+        listed = ", ".join(f"{name} {value:g}" for name, value in values.items())
+        out[f"samp{number}"] = Preset(f"ISPRS sample {number}: {listed}{note}", **values, **fields)
+    return out
 
 
 class _Registry(Mapping[str, type[Any]]):
@@ -213,6 +230,11 @@ def check_fields(params: Any) -> None:
             wanted = "finite and " * bool(beyond) + wanted
             unit = f" {meta['unit']}" if meta.get("unit") else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
+        most = meta.get("cells")
+        if most is not None and value > most * params.cell:
+            raise ParameterError(
+                f"{name}({f.name}={value!r}): more than {most} cells of {params.cell:g} m; use a larger cell"
+            )
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=False, field_specifiers=(param, static))

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
@@ -16,9 +16,6 @@ from ..stages.tin_filter import Mirroring
 from . import papers
 
 _PAPER = {
-    "max_angle": 34.0,
-    "max_distance": 0.8,
-    "seed_cell": 6.0,
     "remainder": "own_cells",
     "terrain_angle": "steepest_cell",
     "neighbours": 4,
@@ -26,22 +23,12 @@ _PAPER = {
     "refresh_border": False,
 }
 _TABLE1 = {
-    11: (39.0, 0.8), 12: (34.0, 0.6), 21: (45.0, 0.4), 22: (35.0, 1.0), 23: (34.0, 1.2),
-    24: (39.0, 0.7), 31: (34.0, 0.5), 41: (45.0, 1.4), 42: (37.0, 0.5), 51: (26.0, 0.5),
-    52: (28.0, 1.2), 53: (29.0, 1.4), 54: (15.0, 0.6), 61: (28.0, 1.0), 71: (35.0, 0.9),
+    11: (39.0, 0.8, 6.0, 6.0), 12: (34.0, 0.6, 6.0, 6.0), 21: (45.0, 0.4, 6.0, 6.0), 22: (35.0, 1.0, 6.0, 6.0),
+    23: (34.0, 1.2, 6.0, 6.0), 24: (39.0, 0.7, 6.0, 6.0), 31: (34.0, 0.5, 6.0, 6.0), 41: (45.0, 1.4, 4.0, 6.0),
+    42: (37.0, 0.5, 6.0, 6.0), 51: (26.0, 0.5, 8.0, 14.0), 52: (28.0, 1.2, 8.0, 14.0), 53: (29.0, 1.4, 8.0, 14.0),
+    54: (15.0, 0.6, 8.0, 14.0), 61: (28.0, 1.0, 8.0, 14.0), 71: (35.0, 0.9, 8.0, 14.0),
 }  # fmt: skip
-"""max_angle and max_distance that the paper's Table 1 gives each ISPRS sample."""
-
-
-def _sample(number: int) -> Preset:
-    """The settings of an ISPRS sample: radius by Sec. 3.1.1, seed cell by the number of seeds in Table 4."""
-    angle, distance = _TABLE1[number]
-    rural = number > 50
-    cell = 8.0 if rural else 4.0 if number == 41 else 6.0
-    radius = 14.0 if rural else 6.0
-    own = {"max_angle": angle, "max_distance": distance, "seed_cell": cell, "radius": radius}
-    text = f"ISPRS sample {number}: theta = {angle:g}, d = {distance:g}, s_pri = {cell:g}, r = {radius:g}"
-    return Preset(text, **_PAPER | own)
+"""Of each ISPRS sample max_angle and max_distance by Table 1, seed_cell by the number of seeds in Table 4, radius by 3.1.1."""
 
 
 @filter_params
@@ -84,30 +71,19 @@ class AGPTD(Mirroring):
     levels: int = static(default=2, ge=1, le=8, doc="grid levels; each halves the cells that it divides")
     least_points: int = static(default=5, symbol="n_pp", ge=2, doc="a cell with fewer points is not divided")
     relative_slope: float = param(
-        default=0.06,
-        symbol="s_r",
-        unit="rise/run",
-        ge=0,
-        doc="divide cells whose mean slope less the least exceeds this",
+        default=0.06, symbol="s_r", unit="rise/run", ge=0, doc="divide cells with a mean slope this above the least"
     )
     remainder: str = static(
-        default="absorbed",
-        choices=REMAINDERS,
-        doc="what lies beyond the last whole cell joins it, or makes smaller cells",
+        default="absorbed", choices=REMAINDERS, doc="what is beyond the last whole cell joins it, or makes smaller ones"
     )
     terrain_angle: str = static(
         default="constant",
         choices=("constant", "steepest_cell"),
         doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell if that is less",
     )
-    refresh_border: bool = static(
-        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
-    )
+    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
     neighbours: int = static(
-        default=0,
-        symbol="k",
-        ge=0,
-        doc="neighbours of the test that bars points of odd elevation from the seeds; 0 = off",
+        default=0, symbol="k", ge=0, doc="neighbours in the test that bars points of odd elevation; 0 = off"
     )
     deviations: float = param(
         default=3.0, unit="sigma", gt=0, doc="standard deviations at which the elevation of a point is odd"
@@ -127,9 +103,12 @@ class AGPTD(Mirroring):
             "as printed for urban points with the medians of Table 1, except that the test of elevations is replaced, whose "
             "formula has no unit, and that num = 4 and a relative slope of 0.06 are not printed",
             **_PAPER,
+            max_angle=34.0,
+            max_distance=0.8,
+            seed_cell=6.0,
             outlier_fate="removed",
         ),
-        **{f"samp{number}": _sample(number) for number in _TABLE1},
+        **sample_presets("", "max_angle max_distance seed_cell radius", _TABLE1, **_PAPER),
     }
 
     @classmethod

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.facets import Rule
@@ -21,19 +21,18 @@ _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 
-def _table_2(note: str, seed_cell: float, max_terrain_slope: float, max_distance: float, max_angle: float) -> Preset:
-    return Preset(
-        note,
-        seed_cell=seed_cell,
-        max_terrain_slope=max_terrain_slope,
-        max_distance=max_distance,
-        max_angle=max_angle,
-        thresholds="adaptive",
-        border="corners",
-        refresh_border=False,
-        low_clusters=False,
-        mirror="nearest",
-    )
+_PAPER = {
+    "thresholds": "adaptive",
+    "border": "corners",
+    "refresh_border": False,
+    "low_clusters": False,
+    "mirror": "nearest",
+}
+_TABLE2 = {
+    11: (30.0, 17.0, 2.0, 30.0), 12: (30.0, 3.0, 2.0, 45.0), 23: (40.0, 15.0, 4.0, 45.0), 52: (35.0, 10.0, 2.4, 25.0),
+    71: (25.0, 5.0, 4.0, 20.0),
+}  # fmt: skip
+"""seed_cell, max_terrain_slope, max_distance and max_angle of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 @filter_params
@@ -83,9 +82,7 @@ class ATIN(SlopeMirroring):
         choices=("perimeter", "corners"),
         doc="simulated points at the nodes of the cells all round, or four",
     )
-    refresh_border: bool = static(
-        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
-    )
+    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.URAY_2024
     LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "deviations")
@@ -94,16 +91,12 @@ class ATIN(SlopeMirroring):
             "the default: border points all round follow the ground, clusters of low points are no seeds, no mirroring, "
             "constant limits"
         ),
-        "paper": _table_2(
+        "paper": Preset(
             "as reported by Uray and Varlik (2024) with the medians of their Table 2, except that how limits follow from "
             "histograms is not reported: median plus 15 robust standard deviations, at most these medians",
-            30.0, 10.0, 2.4, 30.0,
+            **_PAPER, seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0,
         ),
-        "samp11": _table_2("as paper, for ISPRS sample 11: 30 m, 17 %, 2 m, 30 degrees", 30.0, 17.0, 2.0, 30.0),
-        "samp12": _table_2("as paper, for ISPRS sample 12: 30 m, 3 %, 2 m, 45 degrees", 30.0, 3.0, 2.0, 45.0),
-        "samp23": _table_2("as paper, for ISPRS sample 23: 40 m, 15 %, 4 m, 45 degrees", 40.0, 15.0, 4.0, 45.0),
-        "samp52": _table_2("as paper, for ISPRS sample 52: 35 m, 10 %, 2.4 m, 25 degrees", 35.0, 10.0, 2.4, 25.0),
-        "samp71": _table_2("as paper, for ISPRS sample 71: 25 m, 5 %, 4 m, 20 degrees", 25.0, 5.0, 4.0, 20.0),
+        **sample_presets("; else as paper", "seed_cell max_terrain_slope max_distance max_angle", _TABLE2, **_PAPER),
     }  # fmt: skip
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:

@@ -19,10 +19,10 @@ from ..core.result import Decision, FilterResult, Progress
 from ..host.cloth import drape, join_slopes
 from ..ops.cloth import fill_along_lines, lowest_below, settle
 from ..ops.grid import inside, padded_shape
-from ..ops.sampling import bilinear, corners
+from ..ops.sampling import corners
 from ..stages.grid_filter import Heights, Surface
 from ..stages.outliers import bar_outliers
-from ..stages.surfaces import Cells, steepness
+from ..stages.surfaces import Cells
 from . import papers
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
@@ -31,6 +31,7 @@ REST = 0.005  # metres per step; at rest when no particle moves as far
 MARGIN = 2  # nodes beyond the points on every side
 MAX_NODES = 100_000_000  # about 6 GB
 _HOLE = 60  # nodes across a hole that a cloth of rigidness 2 or 3 bridges with a sag of less than 2 m
+_HARD = {"rigidness": 3, "surface": "nearest", "low_clusters": False}
 
 
 @filter_params
@@ -68,21 +69,16 @@ class CSF(Filter):
     threshold: float = param(default=0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
     iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1)
     time_step: float = param(
-        default=0.65,
-        doc="time between steps of the simulation; it has no unit, since gravity is 0.2 m per its square",
-        symbol="dT",
-        gt=0,
+        default=0.65, doc="time between steps; it has no unit, since gravity is 0.2 m per its square", symbol="dT", gt=0
     )
     gravity: str = static(
         default="equation",
         doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)",
         choices=("equation", "program"),
     )
-    smooth: bool = static(
-        default=True, doc="put free particles on ground that adjoins without a step", symbol="ST", choices=(True, False)
-    )
+    smooth: bool = static(default=True, doc="put free particles on ground that adjoins without a step", symbol="ST")
     max_step: float = param(
-        default=0.3, doc="smallest difference in elevation that is a step", symbol="hcp", unit="m", gt=0
+        default=0.3, doc="smallest elevation difference that is a step", symbol="hcp", unit="m", gt=0
     )
     surface: str = static(
         default="lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
@@ -91,7 +87,7 @@ class CSF(Filter):
     min_neighbours: int = static(
         default=1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1
     )
-    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth", choices=(True, False))
+    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2016
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)
@@ -100,27 +96,17 @@ class CSF(Filter):
         "paper": Preset(
             "as printed for flat terrain (0.5 m, hard cloth, gravity as in the equation), except that the shares of the "
             "springs and their order are those of the authors' program",
-            resolution=0.5,
-            rigidness=3,
-            surface="nearest",
-            low_clusters=False,
+            **_HARD, resolution=0.5,
         ),
         "wheel": Preset(
             "the defaults of cloth-simulation-filter 1.1.7 (resolution 1 m, hard cloth), in all details",
-            rigidness=3,
-            gravity="program",
-            surface="nearest",
-            low_clusters=False,
+            **_HARD, gravity="program",
         ),
         "cai2023": Preset(
             "resolution 0.3 m, hard cloth: the CSF that Cai et al. (2023) compare with",
-            resolution=0.3,
-            rigidness=3,
-            gravity="program",
-            surface="nearest",
-            low_clusters=False,
+            **_HARD, gravity="program", resolution=0.3,
         ),
-    }
+    }  # fmt: skip
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -154,14 +140,8 @@ class CSF(Filter):
 
     def _barred(self, points: Points, workers: int | None) -> np.ndarray:
         """bool[m]: points that carry no cloth, but for a cloud in which none would."""
-        barred, _ = bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            workers=workers,
-        )
-        return np.zeros_like(barred) if barred.all() else barred
+        radius, least, clusters = self.radius, self.min_neighbours, self.low_clusters
+        return bar_outliers(points, radius=radius, min_neighbours=least, clusters=clusters, workers=workers)[0]
 
     def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the threshold share the cloth."""
@@ -188,19 +168,16 @@ class CSF(Filter):
         top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
         limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
         cloth = settle(limit, cells.valid, *self._motion(), REST, self.iterations)
-        z, extent, frame = top - cloth.height, jnp.asarray(cells.extent), jnp.asarray(cells.frame)
         counts = {"on_ground": cloth.pinned.sum(dtype=jnp.int32), "steps": cloth.steps}
-        return Surface(z, steepness(z, extent, frame[2]), extent, frame, counts=counts)
+        return Surface.over(cells, top - cloth.height, counts=counts)
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points f32[n, 3] held against the cloth of ``model``: ground are those with a margin below zero.
 
         Pure, and differentiable in the threshold and the elevations.
         """
-        (z, slope, extent, frame, *_), xyz = surface, jnp.asarray(xyz)
-        sample = bilinear((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, extent, z.shape[1])
-        height = xyz[:, 2] - sample(z)
-        return Heights(height, sample(slope), height - self.threshold, -height - self.threshold)
+        height, slope = surface.at(xyz)
+        return Heights(height, slope, height - self.threshold, -height - self.threshold)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""

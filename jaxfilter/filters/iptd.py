@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..ops.morphology import opening
@@ -18,23 +18,15 @@ from ..stages.growth import Network
 from ..stages.local_planes import TRANSLATIONS, over_local_planes
 from ..stages.network import labels_of
 from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import cell_for, check_width, lowest_cells
+from ..stages.surfaces import cell_for, lowest_cells
 from ..stages.tin_filter import Mirroring, facet_reach
 from . import papers
 
-
-def _table(number: int, window: float, k: int, plane_error: float, max_angle: float, max_distance: float) -> Preset:
-    return Preset(
-        f"ISPRS sample {number}: w = {window:g}, k = {k}, r = {plane_error:g}, theta = {max_angle:g}, d = {max_distance:g}",
-        window=window,
-        k=k,
-        plane_error=plane_error,
-        max_angle=max_angle,
-        max_distance=max_distance,
-        cell=1.0,
-        tolerance=0.3,
-        vertex_spacing=2.0,
-    )
+_TABLE2 = {
+    11: (30.0, 300, 0.5, 30.0, 2.0), 12: (30.0, 300, 0.5, 45.0, 2.0), 23: (40.0, 600, 0.8, 45.0, 1.5),
+    52: (35.0, 200, 0.8, 25.0, 2.4), 71: (25.0, 300, 0.8, 20.0, 3.0),
+}  # fmt: skip
+"""window, k, plane_error, max_angle and max_distance of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 @filter_params
@@ -67,7 +59,7 @@ class IPTD(Mirroring):
     """
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    window: float = static(default=60.0, symbol="w", unit="m", gt=0, doc="size of the largest object")
+    window: float = static(default=60.0, symbol="w", unit="m", gt=0, cells=1000, doc="size of the largest object")
     tolerance: float = param(
         default=1.0, unit="m", ge=0, doc="potential seeds: largest drop of their cell in the opening"
     )
@@ -100,16 +92,10 @@ class IPTD(Mirroring):
             translation="lowest",
             low_clusters=False,
         ),
-        "samp11": _table(11, 30.0, 300, 0.5, 30.0, 2.0),
-        "samp12": _table(12, 30.0, 300, 0.5, 45.0, 2.0),
-        "samp23": _table(23, 40.0, 600, 0.8, 45.0, 1.5),
-        "samp52": _table(52, 35.0, 200, 0.8, 25.0, 2.4),
-        "samp71": _table(71, 25.0, 300, 0.8, 20.0, 3.0),
+        **sample_presets(
+            "", "window k plane_error max_angle max_distance", _TABLE2, cell=1.0, tolerance=0.3, vertex_spacing=2.0
+        ),
     }
-
-    def check(self) -> None:
-        super().check()
-        check_width(self, "window", 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -136,14 +122,7 @@ class IPTD(Mirroring):
 
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that the opening keeps. ``barred``: bool[m]."""
-        cells = lowest_cells(
-            points.xyz,
-            self.cell,
-            points.offset(self.cell),
-            name="IPTD(cell)",
-            barred=barred,
-            least=points.least_shape(self.cell),
-        )
+        cells = lowest_cells(points, self.cell, "IPTD(cell)", barred=barred)
         everywhere = np.int32(sum(cells.lowest.shape))
         surface, _ = fill_from_neighbours(cells.lowest, cells.seen, cells.valid, everywhere)
         opened = opening(surface, self.reach, self.reach, "square", cells.valid)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from typing import Any, ClassVar
 
@@ -15,8 +14,8 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..ops.cones import cone_erosion, cone_limits
 from ..ops.morphology import erosion
-from ..stages.grid_filter import GridFilter, Heights, Surface, between
-from ..stages.surfaces import Cells, cell_for, check_width, lowest_places, steepness
+from ..stages.grid_filter import GridFilter, Heights, Surface
+from ..stages.surfaces import Cells, cell_for, lowest_places
 from . import papers
 
 MAX_REACH = 100  # cells; the time grows with the square
@@ -50,9 +49,8 @@ class MSF(GridFilter):
     True
     """
 
-    cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")
     window: float = static(
-        default=10.0, symbol="d_max", unit="m", gt=0, doc="radius in which lower points are looked for"
+        default=10.0, symbol="d_max", unit="m", gt=0, cells=MAX_REACH, doc="radius in which lower points are looked for"
     )
     slope: float = param(default=0.577, unit="rise/run", gt=0, doc="largest slope of terrain; 0.577 is 30 degrees")
     max_height: float = param(default=6.0, unit="m", gt=0, doc="largest rise of terrain within the window")
@@ -62,7 +60,7 @@ class MSF(GridFilter):
         choices=("cells", "points"),
         doc="from cell to cell, or from the point to the lowest point of the cell",
     )
-    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the minima")
+    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the minima")
 
     BIBTEX: ClassVar[str] = papers.VOSSELMAN_2000
     ORDER_FREE: ClassVar[bool] = True
@@ -76,11 +74,6 @@ class MSF(GridFilter):
             low_clusters=False,
         ),
     }
-
-    def check(self) -> None:
-        """Validate the fields. Raises ParameterError."""
-        super().check()
-        check_width(self, "window", MAX_REACH)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -106,38 +99,34 @@ class MSF(GridFilter):
         cells = super().cells(points, barred)
         if self.distance == "cells":
             return cells
-        barred = np.zeros(len(points), bool) if barred is None else barred
         return dataclasses.replace(cells, place=lowest_places(points.xyz, cells, barred))
 
+    @jax.jit
     def surface(self, prepared: Cells) -> Surface:
-        """The surface eroded with the slope alone, and the limits for points. Pure."""
-        cells = prepared
-        fields = (self.slope, self.max_height, self.initial_distance)
-        return _erode(cells, *map(jnp.float32, fields), reach=math.floor(self.window / self.cell + 1e-6))
+        """The surface eroded with the slope alone, and the limits for points. Pure.
+
+        Where the allowance has reached its largest value the structuring element is flat: an erosion with a disk.
+        """
+        cells, reach = prepared, math.floor(self.window / self.cell + 1e-6)
+        slope, highest, tolerance = (jnp.float32(v) for v in (self.slope, self.max_height, self.initial_distance))
+        rise = slope * cells.frame[2]
+        lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
+        steep = jnp.minimum(jnp.float32(reach), (highest - tolerance) / rise)
+        cone = cone_erosion(lowest, rise, steep, reach)
+        flat = erosion(lowest, reach, reach) + highest
+        limits: tuple[Any, ...] = jnp.minimum(cone + tolerance, flat), cone - tolerance
+        if cells.place is not None:
+            limits += (lowest, cells.place)
+        known = jnp.where(cells.valid & jnp.isfinite(cone), cone, 0)
+        return Surface.over(cells, known, limits)._replace(z=cone)
 
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points held against the limits of their cell, or by their distances to lowest points. Pure."""
         if self.distance == "cells":
-            return between(surface, xyz)
+            return super().test(surface, xyz)
         *cells, lowest, place = surface.limits
-        held = between(surface._replace(limits=cells), xyz)
+        held = super().test(surface._replace(limits=cells), xyz)
         limits = jnp.stack([*map(jnp.float32, (self.initial_distance, self.slope, self.max_height, self.window))])
         reach = math.ceil(self.window / self.cell + math.sqrt(2))
         top = cone_limits(xyz, lowest, place, surface.frame, surface.extent, limits, reach)
         return held._replace(above=xyz[:, 2] - top)
-
-
-@functools.partial(jax.jit, static_argnames="reach")
-def _erode(cells: Cells, slope: jax.Array, max_height: jax.Array, initial_distance: jax.Array, reach: int) -> Surface:
-    """Where the allowance has reached its largest value the structuring element is flat: an erosion with a disk."""
-    rise = slope * cells.frame[2]
-    lowest = jnp.where(cells.seen, cells.lowest, jnp.inf)
-    steep = jnp.minimum(jnp.float32(reach), (max_height - initial_distance) / rise)
-    cone = cone_erosion(lowest, rise, steep, reach)
-    flat = erosion(lowest, reach, reach) + max_height
-    ceiling = jnp.minimum(cone + initial_distance, flat)
-    slopes = steepness(jnp.where(cells.valid & jnp.isfinite(cone), cone, 0), cells.extent, cells.frame[2])
-    limits: tuple[Any, ...] = (ceiling, cone - initial_distance)
-    if cells.place is not None:
-        limits += (lowest, cells.place)
-    return Surface(cone, slopes, cells.extent, cells.frame, limits)

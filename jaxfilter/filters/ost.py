@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, ClassVar
 
@@ -14,13 +13,12 @@ from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
-from ..ops.morphology import progressive_opening
 from ..stages.doubt import evidence, probability
 from ..stages.ground_tin import GroundTin, lowest_of_each
 from ..stages.landscape import Landscape
 from ..stages.objects import Roofs, Segments
 from ..stages.outliers import low_clusters, ring_low
-from ..stages.surfaces import Cells, cell_for, check_width, look_up, lowest_cells
+from ..stages.surfaces import Cells, cell_for, look_up, lowest_cells, steepest_drops
 from ..stages.voids import filled_by
 from . import papers
 
@@ -69,7 +67,11 @@ class OST(Filter):
 
     cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")
     window: float = static(
-        default=25.0, unit="m", gt=0, doc="radius of the largest disk: half the width of the largest building"
+        default=25.0,
+        unit="m",
+        gt=0,
+        cells=1000,
+        doc="radius of the largest disk: half the width of the largest building",
     )
     spacing: float | None = static(
         default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
@@ -95,7 +97,7 @@ class OST(Filter):
     roof_drop_share: float = param(default=0.53, gt=0, le=1, doc="share of such border that makes a segment an object")
     void: float = param(default=8.0, unit="m", gt=0, doc="triangles with longer edges, and 4 spacings, span a void")
     rim: float = static(
-        default=4.0, unit="m", gt=0, doc="around the corners of such a triangle the lowest point counts"
+        default=4.0, unit="m", gt=0, cells=1000, doc="around the corners of such a triangle the lowest point counts"
     )
     tolerance: float = param(default=0.09, unit="m", ge=0, doc="height of ground over the facets of the seeds")
     tolerance_spacing: float = param(
@@ -126,11 +128,6 @@ class OST(Filter):
         "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
         "recommended": Preset("the default: found by hand, see experiments/default"),
     }
-
-    def check(self) -> None:
-        super().check()
-        for name in ("window", "rim"):
-            check_width(self, name, 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -202,7 +199,7 @@ class OST(Filter):
         """The lowest elevation per cell, without the points ``low``, bool[m]. Cells are centred on the lattice's nodes."""
         x, y = points.offset(self.cell)
         corner = x - self.cell / 2, y - self.cell / 2
-        return lowest_cells(points.xyz, self.cell, corner, name="OST(cell)", barred=low)
+        return lowest_cells(points, self.cell, "OST(cell)", corner=corner, barred=low, least=(1, 1))
 
     def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, jax.Array, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
@@ -212,7 +209,7 @@ class OST(Filter):
         """
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
-        steepest = _steepest(jnp.asarray(z), cells.valid, math.ceil(self.window / self.cell - 1e-6))
+        steepest = steepest_drops(jnp.asarray(z), cells.valid, math.ceil(self.window / self.cell - 1e-6))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
         segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
         objects = np.asarray(steepest > self.first_slope * self.cell)
@@ -225,13 +222,3 @@ class OST(Filter):
             objects[inner] = marked[inner]
             objects[inner] |= segments.objects(marked[inner], np.asarray(around)[inner])
         return objects, steepest / jnp.maximum(limit, 1e-6), landscape
-
-
-@functools.partial(jax.jit, static_argnames="reach")
-def _steepest(z: jax.Array, valid: jax.Array, reach: int) -> jax.Array:
-    """f32[rows, columns]: metres that the opening with the k-th disk lowers each cell by, over k, at most."""
-
-    def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
-        return jnp.maximum(steepest, (before - opened) / (k + 1))
-
-    return progressive_opening(z, valid, jnp.arange(1, reach + 1), steeper, jnp.zeros_like(z), reach=reach)[1]

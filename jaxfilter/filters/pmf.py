@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import functools
+import dataclasses
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, Self
@@ -19,11 +20,13 @@ from ..core.result import Progress
 from ..ops.inpaint import fill_nearest
 from ..ops.morphology import progressive_opening
 from ..stages.boxes import PointBoxes
-from ..stages.grid_filter import GridFilter, Heights, Surface, between, labels_of
-from ..stages.surfaces import Cells, cell_for, check_width, look_up, lowest_cells, steepness
+from ..stages.grid_filter import GridFilter, Surface, labels_of
+from ..stages.surfaces import Cells, cell_for, look_up, lowest_cells
 from . import papers
 
-MAX_REACH = 1000  # cells
+Limits = tuple[jax.Array, jax.Array]
+"""The highest and the lowest elevation of ground in every cell."""
+_PROGRAM = {"last_window": "beyond", "compare": "points", "cell_twice": True, "low_clusters": False}
 
 
 @filter_params
@@ -49,39 +52,26 @@ class PMF(GridFilter):
     The result's ``height`` is metres above the last opening, ``slope`` that surface's in degrees, ``margin`` metres above the
     limit.
 
-    Presets: "paper" is the plain method, square windows up to 33 m, without a defence against low outliers, each of which
-    lowers the surface around it by a window. "recommended", the default, bars clusters of low points and opens with disks up
-    to 60 m. "pdal" and "pcl" are the programs with their default parameters: diamonds on a grid, and squares around points.
-    "cai2023" is PCL as S. Cai et al. (2023, Forests 14, 498, Table 2) ran it: window 10 m, slope 15 degrees, 0.5 and 3 m.
-    "paper" and "recommended" take these three thresholds, since the originals are set site by site.
+    "paper" is the plain method, square windows up to 33 m, without a defence against low outliers, each of which lowers the
+    surface around it by a window. "recommended", the default, bars clusters of low points and opens with disks up to 60 m.
+    Both take the thresholds of "cai2023" (S. Cai et al. 2023, Forests 14, 498), since the originals are set site by site.
 
     Departures: docs/fidelity.md.
 
-    >>> jf.PMF(max_window=33.0).radii()
-    [1, 2, 4, 8, 16]
     >>> result = jf.PMF(max_window=33.0)(cloud)
     >>> bool((result.ground == (result.margin <= 0)).all())
     True
     """
 
-    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
     max_window: float = static(
-        default=60.0, symbol="w", unit="m", gt=0, doc="side of the largest window: the largest building"
+        default=60.0, symbol="w", unit="m", gt=0, cells=2000, doc="side of the largest window: the largest building"
     )
-    slope: float = param(
-        default=0.268, symbol="s", unit="rise/run", gt=0, doc="largest slope of terrain; 0.268 is 15 degrees"
-    )
+    slope: float = param(default=0.268, symbol="s", unit="rise/run", gt=0, doc="largest slope of terrain (15 degrees)")
     initial_distance: float = param(default=0.5, symbol="dh0", unit="m", ge=0, doc="threshold of the first window")
-    max_distance: float = param(
-        default=3.0, symbol="dhmax", unit="m", gt=0, doc="largest threshold: the lowest building"
-    )
-    exponential: bool = static(
-        default=True, choices=(True, False), doc="windows double, instead of growing by four cells"
-    )
+    max_distance: float = param(default=3.0, symbol="dhmax", unit="m", gt=0, doc="largest threshold: lowest building")
+    exponential: bool = static(default=True, doc="windows double, instead of growing by four cells")
     last_window: str = static(
-        default="exact",
-        choices=("exact", "within", "beyond"),
-        doc="whether the last window meets, keeps to or passes max_window",
+        default="exact", choices=("exact", "within", "beyond"), doc="last window meets, keeps to or passes max_window"
     )
     reading: str = static(
         default="grid", choices=("grid", "points"), doc="windows on a grid of minima, or around every point"
@@ -89,15 +79,11 @@ class PMF(GridFilter):
     compare: str = static(
         default="surfaces",
         choices=("surfaces", "points"),
-        doc="what is held against an opening: the surface before, or points",
+        doc="an opening is held against the surface before, or points",
     )
     element: str = static(default="disk", choices=("disk", "square", "diamond"), doc="shape of a window on the grid")
-    cell_twice: bool = static(
-        default=False, choices=(True, False), doc="multiply the rise by the cell twice, as programs do"
-    )
-    low_clusters: bool = static(
-        default=True, choices=(True, False), doc="bar clusters of low outliers from the surface"
-    )
+    cell_twice: bool = static(default=False, doc="multiply the rise by the cell twice, as programs do")
+    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the surface")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2003
     ORDER_FREE: ClassVar[bool] = True
@@ -108,54 +94,27 @@ class PMF(GridFilter):
         "paper": Preset(
             "as printed, except that values are set site by site there and those of Cai et al. (2023) here, and that points "
             "that are no minima are held against the first opening",
-            max_window=33.0,
-            last_window="within",
-            element="square",
-            low_clusters=False,
+            max_window=33.0, last_window="within", element="square", low_clusters=False,
         ),
         "pdal": Preset(
             "`filters.pmf` of PDAL with its defaults: diamonds on a grid, every point against every opening",
-            max_window=33.0,
-            slope=1.0,
-            initial_distance=0.15,
-            max_distance=2.5,
-            last_window="beyond",
-            compare="points",
-            element="diamond",
-            cell_twice=True,
-            low_clusters=False,
+            **_PROGRAM, element="diamond", max_window=33.0, slope=1.0, initial_distance=0.15, max_distance=2.5,
         ),
         "pcl": Preset(
             "`ProgressiveMorphologicalFilter` of PCL with its defaults: squares around every point",
-            max_window=33.0,
-            slope=0.7,
-            initial_distance=0.15,
-            max_distance=10.0,
-            last_window="beyond",
-            reading="points",
-            compare="points",
-            cell_twice=True,
-            low_clusters=False,
+            **_PROGRAM, reading="points", max_window=33.0, slope=0.7, initial_distance=0.15, max_distance=10.0,
         ),
         "cai2023": Preset(
             "PCL as Cai et al. (2023), Table 2, ran it: window 10 m, 15 degrees, 0.5 and 3 m",
-            max_window=10.0,
-            last_window="beyond",
-            reading="points",
-            compare="points",
-            cell_twice=True,
-            low_clusters=False,
+            **_PROGRAM, reading="points", max_window=10.0,
         ),
-    }
+    }  # fmt: skip
 
     def check(self) -> None:
         """Validate the fields and their combination. Raises ParameterError."""
         super().check()
-        check_width(self, "max_window", 2 * MAX_REACH)
         if self.reading == "points" and self.compare == "surfaces":
-            raise ParameterError(
-                "PMF(reading='points', compare='surfaces'): without a grid only points can be compared; set compare='points'"
-            )
+            raise ParameterError("PMF(reading='points'): only points can be compared; set compare='points'")
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -170,19 +129,16 @@ class PMF(GridFilter):
         >>> jf.PMF(max_window=33.0).radii()
         [1, 2, 4, 8, 16]
         """
-        limit = math.ceil((self.max_window / self.cell - 1) / 2 - 1e-6)
-        steps = (2**k if self.exponential else 2 * (k + 1) for k in range(limit + 1))
+        widest = self.max_window / self.cell
+        limit = math.ceil((widest - 1) / 2 - 1e-6)
+        steps = (2**k if self.exponential else 2 * (k + 1) for k in itertools.count())
         radii = []
-        for radius in steps:
-            if radius >= limit:
-                fits = 2 * radius + 1 <= self.max_window / self.cell + 1e-6
-                if self.last_window == "exact":
-                    radii.append(max(limit, 1))
-                elif self.last_window == "beyond" or fits or not radii:
-                    radii.append(radius)
-                break
+        while (radius := next(steps)) < limit:
             radii.append(radius)
-        return radii
+        if self.last_window == "exact":
+            return [*radii, max(limit, 1)]
+        fits = 2 * radius + 1 <= widest + 1e-6
+        return [*radii, radius] if fits or self.last_window == "beyond" or not radii else radii
 
     def thresholds(self) -> jax.Array:
         """f32, metres: the threshold of every window.
@@ -208,33 +164,37 @@ class PMF(GridFilter):
     def prepare(self, cells: Cells) -> tuple[Cells, jax.Array]:
         """Step 1. Pure. Raises: ParameterError if ``reading`` is "points", which takes no grid."""
         if self.reading == "points":
-            raise ParameterError(
-                "PMF(reading='points'): windows around points take no grid of cells; use reading='grid'"
-            )
+            raise ParameterError("PMF(reading='points'): windows around points take no grid; use reading='grid'")
         return cells, fill_nearest(cells.lowest, cells.seen, cells.valid)
 
     def surface(self, prepared: tuple[Cells, jax.Array]) -> Surface:
         """Steps 2 to 4. Pure."""
-        cells, surface = prepared
-        radii = np.array(self.radii(), np.int32)
-        last, ceiling, floor = _limits(
-            surface, cells.valid, radii, self.thresholds(), int(max(radii)), self.element, self.compare
-        )
-        slope = steepness(last, cells.extent, cells.frame[2])
-        return Surface(last, slope, cells.extent, cells.frame, (ceiling, floor))
+        return self._open(*prepared, self.thresholds())
 
-    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
-        """Points held against the limits of their cell. Pure."""
-        return between(surface, xyz)
+    @jax.jit
+    def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:
+        """The last opening; its limits are the elevations between which points of a cell are ground, f32[rows, columns] each.
+
+        The upper limit of an object cell lies below the surface. The lower limit is for barred points: no other lies there.
+        """
+
+        def look(k: jax.Array, before: jax.Array, opened: jax.Array, limits: Limits) -> Limits:
+            ceiling, floor = limits
+            holds = (k == 0) | (self.compare == "points") | (before - opened > thresholds[k])
+            ceiling = jnp.where(holds, jnp.minimum(ceiling, opened + thresholds[k]), ceiling)
+            return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
+
+        radii, nothing = jnp.array(self.radii()), jnp.full_like(surface, jnp.inf)
+        last, limits = progressive_opening(
+            surface, cells.valid, radii, look, (nothing, -nothing), reach=max(self.radii()), element=self.element
+        )
+        return Surface.over(cells, last, limits, {"windows": len(radii)})
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         if self.reading == "points":
-            labels = self._open_points(points, self.barred(points, workers), progress)
-        else:
-            labels = super().classify(points, key=key, workers=workers, progress=progress, trace=trace)
-        labels.info = {"windows": len(self.radii())}
-        return labels
+            return self._open_points(points, self.barred(points, workers), progress)
+        return super().classify(points, key=key, workers=workers, progress=progress, trace=trace)
 
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
@@ -245,55 +205,20 @@ class PMF(GridFilter):
 
     def _open_points(self, points: Points, barred: np.ndarray, progress: Progress) -> Labels:
         """Windows around points; those that failed take no part in further openings."""
-        z = points.xyz[:, 2]
-        widths = [(2 * radius + 1) * self.cell for radius in self.radii()]
+        z, widths = points.xyz[:, 2], [(2 * radius + 1) * self.cell for radius in self.radii()]
         boxes = PointBoxes(points, widths[0], widths[-1])
-        ceiling, floor = np.full(len(z), np.inf, np.float32), np.full(len(z), -np.inf, np.float32)
-        opened = z
+        ceiling = np.full(len(z), np.inf, np.float32)
         for k, (width, threshold) in enumerate(zip(widths, np.asarray(self.thresholds()), strict=True)):
             progress(0.3 + 0.6 * k / len(widths), "openings")
-            taken = ~barred & (z <= ceiling)
-            lower = boxes.lowest(np.where(taken, z, np.inf), width)
-            opened = -boxes.lowest(np.where(taken, -lower, np.inf), width)
-            known = np.isfinite(opened)
-            ceiling = np.minimum(ceiling, np.where(known, opened + threshold, np.inf))
+            opened = boxes.opened(z, ~barred & (z <= ceiling), width)
+            ceiling = np.minimum(ceiling, opened + threshold)
             if k == 0:
-                floor = np.where(known, opened - threshold, np.where(barred, np.inf, -np.inf)).astype(np.float32)
+                floor = opened - threshold
         known = np.isfinite(opened)
-        places = np.column_stack((points.xyz[:, :2], opened))
-        cells = lowest_cells(places, self.cell, self.corner(points), name="PMF(cell)", barred=~known)
-        last = fill_nearest(cells.lowest, cells.seen, cells.valid)
-        surface, slope = look_up(points.xyz, cells, last, steepness(last, cells.extent, cells.frame[2]))
+        left = dataclasses.replace(points, xyz=np.column_stack((points.xyz[:, :2], opened)))
+        cells = lowest_cells(left, self.cell, "PMF(cell)", barred=~known)
+        last = Surface.over(cells, fill_nearest(cells.lowest, cells.seen, cells.valid))
+        surface, slope = look_up(points.xyz, cells, last.z, last.slope)
         labels = labels_of(z - np.where(known, opened, surface), slope, z - ceiling, floor - z)
-        labels.barred = barred
+        labels.barred, labels.info = barred, {"windows": len(widths)}
         return labels
-
-
-@functools.partial(jax.jit, static_argnames=("reach", "element", "compare"))
-def _limits(
-    surface: jax.Array,
-    valid: jax.Array,
-    radii: jax.Array,
-    thresholds: jax.Array,
-    reach: int,
-    element: str,
-    compare: str,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The last opening, and between which elevations points of a cell are ground, f32[rows, columns] each.
-
-    The upper limit of an object cell lies below the surface. The lower limit is for barred points: no other lies there.
-    """
-
-    def look(
-        k: jax.Array, before: jax.Array, opened: jax.Array, limits: tuple[jax.Array, jax.Array]
-    ) -> tuple[jax.Array, jax.Array]:
-        ceiling, floor = limits
-        holds = (k == 0) | (compare == "points") | (before - opened > thresholds[k])
-        ceiling = jnp.where(holds, jnp.minimum(ceiling, opened + thresholds[k]), ceiling)
-        return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
-
-    nothing = jnp.full_like(surface, jnp.inf)
-    last, (ceiling, floor) = progressive_opening(
-        surface, valid, radii, look, (nothing, -nothing), reach=reach, element=element
-    )
-    return last, ceiling, floor

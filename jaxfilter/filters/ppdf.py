@@ -6,6 +6,7 @@ import math
 from typing import Any, ClassVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import Filter, Labels
@@ -13,16 +14,14 @@ from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
-from ..ops.grid import inside, padded_shape
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import raised_cells
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references
 from ..stages.seeds import lowest_seeds, under_canopy
+from ..stages.surfaces import MAX_CELLS, look_up, lowest_cells
 from . import papers
-
-MAX_CELLS = 100_000_000
 
 
 @filter_params
@@ -69,34 +68,21 @@ class PPDF(Filter):
         default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
     )
     ignored_share: float = param(
-        default=0.0,
-        ge=0,
-        lt=1,
-        doc="share of a cell's points, the lowest below its plane, that do not divide it; rounded up",
+        default=0.0, ge=0, lt=1, doc="share of a cell's points, the lowest, that do not divide it; rounded up"
     )
     buffer: float = param(default=0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
     window: float = static(
-        default=18.0,
-        unit="m",
-        ge=0,
-        doc="radius of the largest disk that opens the seeds: half the width of buildings; 0 = off",
+        default=18.0, unit="m", ge=0, doc="radius of the largest disk that opens the seeds: half a building; 0 = off"
     )
     slope: float = param(
         default=0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius"
     )
     max_step: float = param(
-        default=2.5,
-        unit="m",
-        gt=0,
-        doc="largest drop in an opening, and height above the lowest point of the cell, of a seed",
+        default=2.5, unit="m", gt=0, doc="of a seed: largest drop in an opening, and height over the lowest of its cell"
     )
-    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the planes")
+    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the planes")
     reach: float = static(
-        default=30.0,
-        unit="m",
-        gt=0,
-        endless=True,
-        doc="distance to the farthest reference point; inf = any distance",
+        default=30.0, unit="m", gt=0, endless=True, doc="distance to the farthest reference point; inf = any distance"
     )
     reference_cell: float = static(
         default=1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
@@ -107,14 +93,10 @@ class PPDF(Filter):
     max_distance: float = param(default=0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
     max_rounds: int = static(default=100, ge=1, doc="limit of rounds")
     seeds: str = static(
-        default="planes",
-        choices=("planes", "lowest"),
-        doc="seeds: points near the planes, or the lowest point of each cell",
+        default="planes", choices=("planes", "lowest"), doc="points near the planes, or the lowest point of each cell"
     )
     references: str = static(
-        default="quadrants",
-        choices=("quadrants", "nearest"),
-        doc="references: one in each quadrant, or the nearest four",
+        default="quadrants", choices=("quadrants", "nearest"), doc="one in each quadrant, or the nearest four"
     )
 
     BIBTEX: ClassVar[str] = papers.CAI_2023
@@ -139,12 +121,8 @@ class PPDF(Filter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells that hold enough points where they are sparser than in the paper (2 to 22 per m2)."""
-        own = (
-            {}
-            if largest_building is None
-            else {"window": largest_building / 2, "reach": max(30.0, largest_building / 2)}
-        )
-        return own | {
+        half = None if largest_building is None else largest_building / 2
+        return ({} if half is None else {"window": half, "reach": max(30.0, half)}) | {
             "canopy_cell": max(2.0, 1.5 * spacing),
             "cell": max(10.0, 7.0 * spacing),
             "min_points": 20 if spacing <= 0.75 else 10,
@@ -156,8 +134,12 @@ class PPDF(Filter):
 
         Growth goes on from reference to reference, but that is not how far a border is felt in practice.
         """
-        disks = math.ceil(self.window / self.canopy_cell - 1e-6)
-        return self.cell + self.canopy_cell * disks * (disks + 1) + self.reach
+        return self.cell + self.canopy_cell * self._disks * (self._disks + 1) + self.reach
+
+    @property
+    def _disks(self) -> int:
+        """Radius of the largest disk, cells."""
+        return math.ceil(self.window / self.canopy_cell - 1e-6)
 
     def tile_halo(self) -> float:
         """The farthest reference, seen twice, and four of the first cells: openings hardly ever add up to ``halo()``."""
@@ -174,11 +156,7 @@ class PPDF(Filter):
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points within the distance f32[m], metres, from their local planes."""
-        return reference | self._within(distance, self.max_distance)
-
-    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
-        """bool[m], points on either side of their planes, f32[m] metres from them, up to the limit."""
-        return np.abs(distance) <= limit
+        return reference | (np.abs(distance) <= self.max_distance)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -187,7 +165,7 @@ class PPDF(Filter):
         """
         xyz = points.xyz
         progress(0.0, "points under the canopy")
-        grid = grid_over(xyz, self.canopy_cell, points.offset(self.canopy_cell), "PPDF(canopy_cell)", MAX_CELLS)
+        grid = self._grid(points, "canopy_cell")
         barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
@@ -209,14 +187,13 @@ class PPDF(Filter):
         seed = ~barred & (np.abs(over.distance) <= self.buffer)
         found = seed.any()
         if not found:
-            seed = self._lowest(points, seed, ~barred, self.cell)
+            seed = lowest_seeds(points, self._grid(points, "cell"), seed, ~barred)
             over.distance[seed], over.height[seed], over.slope[seed] = 0, 0, 0
         if self.window > 0 and (found or self.seeds == "lowest"):
-            lowest = self._lowest(points, seed, ~barred, self.canopy_cell)
-            least = points.least_shape(self.canopy_cell)
-            seed &= ~_raised(xyz, lowest, grid, self.window, self.slope, self.max_step, least)
+            seed &= ~self._raised(points, lowest_seeds(points, grid, seed, ~barred))
         if self.reference_cell > 0:
-            may_be, side = self._lowest(points, seed, ~barred, self.reference_cell), self.reference_cell
+            side = self.reference_cell
+            may_be = lowest_seeds(points, self._grid(points, "reference_cell"), seed, ~barred)
         else:
             may_be, side = np.ones(len(xyz), bool), points.spacing()
 
@@ -225,7 +202,7 @@ class PPDF(Filter):
             self._around(xyz, np.flatnonzero(may_be & ~reference), side),
             reference,
             over,
-            lambda distance: self._within(distance, self.reference_distance),
+            lambda distance: np.abs(distance) <= self.reference_distance,
             max_rounds=self.max_rounds,
             workers=workers,
             progress=lambda fraction, step: progress(0.3 + 0.4 * fraction, step),
@@ -262,9 +239,10 @@ class PPDF(Filter):
             trace=steps,
         )
 
-    def _lowest(self, points: Points, seed: np.ndarray, counted: np.ndarray, side: float) -> np.ndarray:
-        grid = grid_over(points.xyz, side, points.offset(side), "PPDF(reference_cell)", MAX_CELLS)
-        return lowest_seeds(points, grid, seed, counted)
+    def _grid(self, points: Points, name: str) -> Grid:
+        """The cells whose side is the field of this name."""
+        side = getattr(self, name)
+        return grid_over(points.xyz, side, points.offset(side), f"PPDF({name})", MAX_CELLS)
 
     def _around(self, xyz: np.ndarray, query: np.ndarray, side: float) -> NearestReferences:
         diagonal = float(np.hypot(*np.ptp(xyz[:, :2], axis=0)))
@@ -273,32 +251,18 @@ class PPDF(Filter):
             return NearestReferences(xyz, query, reach)
         return QuadrantReferences(xyz, query, side, reach)
 
+    def _raised(self, points: Points, lowest: np.ndarray) -> np.ndarray:
+        """bool[m]: points in cells whose ``lowest`` point, bool[m], stands on an object, or ``max_step`` above that point.
 
-def _raised(
-    xyz: np.ndarray,
-    lowest: np.ndarray,
-    grid: Grid,
-    window: float,
-    slope: float,
-    max_step: float,
-    least: tuple[int, int],
-) -> np.ndarray:
-    """bool[m]: points in cells whose ``lowest`` point, bool[m], stands on an object, or ``max_step`` above that point.
-
-    The surface of these points, with a membrane over empty cells, is opened with disks of 1, 2, ... cells. Cells that
-    the k-th opening lowers by more than slope x k x cell are objects, as in Pingel et al. (2013), Sec. 2.2, or by more
-    than ``max_step``: a hill loses little from one disk to the next, a roof all its height at once.
-    """
-    at = grid.flat(xyz)
-    z = np.full(grid.nx * grid.ny, np.inf, np.float32)
-    z[at[lowest]] = xyz[lowest, 2]
-    shape = padded_shape(grid.shape, least)
-    padded = np.full(shape, np.inf, np.float32)
-    padded[: grid.ny, : grid.nx] = z.reshape(grid.shape)
-    known, valid = padded < np.inf, inside(shape, np.asarray(grid.shape, np.int32))
-    surface = fill_membrane(np.where(known, padded, 0), known, valid).z
-    radii = np.arange(1, math.ceil(window / grid.cell - 1e-6) + 1)
-    rises = np.minimum(np.float32(slope * grid.cell) * radii.astype(np.float32), np.float32(max_step))
-    raised = raised_cells(surface, valid, radii, rises, reach=len(radii))
-    objects = np.asarray(raised)[: grid.ny, : grid.nx].ravel()
-    return objects[at] | (xyz[:, 2] - z[at] > max_step)
+        The surface of these points, with a membrane over empty cells, is opened with disks of 1, 2, ... cells. Cells that
+        the k-th opening lowers by more than slope x k x cell are objects, as in Pingel et al. (2013), Sec. 2.2, or by more
+        than ``max_step``: a hill loses little from one disk to the next, a roof all its height at once.
+        """
+        cell, radii = self.canopy_cell, np.arange(1, self._disks + 1)
+        cells = lowest_cells(points, cell, "PPDF(canopy_cell)", barred=~lowest)
+        surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
+        rises = np.minimum(np.float32(self.slope * cell) * radii.astype(np.float32), np.float32(self.max_step))
+        raised = raised_cells(surface, cells.valid, radii, rises, reach=len(radii))
+        lowest_of = jnp.where(cells.seen, cells.lowest, jnp.inf)
+        on_object, low = look_up(points.xyz, cells, raised.astype(jnp.float32), lowest_of)
+        return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)

@@ -46,12 +46,8 @@ class PTD(Mirroring):
     seed_cell: float = static(
         default=60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building"
     )
-    signed: bool = static(
-        default=False, choices=(False, True), doc="points below their facet pass at any angle and distance"
-    )
-    refresh_border: bool = static(
-        default=True, choices=(True, False), doc="simulated border points follow the growing ground"
-    )
+    signed: bool = static(default=False, doc="points below their facet pass at any angle and distance")
+    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.ZHANG_2013
     PRESETS: ClassVar[dict[str, Preset]] = {

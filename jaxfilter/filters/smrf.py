@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,27 +9,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..ops.inpaint import fill_membrane
-from ..ops.morphology import opening, progressive_opening
-from ..ops.sampling import bilinear
+from ..ops.morphology import opening
 from ..stages.grid_filter import GridFilter, Heights, Surface
-from ..stages.surfaces import Cells, cell_for, cell_values, check_width, steepness
+from ..stages.surfaces import Cells, cell_for, cell_values, steepest_drops
 from . import papers
 
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
-
-
-def _oracle(number: int, slope: float, window: float, threshold: float, scaling: float) -> Preset:
-    return Preset(
-        f"ISPRS sample {number}: slope {slope:g}, window {window:g} m, {threshold:g} m, scaling {scaling:g}; the authors' "
-        "optimum on its labels",
-        slope=slope,
-        window=window,
-        threshold=threshold,
-        scaling=scaling,
-    )
+_OPTIMA = {
+    11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
+    23: (0.27, 13.0, 0.50, 0.90), 24: (0.16, 8.0, 0.20, 2.05), 31: (0.08, 15.0, 0.25, 1.50), 41: (0.22, 16.0, 1.10, 0.00),
+    42: (0.06, 49.0, 1.05, 0.00), 51: (0.05, 17.0, 0.35, 0.90), 52: (0.13, 13.0, 0.25, 2.20), 53: (0.45, 3.0, 0.10, 3.80),
+    54: (0.05, 11.0, 0.15, 2.30), 61: (0.28, 5.0, 0.50, 1.45), 71: (0.13, 15.0, 0.75, 0.00),
+}  # fmt: skip
+"""slope, window, threshold and scaling that the authors found best for each ISPRS sample, on its labels."""
 
 
 @filter_params
@@ -69,18 +63,15 @@ class SMRF(GridFilter):
     True
     """
 
-    cell: float = static(default=1.0, doc="side of a grid cell", symbol="c", unit="m", gt=0)
     slope: float = param(default=0.15, doc="largest slope of terrain between cells", symbol="s", unit="rise/run", gt=0)
     window: float = static(
-        default=18.0,
-        doc="radius of the largest disk: half the width of the largest building",
-        symbol="w",
-        unit="m",
-        gt=0,
+        default=18.0, doc="radius of the last disk: half the largest building", symbol="w", unit="m", gt=0, cells=1000
     )
     threshold: float = param(default=0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
     scaling: float = param(default=1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
-    cut: float = static(default=0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0)
+    cut: float = static(
+        default=0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0, cells=1000
+    )
 
     BIBTEX: ClassVar[str] = papers.PINGEL_2013
     ORDER_FREE: ClassVar[bool] = True
@@ -90,28 +81,8 @@ class SMRF(GridFilter):
             "as printed: the authors' single set for all sites, except that heights at the points are bilinear, not splines"
         ),
         "recommended": Preset("the default: the authors' single set for all sites"),
-        "samp11": _oracle(11, 0.20, 16.0, 0.45, 1.20),
-        "samp12": _oracle(12, 0.18, 12.0, 0.30, 0.95),
-        "samp21": _oracle(21, 0.12, 20.0, 0.60, 0.00),
-        "samp22": _oracle(22, 0.16, 18.0, 0.35, 1.30),
-        "samp23": _oracle(23, 0.27, 13.0, 0.50, 0.90),
-        "samp24": _oracle(24, 0.16, 8.0, 0.20, 2.05),
-        "samp31": _oracle(31, 0.08, 15.0, 0.25, 1.50),
-        "samp41": _oracle(41, 0.22, 16.0, 1.10, 0.00),
-        "samp42": _oracle(42, 0.06, 49.0, 1.05, 0.00),
-        "samp51": _oracle(51, 0.05, 17.0, 0.35, 0.90),
-        "samp52": _oracle(52, 0.13, 13.0, 0.25, 2.20),
-        "samp53": _oracle(53, 0.45, 3.0, 0.10, 3.80),
-        "samp54": _oracle(54, 0.05, 11.0, 0.15, 2.30),
-        "samp61": _oracle(61, 0.28, 5.0, 0.50, 1.45),
-        "samp71": _oracle(71, 0.13, 15.0, 0.75, 0.00),
+        **sample_presets("; the authors' optimum on its labels", "slope window threshold scaling", _OPTIMA),
     }
-
-    def check(self) -> None:
-        """Validate the fields. Raises ParameterError."""
-        super().check()
-        for name in ("window", "cut"):
-            check_width(self, name, 1000)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
@@ -159,32 +130,45 @@ class SMRF(GridFilter):
 
     def prepare(self, cells: Cells) -> Opened:
         """Steps 1 to 4, for all slopes at once. Pure."""
-        surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
-        return Opened(cells, surface, *_open(surface, cells.seen, cells.valid, cells.frame[2], self.reach, self.mesh))
+        return self._open(cells, fill_membrane(cells.lowest, cells.seen, cells.valid).z)
+
+    @jax.jit
+    def _open(self, cells: Cells, surface: jax.Array) -> Opened:
+        """Steps 2 to 4, of the surface without empty cells."""
+        valid, cell = cells.valid, cells.frame[2]
+        low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
+        net, cut = jnp.zeros_like(valid), surface
+        if self.mesh:
+            row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
+            net = valid & ((row % self.mesh == 0) | (column % self.mesh == 0))
+            cut = jnp.where(net, opening(surface, 2 * self.mesh, 2 * self.mesh, valid=valid), surface)
+        drops = jnp.where(valid, steepest_drops(cut, valid, self.reach), 0)
+        counted = {"cells": valid, "empty_cells": valid & ~cells.seen, "low_cells": low}
+        counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
+        return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
 
     def surface(self, prepared: Opened, share: float = 1.0) -> Surface:
         """Step 5, the provisional terrain, at a share of the slope. Pure."""
         cells, surface, steepest, bare, counts = prepared
         known, objects = _kept(steepest, bare, cells.frame[2], jnp.float32(share) * self.slope)
         terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
-        slope = steepness(terrain, cells.extent, cells.frame[2])
-        return Surface(terrain, slope, cells.extent, cells.frame, counts={**counts, "object_cells": objects})
+        return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
 
+    @jax.jit
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
-        z, slope, extent, frame, *_ = surface
-        return _hold(xyz, z, slope, extent, frame, jnp.float32(self.threshold), jnp.float32(self.scaling))
+        height, slope = surface.at(xyz)
+        tolerance = self.threshold + self.scaling * slope
+        return Heights(height, slope, height - tolerance, -height - tolerance)
 
     def soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
         surface as it is. Differentiable in ``slope``, ``threshold`` and ``scaling``; f32[n], 0 to 1. Pure."""
         cells, filled, steepest, *_ = prepared
-        cell = cells.frame[2]
-        without = self.surface(prepared, share=0.5)
-        kept = Surface(filled, steepness(filled, cells.extent, cell), cells.extent, cells.frame)
+        without, kept = self.surface(prepared, share=0.5), Surface.over(cells, filled)
         drop = cell_values(xyz, (steepest,), cells.frame, cells.extent)[0]
-        is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cell) / width)
+        is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cells.frame[2]) / width)
         as_object, as_terrain = (jax.nn.sigmoid(-self.test(one, xyz).margin / width) for one in (without, kept))
         return is_object * as_object + (1 - is_object) * as_terrain
 
@@ -207,47 +191,8 @@ class Opened(NamedTuple):
     counts: dict[str, jax.Array]
 
 
-def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
-    """The largest drop per cell of radius, with that of the opening number ``k``, whose radius is ``k`` + 1 cells."""
-    return jnp.maximum(steepest, (before - opened) / (k + 1))
-
-
-@functools.partial(jax.jit, static_argnames=("reach", "mesh"))
-def _open(
-    surface: jax.Array, seen: jax.Array, valid: jax.Array, cell: jax.Array, reach: int, mesh: int
-) -> tuple[jax.Array, jax.Array, dict[str, jax.Array]]:
-    """``steepest``, ``bare`` and ``counts`` of :class:`Opened`."""
-    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
-    net = jnp.zeros_like(valid)
-    if mesh:
-        row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
-        net = valid & ((row % mesh == 0) | (column % mesh == 0))
-        surface = jnp.where(net, opening(surface, 2 * mesh, 2 * mesh, valid=valid), surface)
-    radii = jnp.arange(1, reach + 1)
-    _, steepest = progressive_opening(surface, valid, radii, steeper, jnp.zeros_like(surface), reach=reach)
-    steepest = jnp.where(net, jnp.inf, jnp.where(valid, steepest, 0))
-    counted = {"cells": valid, "empty_cells": valid & ~seen, "low_cells": low}
-    return steepest, seen & ~low & ~net, {name: cells.sum(dtype=jnp.int32) for name, cells in counted.items()}
-
-
 @jax.jit
 def _kept(steepest: jax.Array, bare: jax.Array, cell: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Cells that the terrain goes through, bool[rows, columns], and the number of objects, net included."""
     objects = steepest > slope * cell
     return bare & ~objects, objects.sum(dtype=jnp.int32)
-
-
-@jax.jit
-def _hold(
-    xyz: jax.Array,
-    terrain: jax.Array,
-    slopes: jax.Array,
-    extent: jax.Array,
-    frame: jax.Array,
-    threshold: jax.Array,
-    scaling: jax.Array,
-) -> Heights:
-    sample = bilinear((xyz[:, :2] - frame[:2]) / frame[2] - 0.5, extent, terrain.shape[1])
-    height, slope = xyz[:, 2] - sample(terrain), sample(slopes)
-    tolerance = threshold + scaling * slope
-    return Heights(height, slope, height - tolerance, -height - tolerance)

@@ -16,7 +16,7 @@ from ..stages.growth import Network
 from ..stages.outliers import isolated_low
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import cell_for, check_width, lowest_cells
+from ..stages.surfaces import cell_for, lowest_cells
 from ..stages.tin_filter import Mirroring, facet_reach
 from . import papers
 
@@ -58,7 +58,7 @@ class SPF(Mirroring):
     initial_window: int = static(
         default=1, symbol="w0", unit="cells", ge=1, doc="half the growth of the linear windows"
     )
-    window: float = static(default=60.0, symbol="W", unit="m", gt=0, doc="size of the largest building")
+    window: float = static(default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="size of the largest building")
     growth: str = static(
         default="linear", choices=GROWTHS, doc="windows 2 k w0 + 1 (eq. 1), or each twice the last (eq. 2)"
     )
@@ -72,9 +72,7 @@ class SPF(Mirroring):
     fill: str = static(
         default="neighbours", choices=FILLS, doc="empty cells: filled from their neighbours, or at elevation 0"
     )
-    seed_filter: bool = static(
-        default=True, choices=(True, False), doc="remove noise from the seeds on their triangulation"
-    )
+    seed_filter: bool = static(default=True, doc="remove noise from the seeds on their triangulation")
     long_edge: float | None = static(
         default=None, unit="m", gt=0, optional=True, doc="longest edge of a sound facet; None = window and two cells"
     )
@@ -114,10 +112,6 @@ class SPF(Mirroring):
         ),
     }
 
-    def check(self) -> None:
-        super().check()
-        check_width(self, "window", 1000)
-
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of half a point spacing, in steps of 0.5 m and 1 m at least; on simulated scenes wider ones do no better."""
@@ -147,11 +141,9 @@ class SPF(Mirroring):
         [0.3, 2.3, 2.3]
         """
         sizes = self.windows()
-        steps = [w - before for w, before in zip(sizes, [1, *sizes], strict=False)]
-        rises = [
-            self.initial_distance + (self.slope * step * self.cell if w > 3 else 0.0)
-            for w, step in zip(sizes, steps, strict=True)
-        ]
+        slopes = [self.slope if size > 3 else 0.0 for size in sizes]
+        growth = [size - before for size, before in zip(sizes, [1, *sizes], strict=False)]
+        rises = [self.initial_distance + s * g * self.cell for s, g in zip(slopes, growth, strict=True)]
         return [min(rise, self.max_height) for rise in rises]
 
     def lattice(self) -> float:
@@ -160,23 +152,13 @@ class SPF(Mirroring):
 
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that no opening marked. ``barred``: bool[m]."""
-        cells = lowest_cells(
-            points.xyz,
-            self.cell,
-            points.offset(self.cell),
-            name="SPF(cell)",
-            barred=barred,
-            least=points.least_shape(self.cell),
-        )
-        literal = self.fill == "zero"
-        zero = -points.cloud.origin[2] * points.cloud.units.z if literal else 0.0
-        surface, _ = fill_from_neighbours(
-            jnp.where(cells.seen, cells.lowest, np.float32(zero)),
-            cells.seen,
-            cells.valid,
-            np.int32(1 if literal else sum(cells.lowest.shape)),
-        )
-        radii = np.array([w // 2 for w in self.windows()], np.int32)
+        cells = lowest_cells(points, self.cell, "SPF(cell)", barred=barred)
+        surface, rounds = cells.lowest, sum(cells.lowest.shape)
+        if self.fill == "zero":  # one round for the mean of the neighbours, and elevation 0 where there are none
+            zero, rounds = -points.cloud.origin[2] * points.cloud.units.z, 1
+            surface = jnp.where(cells.seen, surface, np.float32(zero))
+        surface, _ = fill_from_neighbours(surface, cells.seen, cells.valid, np.int32(rounds))
+        radii = np.array(self.windows(), np.int32) // 2
         heights = np.array(self.thresholds(), np.float32)
         raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
         return lowest_of_cells(points, cells, ~raised, barred)

@@ -123,9 +123,7 @@ class STIN(SlopeMirroring):
     )
     outlier_cell: float = static(default=10.0, unit="m", gt=0, doc="cells that the surface is made from")
     outlier_distance: float = param(default=5.0, unit="m", gt=0, doc="points further from that surface are outliers")
-    retest: bool = static(
-        default=False, choices=(True, False), doc="at the end test all labels on the final triangulation"
-    )
+    retest: bool = static(default=False, doc="at the end test all labels on the final triangulation")
 
     BIBTEX: ClassVar[str] = papers.URAY_2024
     LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio", "quantile")

@@ -61,6 +61,15 @@ class PointBoxes:
         out[self._order] = np.asarray(found)[: len(values)]
         return out
 
+    def opened(self, values: np.ndarray, taken: np.ndarray, width: float) -> np.ndarray:
+        """f32[n]: the opening of ``values``, f32[n], by squares of ``width`` metres around the points ``taken``, bool[n].
+
+        +inf where there is none of these around.
+        """
+        lower = self.lowest(np.where(taken, values, np.inf), width)
+        negative = self.lowest(np.where(taken, -lower, np.inf), width)
+        return np.where(negative < np.inf, -negative, np.float32(np.inf))
+
 
 def _starts(at: np.ndarray, cells: int) -> np.ndarray:
     """i32[cells + 1]: the number of points in the cells before each."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
@@ -11,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket, in_turn
-from ..core.filter import Filter, Labels
-from ..core.params import declared
+from ..core.filter import Filter, Labels, alike_but
+from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
+from ..ops.sampling import bilinear
 from .outliers import bar_outliers
-from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells
+from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells, steepness
 
 _SURFACES, _SETS = (4, 16), 32
 """In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
@@ -42,7 +44,18 @@ class Surface(NamedTuple):
     extent: jax.Array | np.ndarray
     frame: jax.Array | np.ndarray
     limits: Any = None
-    counts: dict[str, jax.Array] = {}  # noqa: RUF012, never changed
+    counts: dict[str, Any] = {}  # noqa: RUF012, never changed
+
+    @classmethod
+    def over(cls, cells: Cells, z: jax.Array, limits: Any = None, counts: dict[str, Any] | None = None) -> Surface:
+        """Elevations of cells, f32[rows, columns], with their slopes."""
+        return cls(z, steepness(z, cells.extent, cells.frame[2]), cells.extent, cells.frame, limits, counts or {})
+
+    def at(self, xyz: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
+        """Height of points f32[n, 3] above the surface, metres, and slope there, rise over run; bilinear between cell centres."""
+        xyz = jnp.asarray(xyz)
+        sample = bilinear((xyz[:, :2] - self.frame[:2]) / self.frame[2] - 0.5, self.extent, self.z.shape[1])
+        return xyz[:, 2] - sample(self.z), sample(self.slope)
 
 
 class Heights(NamedTuple):
@@ -66,6 +79,7 @@ class Heights(NamedTuple):
         return jnp.maximum(self.above, self.below)
 
 
+@dataclasses.dataclass(frozen=True)
 class GridFilter(Filter):
     """A filter that makes a surface of the lowest elevation per cell, and holds all points against it.
 
@@ -88,12 +102,14 @@ class GridFilter(Filter):
     True
     """
 
+    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
+
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
 
     def lattice(self) -> float:
         """The cells."""
-        return float(self.cell)  # type: ignore[attr-defined]
+        return float(self.cell)
 
     def barred(self, points: Points, workers: int | None) -> np.ndarray:
         """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on.
@@ -112,10 +128,9 @@ class GridFilter(Filter):
         >>> cells.lowest.shape, np.asarray(cells.extent).tolist(), float(cells.frame[2])
         ((128, 128), [61, 61], 1.0)
         """
-        cell: float = self.cell  # type: ignore[attr-defined]
-        name = f"{type(self).__name__}(cell)"
-        least = points.least_shape(cell)
-        return lowest_cells(points.xyz, cell, self.corner(points), name=name, barred=barred, least=least)
+        return lowest_cells(
+            points, self.cell, f"{type(self).__name__}(cell)", corner=self.corner(points), barred=barred
+        )
 
     def corner(self, points: Points) -> tuple[float, float]:
         """A corner of the lattice of cells, local metres.
@@ -124,7 +139,7 @@ class GridFilter(Filter):
         >>> -2 <= x <= 0 and -2 <= y <= 0
         True
         """
-        return points.offset(self.cell)  # type: ignore[attr-defined]
+        return points.offset(self.cell)
 
     def model(self, cells: Cells) -> Surface:
         """The surface that ground lies on. Cells with an elevation that is not finite count as empty; without any that
@@ -160,13 +175,15 @@ class GridFilter(Filter):
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Points f32[n, 3], local metres, held against a surface. Pure.
 
+        A method without a test of its own has for ``limits`` the highest and the lowest elevation of ground in every cell.
+
         >>> points = jf.SMRF().points_of(cloud)
         >>> surface = jf.SMRF().model(jf.SMRF().cells(points))
         >>> heights = jf.SMRF().test(surface, points.xyz)
         >>> heights.height.shape == (len(points),)
         True
         """
-        raise TypeError(f"{type(self).__name__} does not define test()")
+        return _between(surface, xyz)
 
     def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure.
@@ -198,11 +215,7 @@ class GridFilter(Filter):
     ) -> Iterator[tuple[int, np.ndarray]]:
         """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
         prepared = self.prepare(self.cells(points, self.barred(points, workers)))
-        names = [f.name for f in declared(self) if f.name not in self.TESTED]
-        alike: dict[tuple[Any, ...], list[int]] = {}
-        for number, one in enumerate(sets):
-            alike.setdefault(tuple(getattr(one, name) for name in names), []).append(number)
-        jobs = [part[k : k + _SETS] for _, part in sorted(alike.items()) for k in range(0, len(part), _SETS)]
+        jobs = [part[k : k + _SETS] for part in alike_but(sets, self.TESTED) for k in range(0, len(part), _SETS)]
         size = max(a.size for a in jax.tree.leaves(prepared))
         room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
         most = int(np.clip(room, 1, _SURFACES[len(jobs) > _SURFACES[0]]))
@@ -311,8 +324,8 @@ def _margins(filters: GridFilter, surface: Surface, xyz: jax.Array) -> jax.Array
 
 
 @jax.jit
-def between(surface: Surface, xyz: jax.Array) -> Heights:
-    """Points f32[n, 3] held against the elevations in their cell, ``limits`` being the highest and the lowest of ground."""
+def _between(surface: Surface, xyz: jax.Array) -> Heights:
+    """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]
     tables = (surface.z, surface.slope, highest, lowest)
     base, slope, ceiling, floor = cell_values(xyz, tables, surface.frame, surface.extent)

@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
-from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter
+from ..core.errors import InputError
 from ..core.grid import grid_over
+from ..core.points import Points
 from ..ops.grid import cell_index, inside, padded_shape
+from ..ops.morphology import progressive_opening
 
 MAX_CELLS = 100_000_000  # about 10 GB
 _CHUNK = 2**18  # points that are handed to the device at a time
@@ -66,57 +67,52 @@ class Cells:
         return dataclasses.replace(self, lowest=jnp.where(seen, self.lowest, 0), seen=seen)
 
 
-def check_width(filter_: Filter, name: str, most: int) -> None:
-    """Raises: ParameterError if the field ``name`` of a filter, metres, is more than ``most`` of its cells wide."""
-    width, cell = getattr(filter_, name), filter_.cell  # type: ignore[attr-defined]
-    if width > most * cell:
-        raise ParameterError(
-            f"{type(filter_).__name__}({name}={width!r}): more than {most} cells of {cell:g} m; use a larger cell"
-        )
-
-
 def cell_for(spacing: float, spacings: float = 1.0) -> float:
     """Side of grid cells in metres: so many point spacings, in steps of 0.5 m, and 1 m at least."""
     return max(1.0, 0.5 * math.ceil(2 * spacings * spacing - 1e-6))
 
 
 def lowest_cells(
-    xyz: np.ndarray,
+    points: Points,
     cell: float,
-    offset: tuple[float, float],
-    *,
     name: str,
+    *,
+    corner: tuple[float, float] | None = None,
     barred: np.ndarray | None = None,
-    least: tuple[int, int] = (1, 1),
+    least: tuple[int, int] | None = None,
 ) -> Cells:
-    """The lowest of the points f32[n, 3] in each square of ``cell`` metres, those that are ``barred`` (bool[n]) left out.
+    """The lowest point in each square of ``cell`` metres, those that are ``barred`` (bool[m]) left out.
 
-    ``offset`` is a corner of the lattice, local metres; ``name`` is what an error calls the cell; ``least``: rows and columns
-    that the padded shape has room for at least.
+    Args:
+        name: what an error calls the cell.
+        corner: of the lattice, local metres; by default where squares of this size begin in the cloud.
+        least: rows and columns that the padded shape has room for at least; by default those of the largest part of a scene.
+
     Raises: InputError if there would be too many cells.
     """
-    grid = grid_over(xyz, cell, offset, name=name, limit=MAX_CELLS)
-    shape = padded_shape(grid.shape, least)
+    xyz = points.xyz
+    grid = grid_over(xyz, cell, corner or points.offset(cell), name, MAX_CELLS)
+    shape = padded_shape(grid.shape, least or points.least_shape(cell))
     extent = np.asarray(grid.shape, np.int32)
     frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
     if barred is not None and barred.any():
         xyz = np.where(barred[:, None] & [False, False, True], np.float32(np.inf), xyz)
-    lowest = jnp.asarray(np.full(shape[0] * shape[1], np.inf, np.float32))
+    lowest = jnp.asarray(np.full(shape, np.inf, np.float32))
     for _, chunk, count in chunks(xyz):
-        lowest = _lower(lowest, chunk, count, frame, extent, shape[1])
-    z, seen, valid = _occupied(lowest, extent, shape)
+        lowest = _lower(lowest, chunk, count, frame, extent)
+    z, seen, valid = _occupied(lowest, extent)
     return Cells(z, seen, valid, extent, frame)
 
 
-def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray) -> np.ndarray:
+def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray | None) -> np.ndarray:
     """f32[rows, columns, 2]: x and y of the lowest point in each cell, zero in empty ones.
 
     ``xyz``: f32[n, 3], ``barred``: bool[n], as for :func:`lowest_cells`. Of equally low points the westernmost is taken, and
     the southernmost of these.
     """
     shape = cells.lowest.shape
-    (low,) = look_up(xyz, cells, cells.lowest)
-    rows = np.flatnonzero(~barred & (xyz[:, 2] == low))
+    low = xyz[:, 2] == look_up(xyz, cells, cells.lowest)[0]
+    rows = np.flatnonzero(low if barred is None else low & ~barred)
     at = np.asarray(cell_index(xyz[rows], cells.frame[:2], cells.frame[2], cells.extent, shape[1]))
     order = np.lexsort((xyz[rows, 1], xyz[rows, 0], at))[::-1]
     place = np.zeros((shape[0] * shape[1], 2), np.float32)
@@ -153,6 +149,20 @@ def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndar
     return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
 
 
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
+def steepest_drops(z: jax.Array, valid: jax.Array, reach: int, element: str = "disk") -> jax.Array:
+    """Metres per cell of radius that progressive openings with radii of 1, 2, ... ``reach`` cells lower each cell by, at most.
+
+    Args and returns: f32[rows, columns], as for :func:`jaxfilter.ops.morphology.progressive_opening`.
+    """
+
+    def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
+        return jnp.maximum(steepest, (before - opened) / (k + 1))
+
+    radii, none = jnp.arange(1, reach + 1), jnp.zeros_like(z)
+    return progressive_opening(z, valid, radii, steeper, none, reach=reach, element=element)[1]
+
+
 @jax.jit
 def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
@@ -178,21 +188,19 @@ def chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.int32]]:
         yield rows, part, np.int32(rows.stop - rows.start)
 
 
-@functools.partial(jax.jit, static_argnames="columns", donate_argnames="lowest")
-def _lower(
-    lowest: jax.Array, xyz: jax.Array, count: jax.Array, frame: jax.Array, extent: jax.Array, columns: int
-) -> jax.Array:
-    """Cell minima f32[cells] with the first ``count`` points taken into account."""
-    index = cell_index(xyz, frame[:2], frame[2], extent, columns)
-    return lowest.at[index].min(jnp.where(jnp.arange(len(xyz)) < count, xyz[:, 2], jnp.inf))
+@functools.partial(jax.jit, donate_argnames="lowest")
+def _lower(lowest: jax.Array, xyz: jax.Array, count: jax.Array, frame: jax.Array, extent: jax.Array) -> jax.Array:
+    """Cell minima f32[rows, columns] with the first ``count`` points taken into account."""
+    index = cell_index(xyz, frame[:2], frame[2], extent, lowest.shape[1])
+    z = jnp.where(jnp.arange(len(xyz)) < count, xyz[:, 2], jnp.inf)
+    return lowest.reshape(-1).at[index].min(z).reshape(lowest.shape)
 
 
-@functools.partial(jax.jit, static_argnames="shape")
-def _occupied(lowest: jax.Array, extent: jax.Array, shape: tuple[int, int]) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Minima [rows, columns] with zeros in empty cells, the cells with points, the cells that exist."""
-    lowest = lowest.reshape(shape)
-    seen = lowest < jnp.inf
-    return jnp.where(seen, lowest, 0), seen, inside(shape, extent)
+@jax.jit
+def _occupied(lowest: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Minima with zeros in empty cells, the cells with points, the cells that exist; [rows, columns] each."""
+    (rows, columns), seen = lowest.shape, lowest < jnp.inf
+    return jnp.where(seen, lowest, 0), seen, inside((rows, columns), extent)
 
 
 @jax.jit
