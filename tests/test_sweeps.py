@@ -15,7 +15,7 @@ from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.ops.inpaint import fill_membrane
-from jaxfilter.stages import tin_filter
+from jaxfilter.stages import grid_filter, tin_filter
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +82,36 @@ def test_pmf_equals_single_runs(options, hills):
 def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
     slopes = np.random.default_rng(2).uniform(0.04, 0.5, 21)
     check_equal([jf.SMRF(cut=20.0, window=12.0).replace(slope=float(s)) for s in slopes], cloud)
+
+
+def test_slopes_of_smrf_share_a_terrain_if_no_cell_lies_between_them(cloud):
+    sets = [jf.SMRF(window=12.0).replace(slope=float(slope)) for slope in np.linspace(0.1, 0.3, 300)]
+    opened = sets[0].prepare(sets[0].cells(plain_points(cloud)))
+    keys = np.array(sets[0].deciding(opened, sets))
+    known = [np.asarray(opened.bare & ~(opened.steepest > np.float32(one.slope))).tobytes() for one in sets]
+    numbers = np.unique(known, return_inverse=True)[1]
+    assert ((keys[:, None] == keys) == (numbers[:, None] == numbers)).all()
+    assert 1 < len(set(keys)) < len(sets)
+    check_equal(sets[::10], cloud)
+
+
+@pytest.mark.parametrize(
+    "filter_", [jf.SMRF(window=12.0), jf.PMF(max_window=17.0), jf.MSF(window=5.0, distance="points")], ids=repr
+)
+def test_a_long_sweep_crops_the_grid_and_gives_the_same_labels(filter_, cloud, monkeypatch):
+    sets, shapes, crop = product(filter_, slope=(0.1, 0.2, 0.4)), [], grid_filter._cropped
+
+    def cropped(prepared, cells):
+        out = crop(prepared, cells)
+        shapes.extend(leaf.shape for leaf in jax.tree.leaves(out) if leaf.ndim > 1)
+        assert all((shape[:2] >= cells.extent).all() for shape in shapes)
+        return out
+
+    whole = labels_of(filter_, sets, cloud)
+    monkeypatch.setattr(grid_filter, "_LONG", 2)
+    monkeypatch.setattr(grid_filter, "_cropped", cropped)
+    np.testing.assert_array_equal(labels_of(filter_, sets, cloud), whole)
+    assert len({shape[:2] for shape in shapes}) == 1 and max(shapes[0]) < 128
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -235,7 +235,7 @@ class Filter:
         >>> bool((found[0] <= found[1]).all())
         True
         """
-        jobs = alike_but(sets, self.LAST)
+        jobs = alike(values_but(self.LAST, sets))
         threads = workers or os.cpu_count() or 1
         at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
 
@@ -298,13 +298,17 @@ class Filter:
         return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
 
 
-def alike_but(sets: Sequence[Filter], names: Sequence[str]) -> list[list[int]]:
-    """Numbers of the sets, those together that differ in no field but these; in the order of their other values."""
-    alike: dict[tuple[Any, ...], list[int]] = {}
-    for number, one in enumerate(sets):
-        others = tuple(getattr(one, field.name) for field in declared(one) if field.name not in names)
-        alike.setdefault(others, []).append(number)
-    return [numbers for _, numbers in sorted(alike.items())]
+def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
+    """The values of all fields of every set but these."""
+    return [tuple(getattr(one, f.name) for f in declared(one) if f.name not in names) for one in sets]
+
+
+def alike(keys: Iterable[Any]) -> list[list[int]]:
+    """Numbers of equal keys together, in the order of the keys."""
+    found: dict[Any, list[int]] = {}
+    for number, key in enumerate(keys):
+        found.setdefault(key, []).append(number)
+    return [numbers for _, numbers in sorted(found.items())]
 
 
 def check_resources(workers: int | None, memory: float = 1.0) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -153,6 +154,12 @@ class SMRF(GridFilter):
         known, objects = _kept(steepest, bare, cells.frame[2], jnp.float32(share) * self.slope)
         terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
         return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
+
+    def deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
+        """How many cells are left: of slopes between which there is none the terrain is the same."""
+        drops = np.sort(np.asarray(prepared.steepest)[np.asarray(prepared.bare)])
+        limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
+        return np.searchsorted(drops, limits, side="right").tolist()
 
     @jax.jit
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:

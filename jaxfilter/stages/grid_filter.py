@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket, in_turn
-from ..core.filter import Filter, Labels, alike_but
+from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -22,6 +22,8 @@ from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells, st
 
 _SURFACES, _SETS = (4, 16), 32
 """In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
+_LONG, _STEP = 64, 16
+"""From more surfaces on grids are cropped to multiples of so many cells, which pays for compiling shapes of one's own."""
 _CELL_BYTES, _POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each surface of a sweep."""
 _ROUNDING = 4e-7
@@ -214,30 +216,50 @@ class GridFilter(Filter):
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
         """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
-        prepared = self.prepare(self.cells(points, self.barred(points, workers)))
-        jobs = [part[k : k + _SETS] for part in alike_but(sets, self.TESTED) for k in range(0, len(part), _SETS)]
+        cells = self.cells(points, self.barred(points, workers))
+        prepared = self.prepare(cells)
+        groups = alike(self.deciding(prepared, sets))
+        jobs = sorted((part[k : k + _SETS] for part in groups for k in range(0, len(part), _SETS)), key=len)
+        wide = bucket(min(_SETS, max(map(len, alike(values_but(self.TESTED, sets))), default=1)), 1)
+        if len(jobs) > _LONG:
+            prepared = _cropped(prepared, cells)
         size = max(a.size for a in jax.tree.leaves(prepared))
         room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
         most = int(np.clip(room, 1, _SURFACES[len(jobs) > _SURFACES[0]]))
 
+        def stacked(rows: list[list[int]]) -> GridFilter:
+            """The sets of these numbers, [rows, numbers]."""
+            leaves = (sets[number] for row in rows for number in row)
+            return jax.tree.map(lambda *values: np.asarray(values, np.float32).reshape(len(rows), -1), *leaves)
+
         def passed(some: list[list[int]]) -> np.ndarray:
-            wide = bucket(max(map(len, some)), 1)
-            padded = [job + job[-1:] * (wide - len(job)) for job in some + some[-1:] * (most - len(some))]
-            stacked = jax.tree.map(
-                lambda *leaves: np.asarray(leaves, np.float32).reshape(-1, wide),
-                *(sets[number] for job in padded for number in job),
-            )
-            surfaces = _surfaces(stacked, prepared)
-            parts = [
-                np.asarray(_passed(stacked, surfaces, chunk))[..., : rows.stop - rows.start]
+            """bool[jobs, sets, m], of as many sets as the longest job has, and the last of the others over and over."""
+            longest = -(-max(map(len, some)) // wide) * wide
+            padded = [job + job[-1:] * (longest - len(job)) for job in some + some[-1:] * (most - len(some))]
+            parts = [stacked([job[k : k + wide] for job in padded]) for k in range(0, longest, wide)]
+            surfaces = _surfaces(jax.tree.map(lambda leaf: leaf[:, 0], parts[0]), prepared)
+            ground = [
+                np.concatenate([_passed(part, surfaces, chunk) for part in parts], axis=1)[
+                    ..., : rows.stop - rows.start
+                ]
                 for rows, chunk, _ in chunks(points.xyz)
             ]
-            return np.concatenate(parts, axis=-1)
+            return np.concatenate(ground, axis=-1)
 
         batches = [jobs[start : start + most] for start in range(0, len(jobs), most)]
         threads = max(1, min(workers or os.cpu_count() or 1, room // most, len(batches)))
         for some, ground in in_turn(passed, batches, threads):
             yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
+
+    def deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
+        """For every set what decides its surface: those with equal values share it.
+
+        >>> cells = jf.MSF().cells(jf.MSF().points_of(cloud))
+        >>> same, other = jf.MSF().deciding(cells, [jf.MSF(slope=0.3), jf.MSF(slope=0.4)])
+        >>> same == other
+        False
+        """
+        return values_but(self.TESTED, sets)
 
     def votes(self, points: Points, sets: Sequence[Self], *, workers: int | None = None) -> np.ndarray:
         """i32[m]: how many sets call each point ground. They differ in the fields in ``TESTED`` only and share the surface.
@@ -285,10 +307,17 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
     return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
 
 
+def _cropped(prepared: Any, cells: Cells) -> Any:
+    """What ``prepare`` has made, in arrays that are hardly larger than the true extent of the cells."""
+    rows, columns = (-(-int(n) // _STEP) * _STEP for n in cells.extent)
+    padded = cells.lowest.shape
+    return jax.tree.map(lambda a: a[:rows, :columns] if a.shape[:2] == padded else a, prepared)
+
+
 @jax.jit
 def _surfaces(filters: GridFilter, prepared: Any) -> Surface:
-    """The surface of the first filter in every row of [surfaces, sets]."""
-    return jax.vmap(lambda one: one.surface(prepared))(jax.tree.map(lambda leaf: leaf[:, 0], filters))
+    """The surface of every filter of a stack."""
+    return jax.vmap(lambda one: one.surface(prepared))(filters)
 
 
 @jax.jit
