@@ -51,11 +51,8 @@ class SMRF(GridFilter):
     "samp11" to "samp71" are the authors' optima per ISPRS sample. They were found with that sample's labels: an upper
     bound for the method, not settings to expect on unseen data.
 
-    Departures from the paper and its MATLAB code: disks are exactly Euclidean (MATLAB approximates them by line
-    segments); terrain and slope are interpolated bilinearly at the points instead of by cubic splines, which moves the
-    kappa of ISPRS samples 11 to 42 by at most 0.2 points and needs a quarter of the memory accesses; cells are
-    centred on the nodes of a lattice that starts at the cloud's lower left corner, or at its anchor, where the authors
-    count from zero of the coordinate system (a cloud with anchor (0, 0) is gridded in their way).
+    Departures (docs/fidelity.md): exactly Euclidean disks; bilinear interpolation at the points; cells are centred on a lattice
+    that starts at the cloud's lower left corner or at its anchor: with anchor (0, 0) it is that of the authors.
 
     >>> result = jf.SMRF(slope=0.2, threshold=0.5)(cloud)
     >>> result.info["object_cells"] > 0
@@ -70,9 +67,7 @@ class SMRF(GridFilter):
     )
     threshold: float = param(default=0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
     scaling: float = param(default=1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
-    cut: float = static(
-        default=0.0, doc="spacing of the net that cuts large buildings; 0 = none", unit="m", ge=0, cells=1000
-    )
+    cut: float = static(default=0.0, doc="spacing of the net that cuts buildings; 0 = none", unit="m", ge=0, cells=1000)
 
     BIBTEX: ClassVar[str] = papers.PINGEL_2013
     ORDER_FREE: ClassVar[bool] = True
@@ -117,8 +112,7 @@ class SMRF(GridFilter):
 
         Membranes reach as far as the void they span: a void wider than this at the border of a tile is not covered.
         """
-        openings = self.reach * (self.reach + 1) + 8 * self.mesh
-        return self.cell * (openings + 3)
+        return self.cell * (self.reach * (self.reach + 1) + 8 * self.mesh + 3)
 
     def tile_halo(self) -> float:
         """Five radii of the largest disk: openings that follow each other hardly ever add up to ``halo()``."""
