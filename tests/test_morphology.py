@@ -48,17 +48,19 @@ def test_negative_infinite_and_double_precision_values_keep_their_order(rng):
     np.testing.assert_array_equal(erosion(z, 2, REACH), expected)
 
 
-def test_progressive_opening_shows_each_opening_of_the_one_before():
-    z, valid = surface(), np.ones((41, 57), bool)
-    valid[35:] = False
-    radii = np.array([1, 3, 4], np.int32)
+@pytest.mark.parametrize("element", ["disk", "square", "diamond"])
+@pytest.mark.parametrize("radii", [[1, 3, 4], range(1, 13), [0, 2, 2, 11]])
+def test_progressive_opening_shows_each_opening_of_the_one_before(element, radii):
+    z, valid = surface(), np.zeros((41, 57), bool)
+    valid[3:35, 2:50] = True
 
     def look(k, before, opened, found):
         return found.at[k].set(before - opened)
 
-    last, drops = progressive_opening(z, valid, radii, look, jnp.zeros((3, *z.shape)), reach=REACH, element="square")
+    nothing = jnp.zeros((len(radii), *z.shape))
+    last, drops = progressive_opening(z, valid, np.array(radii), look, nothing, reach=12, element=element)
     for radius, drop in zip(radii, drops, strict=True):
-        opened = opening(z, radius, REACH, "square", valid)
+        opened = opening(z, radius, 12, element, valid)
         np.testing.assert_array_equal(drop, z - opened)
         z = opened
     np.testing.assert_array_equal(last, z)

@@ -2,7 +2,7 @@
 
 Minima of runs of 1, 2, 4, ... cells are made by doubling; a run of any length is the union of two overlapping ones, and
 a disk or a diamond is the union of one such run per row. The radius is traced: one compilation serves all radii up to
-``reach``.
+``reach``. Progressive openings with disks erode in fewer steps: the disks of all radii grow out of each other.
 
 Cells beyond the border never take part: they count as +inf in an erosion and as -inf in a dilation, so that nothing is
 drawn towards the border. The results equal those of ``scipy.ndimage`` with that padding bit for bit.
@@ -20,10 +20,13 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 T = TypeVar("T")
 _ROWS_AT_ONCE = 2
+_RIM_AT_ONCE = 4
+_CROSS = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
 _STRIP = 2**19  # cells that a processor keeps close while it goes over them again and again
 
 
@@ -51,14 +54,19 @@ def _beyond(z: jax.Array) -> jax.Array:
     return jnp.array(most, z.dtype)
 
 
+def _bordered(z: jax.Array, width: int, rows: int | None = None) -> jax.Array:
+    """With what lies beyond the border around it, so many cells wide, for a grid of so many rows."""
+    border = jnp.full(((rows or z.shape[0]) + 2 * width, z.shape[1] + 2 * width), _beyond(z))
+    return lax.dynamic_update_slice(border, z, (width, width))  # in a quarter of the time of jnp.pad
+
+
 def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> jax.Array:
     """Strip by strip, since all runs of a strip fit into a processor's cache; elsewhere the whole is one strip."""
     rows, columns = z.shape
     tall = max(_STRIP // columns, 2 * reach, 1) if jax.default_backend() == "cpu" else rows
     strips = -(-rows // tall)
     tall = -(-rows // strips)
-    border = jnp.full((strips * tall + 2 * reach, columns + 2 * reach), _beyond(z))
-    border = lax.dynamic_update_slice(border, z, (reach, reach))  # in a quarter of the time of jnp.pad
+    border = _bordered(z, reach, strips * tall)
     if strips == 1:
         return _erode_strip(border, radius, reach, diamond)
 
@@ -148,10 +156,55 @@ def _eroded(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Ar
     raise ValueError(f"element={element!r}: use 'disk', 'square' or 'diamond'")
 
 
+def _dilated(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
+    """The dilation of integers of ``valid`` cells. Their complements have the opposite order."""
+    return ~_eroded(jnp.where(valid, ~z, _beyond(z)), radius, reach, element)
+
+
 def _opened(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
-    """:func:`opening` of integers. Their complements have the opposite order."""
+    """:func:`opening` of integers."""
     eroded = _eroded(jnp.where(valid, z, _beyond(z)), radius, reach, element)
-    return jnp.where(valid, ~_eroded(jnp.where(valid, ~eroded, _beyond(z)), radius, reach, element), z)
+    return jnp.where(valid, _dilated(eroded, radius, reach, element, valid), z)
+
+
+@functools.cache
+def _rims(reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the disk of every radius up to ``reach`` has beyond the five disks of a radius less by one that lie in it.
+
+    Returns: rows and columns from the centre of these cells, one disk after the other, i32[n, 2], the cells of a disk
+        repeated to a multiple of ``_RIM_AT_ONCE``; and where those of each radius begin, i32[reach + 2].
+    """
+    cells: list[tuple[int, int]] = []
+    starts = [0, 0]
+    for radius in range(1, reach + 1):
+        smaller = [math.isqrt((radius - 1) ** 2 - row**2) for row in range(radius)] + [-1, -1]  # half chords
+        rim: list[tuple[int, int]] = []
+        for row in range(radius + 1):
+            covered = max(smaller[row] + 1 if row < radius else -1, smaller[abs(row - 1)], smaller[row + 1])
+            for column in range(covered + 1, math.isqrt(radius**2 - row**2) + 1):
+                rim += sorted({(i, j) for i in (-row, row) for j in (-column, column)})
+        cells += rim + rim[:1] * (-len(rim) % _RIM_AT_ONCE)
+        starts.append(len(cells))
+    return np.array(cells, np.int32).reshape(-1, 2), np.array(starts, np.int32)
+
+
+def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
+    """The erosion of ``z`` with a disk, by that with the disk whose radius is less by one.
+
+    Five of the smaller disks, moved by one cell at most, leave little of the larger one: 8 cells of 1,009 at radius 18.
+    """
+    cells, starts = (jnp.asarray(table) for table in _rims(reach))
+    (rows, columns), near, border = z.shape, _bordered(eroded, 1), _bordered(z, reach)
+    moved = (lax.slice(near, (1 + i, 1 + j), (1 + i + rows, 1 + j + columns)) for i, j in _CROSS)
+
+    def rim(step: jax.Array, out: jax.Array) -> jax.Array:
+        for k in range(_RIM_AT_ONCE):
+            at = cells[step * _RIM_AT_ONCE + k] + reach
+            out = jnp.minimum(out, lax.dynamic_slice(border, (at[0], at[1]), z.shape))
+        return out
+
+    first, last = starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE
+    return lax.fori_loop(first, last, rim, functools.reduce(jnp.minimum, moved))
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
@@ -219,8 +272,8 @@ def progressive_opening(
 
     Args:
         z: f32[rows, columns] without NaN.
-        valid: bool[rows, columns], the cells that exist, as for :func:`opening`.
-        radii: i32[openings], cells, 0 <= radius <= reach.
+        valid: bool[rows, columns], the cells that exist, as for :func:`opening`; a rectangle.
+        radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before.
         look: called as ``look(k, before, opened, found)`` for each opening, with its number i32[], the surfaces before and
             after it, and what the previous call has returned; arrays of the same shapes and dtypes.
         found: what the first call is given, a pytree of arrays.
@@ -241,12 +294,22 @@ def progressive_opening(
     if len(radii) == 0:
         return z, found
 
-    def open_once(k: jax.Array, state: tuple[jax.Array, T]) -> tuple[jax.Array, T]:
-        before, found = state
-        opened = _opened(before, radii[k], reach, element, valid)
-        return opened, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
+    def eroded(k: jax.Array, before: jax.Array, smaller: jax.Array) -> jax.Array:
+        there = jnp.where(valid, before, _beyond(before))
+        if element != "disk":
+            return _eroded(there, radii[k], reach, element)
+        # An opening leaves the erosion with its disk as it was, so that the next erosion can begin with that.
+        first = jnp.where(k == 0, 0, radii[k - 1])
+        return lax.fori_loop(first + 1, radii[k] + 1, lambda radius, out: _grown(out, there, radius, reach), smaller)
 
-    last, found = lax.fori_loop(0, len(radii), open_once, (_ordered(z), found))
+    def open_once(k: jax.Array, state: tuple[jax.Array, jax.Array, T]) -> tuple[jax.Array, jax.Array, T]:
+        before, smaller, found = state
+        lowest = eroded(k, before, smaller)
+        opened = jnp.where(valid, _dilated(lowest, radii[k], reach, element, valid), before)
+        return opened, lowest, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
+
+    start = _ordered(z)
+    last, _, found = lax.fori_loop(0, len(radii), open_once, (start, jnp.where(valid, start, _beyond(start)), found))
     return _ordered(last, z.dtype), found
 
 
