@@ -15,7 +15,7 @@ from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.ops.inpaint import fill_membrane
-from jaxfilter.stages import grid_filter, tin_filter
+from jaxfilter.stages import tin_filter
 
 
 @pytest.fixture(scope="module")
@@ -93,25 +93,6 @@ def test_slopes_of_smrf_share_a_terrain_if_no_cell_lies_between_them(cloud):
     assert ((keys[:, None] == keys) == (numbers[:, None] == numbers)).all()
     assert 1 < len(set(keys)) < len(sets)
     check_equal(sets[::10], cloud)
-
-
-@pytest.mark.parametrize(
-    "filter_", [jf.SMRF(window=12.0), jf.PMF(max_window=17.0), jf.MSF(window=5.0, distance="points")], ids=repr
-)
-def test_a_long_sweep_crops_the_grid_and_gives_the_same_labels(filter_, cloud, monkeypatch):
-    sets, shapes, crop = product(filter_, slope=(0.1, 0.2, 0.4)), [], grid_filter._cropped
-
-    def cropped(prepared, cells):
-        out = crop(prepared, cells)
-        shapes.extend(leaf.shape for leaf in jax.tree.leaves(out) if leaf.ndim > 1)
-        assert all((shape[:2] >= cells.extent).all() for shape in shapes)
-        return out
-
-    whole = labels_of(filter_, sets, cloud)
-    monkeypatch.setattr(grid_filter, "_LONG", 2)
-    monkeypatch.setattr(grid_filter, "_cropped", cropped)
-    np.testing.assert_array_equal(labels_of(filter_, sets, cloud), whole)
-    assert len({shape[:2] for shape in shapes}) == 1 and max(shapes[0]) < 128
 
 
 @pytest.mark.parametrize(

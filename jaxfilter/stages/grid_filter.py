@@ -22,8 +22,6 @@ from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells, st
 
 _SURFACES, _SETS = (4, 16), 32
 """In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
-_LONG, _STEP = 64, 16
-"""From more surfaces on grids are cropped to multiples of so many cells, which pays for compiling shapes of one's own."""
 _CELL_BYTES, _POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each surface of a sweep."""
 _ROUNDING = 4e-7
@@ -216,13 +214,10 @@ class GridFilter(Filter):
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
         """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
-        cells = self.cells(points, self.barred(points, workers))
-        prepared = self.prepare(cells)
+        prepared = self.prepare(self.cells(points, self.barred(points, workers)))
         groups = alike(self.deciding(prepared, sets))
         jobs = sorted((part[k : k + _SETS] for part in groups for k in range(0, len(part), _SETS)), key=len)
         wide = bucket(min(_SETS, max(map(len, alike(values_but(self.TESTED, sets))), default=1)), 1)
-        if len(jobs) > _LONG:
-            prepared = _cropped(prepared, cells)
         size = max(a.size for a in jax.tree.leaves(prepared))
         room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
         most = int(np.clip(room, 1, _SURFACES[len(jobs) > _SURFACES[0]]))
@@ -305,13 +300,6 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
     True
     """
     return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
-
-
-def _cropped(prepared: Any, cells: Cells) -> Any:
-    """What ``prepare`` has made, in arrays that are hardly larger than the true extent of the cells."""
-    rows, columns = (-(-int(n) // _STEP) * _STEP for n in cells.extent)
-    padded = cells.lowest.shape
-    return jax.tree.map(lambda a: a[:rows, :columns] if a.shape[:2] == padded else a, prepared)
 
 
 @jax.jit
