@@ -41,7 +41,9 @@ def test_a_function_that_cannot_be_kept_is_compiled_all_the_same_and_that_is_sai
 
 
 def test_what_is_compiled_is_kept_where_the_user_says(tmp_path):
-    script = "from jaxfilter.host import flips; print(flips.in_circle(0, 0, 4, 0, 0, 4, 3, 3), flips.in_circle.stats)"
+    script = (
+        "from jaxfilter.host.predicates import in_circle; print(in_circle(0, 0, 4, 0, 0, 4, 3, 3), in_circle.stats)"
+    )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     said = [
         subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment).stdout

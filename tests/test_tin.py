@@ -12,7 +12,7 @@ from triangulation import Mesh, in_circle, power, triangulation, turn
 
 from jaxfilter.core.cloud import QUANTUM
 from jaxfilter.core.points import morton
-from jaxfilter.host import flips
+from jaxfilter.host import predicates
 from jaxfilter.host import tin as tin_module
 from jaxfilter.host.tin import Tin
 
@@ -307,8 +307,10 @@ def test_each_is_inserted_unless_what_it_relies_on_has_changed(pool, seed, kind,
     )
     relied = np.column_stack([tin.where[rest], other])
     corners = np.where(relied[..., None] < 0, -1, tin.triangles[relied])
+    image = np.full(len(xyz), -1, np.int32)
+    image[rest] = other
     tin.now += 1
-    done = tin.insert_each(rest, relied)
+    done = tin.insert_each(rest, image)
     grown = start
     for node, kept, facets in zip(rest, done, corners, strict=True):
         own = np.sort(grown[sheet[grown] == sheet[node]])
@@ -521,7 +523,7 @@ def test_the_circle_test_equals_that_in_integers_of_any_size(rng):
             largest = max(largest, abs(value))
         else:
             told += 1
-        assert flips.in_circle(*a, *b, *c, *p) == in_circle(a, b, c, p), (a, b, c, p)
+        assert predicates.in_circle(*a, *b, *c, *p) == in_circle(a, b, c, p), (a, b, c, p)
     assert ties > 2500 and told > 2500 and wrapped > 500 and largest > 2**60
 
 
@@ -532,8 +534,8 @@ def test_the_symbolic_rule_makes_one_triangulation_of_any_ties(rng):
             order = sorted((a, b, c, p), key=lambda q: np.arctan2(2 * q[1] - a[1] - c[1], 2 * q[0] - a[0] - c[0]))
             if all(turn(order[k - 2], order[k - 1], order[k]) > 0 for k in range(4)):
                 a, b, c, d = order
-                one = [flips.in_circle(*a, *b, *c, *d), flips.in_circle(*c, *d, *a, *b)]
-                two = [flips.in_circle(*b, *c, *d, *a), flips.in_circle(*d, *a, *b, *c)]
+                one = [predicates.in_circle(*a, *b, *c, *d), predicates.in_circle(*c, *d, *a, *b)]
+                two = [predicates.in_circle(*b, *c, *d, *a), predicates.in_circle(*d, *a, *b, *c)]
                 assert one in ([True] * 2, [False] * 2) and two == [not one[0]] * 2
 
 

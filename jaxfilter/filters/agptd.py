@@ -141,6 +141,7 @@ class AGPTD(Mirroring):
         }
         return self.network(points, seeds.rows, self.seed_cell, barred, late, info=info)
 
-    def mirroring(self, network: Network) -> Mirror:
+    def mirroring(self, network: Network) -> Mirror | None:
         """Over facets steeper than the limit, or than the steepest cell of the seeds."""
-        return Mirror(network.info["terrain_angle"], self.mirror, self.mirror_mode)
+        mirror = super().mirroring(network)
+        return None if mirror is None else dataclasses.replace(mirror, slope=network.info["terrain_angle"])

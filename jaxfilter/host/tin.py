@@ -1,7 +1,7 @@
 """Triangulated irregular networks that grow: Delaunay triangulations whose vertices come and go in place.
 
 The triangulation of the vertices is unique whatever the order, the batches and the history in which they came: it depends
-on their positions only (:mod:`jaxfilter.host.flips`). It begins with one triangle of each sheet.
+on their positions only (:mod:`jaxfilter.host.predicates`). It begins with one triangle of each sheet.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SHARE = 8192
 """At least so many are worth a thread of their own where each takes a walk."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
-_NONE = np.zeros((0, 2), np.int32)
+_NONE = np.zeros(0, np.int32)
 _CORNERS = np.array([[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 3]])
 _BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
 """A triangle and the ghosts beyond its edges: their corners, of which the last is nowhere, and neighbours."""
@@ -55,12 +55,13 @@ class Tin:
 
         The vertices are at positions of their own. Raises: ValueError for positions more than 140 km apart.
         """
-        from . import flips  # imports Numba, which takes longer than all the rest
+        from . import flips, walks  # these import Numba, which takes longer than all the rest
+        from .predicates import SPAN
 
-        self.flips = flips
+        self._flips, self._walks = flips, walks
         self.xyz, self.sheet, self.xy, self.pool, self.workers = xyz, sheet, lattice(xyz), pool, workers
-        if max(int(self.xy[:, axis].max()) - int(self.xy[:, axis].min()) for axis in range(2)) > flips.SPAN:
-            raise ValueError(f"nodes more than {flips.SPAN * QUANTUM / 1000:.0f} km apart: triangulate them in parts")
+        if max(int(self.xy[:, axis].max()) - int(self.xy[:, axis].min()) for axis in range(2)) > SPAN:
+            raise ValueError(f"nodes more than {SPAN * QUANTUM / 1000:.0f} km apart: triangulate them in parts")
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
         self.now = 0
@@ -69,10 +70,10 @@ class Tin:
         begin = np.array([self._one(part) for part in of_sheet])
         used, most = 4 * len(begin), 2 * len(xyz)  # with ghosts, k vertices have 2 k - 2 triangles
         self._first, self._hull = np.arange(0, used, 4), np.full(len(begin), 3)
-        self.triangles = np.full((most, 3), flips.DEAD, np.int32)
+        self.triangles = np.full((most, 3), walks.DEAD, np.int32)
         self.neighbours, self.stamp = np.empty((most, 3), np.int32), np.zeros(most, np.int32)
         self._unused = np.arange(used, most, dtype=np.int32)
-        self.triangles[:used] = np.insert(begin, 3, flips.NOWHERE, axis=1)[:, _CORNERS].reshape(-1, 3)
+        self.triangles[:used] = np.insert(begin, 3, walks.NOWHERE, axis=1)[:, _CORNERS].reshape(-1, 3)
         self.neighbours[:used] = (self._first[:, None, None] + _BESIDE).reshape(-1, 3)
         self.where[begin] = self._first[:, None]
         self.vertex[begin] = True
@@ -132,37 +133,24 @@ class Tin:
         list(self.pool.map(one, jobs) if len(jobs) > 1 else map(one, jobs))
         self.vertex[nodes] = True
 
-    def insert_each(self, nodes: np.ndarray, relied: np.ndarray) -> np.ndarray:
-        """Make nodes vertices in their order, but for those of which a triangle ``relied`` on, i32[n, 2] (-1 = none), has
-        changed in this round: bool[n], those that are vertices now."""
+    def insert_each(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
+        """Make located nodes vertices in their order, but for those that have :meth:`changed` by then: bool[n], those that
+        are vertices now."""
         fresh = self._fresh(len(nodes))
-        left = self._insert(nodes, fresh, relied)
-        self.triangles[fresh[left]] = self.flips.DEAD
+        left = self._insert(nodes, fresh, image)
         self._unused = np.concatenate([fresh[left].ravel(), self._unused])
         self.vertex[nodes[~left]] = True
         return ~left
 
     def _insert(
-        self, nodes: np.ndarray, fresh: np.ndarray, relied: np.ndarray = _NONE, low: int = -1, high: int = 2**31 - 1
+        self, nodes: np.ndarray, fresh: np.ndarray, image: np.ndarray = _NONE, low: int = -1, high: int = 2**31 - 1
     ) -> np.ndarray:
         """Insert nodes one after the other; bool[n], those that were left out."""
         left, done = np.zeros(len(nodes), bool), 0
+        own = self.sheet, self._hull
         while done < len(nodes):
-            some = nodes[: done + CHUNK]
-            done = self.flips.insert(
-                *self._tables,
-                self.sheet,
-                self._hull,
-                some,
-                relied,
-                fresh.ravel(),
-                left,
-                low,
-                high,
-                done,
-                self.now,
-                _MADE,
-            )
+            some = nodes[: done + CHUNK], image, fresh, left
+            done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE)
             if done < 0:
                 raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex")
         return left
@@ -187,20 +175,20 @@ class Tin:
         for order in reversed(_coarse_first(len(nodes))):
             for start in range(0, len(order), CHUNK):
                 part = nodes[order[start : start + CHUNK]]
-                freed = np.empty(2 * len(part), np.int32)
-                done = self.flips.remove(*self._tables, part, freed, self.now)
+                freed = np.empty((len(part), 2), np.int32)
+                done = self._flips.remove(*self._tables, part, freed, self.now)
                 if done < len(part):
                     raise ValueError(f"node {part[done]} is on the hull")
-                self._unused = np.concatenate([self._unused, freed])
+                self._unused = np.concatenate([self._unused, freed.ravel()])
                 self.vertex[part] = False
         if self.sheet[-1] > 0:  # or nodes would be in the wrong sheet when another takes these numbers
-            self.flips.leave(self.triangles, self.neighbours, self.where)
+            self._flips.leave(self.triangles, self.neighbours, self.where)
 
     def locate(self, nodes: np.ndarray) -> None:
         """Bring ``where`` up to date for nodes, i64, best in canonical order."""
 
         def one(part: slice) -> None:
-            self.flips.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
+            self._walks.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
 
         self._spread(len(nodes), one, _SHARE)
 
@@ -212,7 +200,7 @@ class Tin:
         out = np.empty(len(xy), np.int32)
         tables, xy = self._tables[:3], lattice(xy)
         self._spread(
-            len(xy), lambda part: self.flips.locate_positions(*tables, start[part], xy[part], out[part]), _SHARE
+            len(xy), lambda part: self._walks.locate_positions(*tables, start[part], xy[part], out[part]), _SHARE
         )
         return out
 
@@ -220,25 +208,25 @@ class Tin:
         """i64[n]: for located nodes, i64, the vertex at the same position, or -1."""
         out = np.empty(len(nodes), np.int64)
         tables = self.xy, self.triangles, self.where
-        self._spread(len(nodes), lambda part: self.flips.twins(*tables, nodes[part], out[part]))
+        self._spread(len(nodes), lambda part: self._walks.twins(*tables, nodes[part], out[part]))
         return out
 
     def nearest(self, vertices: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """i64[n]: the vertex nearest to each vertex, i64[n], in the plane, among others that count, bool[k]; -1 = none."""
         out = np.empty(len(vertices), np.int64)
-        self.flips.nearest(self.xy, self.triangles, self.neighbours, self.where, counts, vertices, out)
+        self._walks.nearest(self.xy, self.triangles, self.neighbours, self.where, counts, vertices, out)
         return out
 
     def changed(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
         """bool[n]: nodes, i64, of which the triangle, or that of their image (i32[k], -1 = none), has changed now."""
         out = np.empty(len(nodes), bool)
         tables = self.where, self.stamp
-        self._spread(len(nodes), lambda part: self.flips.changed(*tables, nodes[part], image, self.now, out[part]))
+        self._spread(len(nodes), lambda part: self._walks.changed(*tables, nodes[part], image, self.now, out[part]))
         return out
 
     def touch(self, vertices: np.ndarray) -> None:
         """The triangles at vertices count as changed."""
-        self.flips.touch(*self._tables[1:], vertices, self.now)
+        self._flips.touch(*self._tables[1:], vertices, self.now)
 
     def corners(self, rows: np.ndarray) -> np.ndarray:
         """i32[n, 3]: the nodes at the corners of triangles, i32[n], counter-clockwise from the first on.
@@ -247,7 +235,7 @@ class Tin:
         """
         out = np.empty((len(rows), 3), np.int32)
         tables = self.triangles, self.neighbours
-        self._spread(len(rows), lambda part: self.flips.corners(*tables, rows[part], out[part]))
+        self._spread(len(rows), lambda part: self._walks.corners(*tables, rows[part], out[part]))
         return out
 
     def facets(self) -> tuple[np.ndarray, np.ndarray]:

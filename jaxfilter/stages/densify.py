@@ -23,7 +23,7 @@ from ..core.result import Decision, Progress, silent
 from ..host.tin import Tin
 from ..ops.facets import Rule, judge, mirrored
 from .growth import Growth, Mirror, Network
-from .vertices import LowestPerCell, Spaced
+from .vertices import LowestPerCell, Spaced, choice_of
 
 _BATCHES = (1024, 8192)
 """Sizes of kernel calls: what does not fill half of the large one is cut into small ones."""
@@ -53,9 +53,10 @@ def densify(
     """
     threads = workers or os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        tin = triangulated(network, growth, pool, threads) if tin is None else tin
+        choice = choice_of(network, growth.vertices)
+        tin = triangulated(network, choice, pool, threads) if tin is None else tin
         tin.pool, tin.workers = pool, threads
-        run = Densification(network, growth, tin, scores, keep_labels)
+        run = Densification(network, growth, choice, tin, scores, keep_labels)
         run.rounds(progress)
         if growth.review:
             run.review()
@@ -65,15 +66,10 @@ def densify(
         return run
 
 
-def triangulated(network: Network, growth: Growth, pool: ThreadPoolExecutor, workers: int) -> Tin:
-    """The triangulation of the seeds of a network, and of its border nodes, with all others located in it."""
-    vertices = np.sort(np.concatenate([_choice(network, growth).begin(), network.virtual]))
+def triangulated(network: Network, choice: Spaced | LowestPerCell, pool: ThreadPoolExecutor, workers: int) -> Tin:
+    """The triangulation of the seeds that are vertices, and of the border nodes, with all other nodes located in it."""
+    vertices = np.sort(np.concatenate([choice.seeds, network.virtual]))
     return Tin(network.xyz.copy(), network.sheet, vertices, pool, workers)
-
-
-def _choice(network: Network, growth: Growth) -> Spaced | LowestPerCell:
-    policy = growth.vertices
-    return LowestPerCell(network, policy.grids) if policy.grids else Spaced(network, policy.spacing)
 
 
 class Densification:
@@ -88,10 +84,18 @@ class Densification:
         converged: whether the rounds ended by themselves; trace: a record of each.
     """
 
-    def __init__(self, network: Network, growth: Growth, tin: Tin, scores: bool, keep_labels: bool) -> None:
-        self.net, self.growth, self.tin, self.scores, self.keep_labels = network, growth, tin, scores, keep_labels
-        self.rule, self.choice = _on_device(growth.rule), _choice(network, growth)
-        self.choice.begin()
+    def __init__(
+        self,
+        network: Network,
+        growth: Growth,
+        choice: Spaced | LowestPerCell,
+        tin: Tin,
+        scores: bool,
+        keep_labels: bool,
+    ) -> None:
+        self.net, self.growth, self.choice, self.tin = network, growth, choice, tin
+        self.scores, self.keep_labels = scores, keep_labels
+        self.rule = _on_device(growth.rule)
         self.ground = network.seed.copy()
         self._border_follows()
         k = len(network.xyz)
@@ -104,79 +108,77 @@ class Densification:
         self.trace: list[dict[str, Any]] = []
 
     def rounds(self, progress: Progress) -> None:
-        """Rounds until no point is accepted, first without the suspected low outliers, then with them."""
-        net, tin, adaptive = self.net, self.tin, self.growth.adaptive
+        """Rounds until no point is accepted, on each grid of vertices, and at last with the suspected low outliers."""
+        net, tin, choice, policy = self.net, self.tin, self.choice, self.growth.vertices
         waiting = net.open & ~self.ground
-        total, enough = max(1, int(waiting.sum())), self.growth.vertices.stop_share * int((net.row >= 0).sum())
         todo = rest = np.flatnonzero(waiting & ~net.late)
-        all_admitted, stage, within = not net.late.any(), 0, 0
-        planned = self.growth.vertices.rounds
+        total, enough = max(1, int(waiting.sum())), policy.stop_share * int((net.row >= 0).sum())
+        suspects_wait, stage, within = bool(net.late.any()), 0, 0
         self._adapt("round")
         for _ in range(self.growth.max_rounds):
             progress(1.0 - len(rest) / total, "densify")
             tin.now += 1
             accepted, put_off, inserted = self._round(todo)
-            waiting[accepted] = False
-            self.trace.append(
-                {"tested": len(todo), "accepted": len(accepted), "inserted": inserted, "facets": len(tin)}
+            few, within = len(accepted) + len(put_off) < enough, within + 1
+            of_grid = (
+                {"cell": choice.cell, "stage": stage, "enough": not few} if isinstance(choice, LowestPerCell) else {}
             )
-            if isinstance(self.choice, LowestPerCell):
-                self.trace[-1] |= {
-                    "cell": self.choice.cell,
-                    "stage": stage,
-                    "enough": len(accepted) + len(put_off) >= enough,
-                }
-            if adaptive is not None:  # the limits that were applied
-                self.trace[-1] |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
-            if self.keep_labels:
-                self.trace[-1]["ground"] = self.ground.copy()
-            within += 1
-            loosened = self._adapt("round")
+            self._record(len(todo), len(accepted), inserted, **of_grid, **self._limits())
+            waiting[accepted] = False
             rest = rest[waiting[rest]]
-            todo = rest[loosened | self._again(rest, put_off)]
-            done = len(accepted) + len(put_off) < enough if planned is None else within >= planned[stage]
-            while isinstance(self.choice, LowestPerCell) and self.choice.finer and (done or len(todo) == 0):
-                done, stage, within = False, stage + 1, 0
-                self.choice.refine(self.ground, tin)
-                loosened |= self._adapt("grid")
-                todo = rest[loosened | self._again(rest, put_off)]
-            if done:
-                todo = rest[:0]
-            if len(todo) == 0 and not all_admitted:
-                all_admitted, stage, within = True, stage + 1, 0
-                todo, rest = np.flatnonzero(waiting & net.late), np.flatnonzero(waiting)
-                tin.locate(todo)
-            if len(todo) == 0:
-                self.converged = True
-                return
+            loosened = self._adapt("round")
+            todo = rest[self._again(rest, put_off) | loosened]
+            ends = few if policy.rounds is None else within >= policy.rounds[stage]
+            while ends or len(todo) == 0:  # the next stage
+                ends, stage, within = False, stage + 1, 0
+                if choice.finer:
+                    choice.refine(self.ground, tin)
+                    loosened |= self._adapt("grid")
+                    todo = rest[self._again(rest, put_off) | loosened]
+                elif suspects_wait:
+                    suspects_wait = False
+                    todo, rest = np.flatnonzero(waiting & net.late), np.flatnonzero(waiting)
+                    tin.locate(todo)
+                else:
+                    self.converged = True
+                    return
+
+    def _record(self, tested: int, accepted: int, inserted: int, **more: Any) -> None:
+        """Add to the trace what was done."""
+        step = {"tested": tested, "accepted": accepted, "inserted": inserted, "facets": len(self.tin), **more}
+        self.trace.append(step | ({"ground": self.ground.copy()} if self.keep_labels else {}))
+
+    def _limits(self) -> dict[str, float]:
+        """The limits that apply now, if they change."""
+        names = () if self.growth.adaptive is None else ("max_distance", "max_angle")
+        return {name: float(getattr(self.rule, name)) for name in names}
 
     def _round(self, todo: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         """Test located nodes, make ground of those that pass and vertices of some: accepted, put off, number of vertices."""
-        tin, insertion = self.tin, self.growth.insertion
-        facet, verdict = self._test(todo)
-        passes = np.flatnonzero(verdict["accepted"])
-        passed, facet, new = todo[passes], facet[passes], todo[:0]
-        put_off = np.zeros(len(passed), bool)
-        if insertion != "batch":
-            level = self.net.xyz[passed, 2] if insertion == "sequential" else verdict["height"][passes]
-            may = np.flatnonzero(self.choice.could(passed, tin))
-            order = may[np.lexsort((passed[may], level[may], facet[may]))]
+        tin, verdict = self.tin, self._test(todo)
+        passes = verdict["accepted"]
+        accepted, put_off, inserted = todo[passes], todo[:0], 0
+        if self.growth.insertion != "batch":
+            one_by_one = self.growth.insertion == "sequential"
+            level = self.net.xyz[accepted, 2] if one_by_one else verdict["height"][passes]
+            facet = tin.where[accepted]
+            may = np.flatnonzero(self.choice.could(accepted, tin))
+            order = may[np.lexsort((may, level[may], facet[may]))]
             first = order[np.diff(facet[order], prepend=-1) != 0]
-            if insertion == "sequential":
+            if one_by_one:
                 assert isinstance(self.choice, Spaced)
-                first = first[np.lexsort((passed[first], level[first]))]
-                relied = np.column_stack([facet[first], self.image_in[passed[first]]])
-                first = first[self.choice.add_each(passed[first], relied, tin)]
-                new = passed[first]
-            put_off[may] = True
-            put_off[first] = False
-        accepted = passed[~put_off]
-        if len(new) > 0:
-            tin.locate(accepted)
+                first = first[np.lexsort((first, level[first]))]
+                first = first[self.choice.add_each(accepted[first], self.image_in, tin)]
+                inserted = len(first)
+            waits = np.zeros(len(accepted), bool)
+            waits[may], waits[first] = True, False
+            accepted, put_off = accepted[~waits], accepted[waits]
+            if inserted:
+                tin.locate(accepted)
         self.ground[accepted] = True
-        new = np.concatenate([new, self.choice.add(accepted, tin)])
+        inserted += len(self.choice.add(accepted, tin))
         self._border_follows()
-        return accepted, passed[put_off], len(new)
+        return accepted, put_off, inserted
 
     def _again(self, rest: np.ndarray, put_off: np.ndarray) -> np.ndarray:
         """bool[.]: nodes to test again: their facet, or that of their mirror image, has changed, or they were put off."""
@@ -232,25 +234,21 @@ class Densification:
         """Test all points but the vertices against the final network; labels are those of this test."""
         nodes = np.flatnonzero((self.net.row >= 0) & self.net.open & ~self.tin.vertex)
         self.tin.locate(nodes)
-        before, after = self.ground[nodes], self._test(nodes)[1]["accepted"]
+        before, after = self.ground[nodes], self._test(nodes)["accepted"]
         self.ground[nodes] = after
-        self.trace.append({"tested": len(nodes), "accepted": int((after & ~before).sum()), "inserted": 0})
-        self.trace[-1] |= {"revoked": int((before & ~after).sum()), "facets": len(self.tin)}
-        if self.keep_labels:
-            self.trace[-1]["ground"] = self.ground.copy()
+        self._record(len(nodes), int((after & ~before).sum()), 0, revoked=int((before & ~after).sum()))
 
-    def _test(self, nodes: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Test located nodes against their facets, i32[n], and keep the tested quantities."""
+    def _test(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
+        """Test located nodes against their facets, and keep the tested quantities."""
         facet, mirror = self.tin.where[nodes], self.growth.mirror
-        mirrors = mirror is not None and mirror.about != "off" and mirror.slope < 90.0
-        further = ("slope",) * mirrors + ("height",) * (self.growth.insertion == "one_per_facet")
+        further = ("slope",) * (mirror is not None) + ("height",) * (self.growth.insertion == "one_per_facet")
         verdict = self._judge(nodes, self.tin.corners(facet), (*_TESTED, *further))
-        if mirror is not None and mirrors:
+        if mirror is not None:
             self._mirror(mirror, nodes, facet, verdict)
         if self.scores:
             for name in _TESTED[1:]:
                 getattr(self, name)[nodes] = verdict[name]
-        return facet, verdict
+        return verdict
 
     def _mirror(self, mirror: Mirror, nodes: np.ndarray, facet: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
         """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes.
@@ -266,13 +264,13 @@ class Densification:
             return
         corner = self.tin.corners(facet[steep])
 
-        def images(part: slice) -> tuple[np.ndarray, ...]:
+        def given(part: slice) -> tuple[np.ndarray, ...]:
             return self.net.xyz[nodes[steep[part]]], np.take(self.tin.xyz, corner[part], axis=0)
 
-        def kernel(*pair: np.ndarray) -> dict[str, Any]:
-            return {"image": mirrored(*pair, mirror.about == "highest")}
+        def images(xyz: np.ndarray, corners: np.ndarray) -> dict[str, Any]:
+            return {"image": mirrored(xyz, corners, mirror.about == "highest")}
 
-        image = self._run(kernel, len(steep), images)["image"]
+        image = self._run(images, len(steep), given)["image"]
         there = self.tin.walk(image, facet[steep])
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]

@@ -57,8 +57,8 @@ class Network:
 class Mirror:
     """Mirroring over steep facets (Axelsson 2000; Zhang & Lin 2013).
 
-    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex,
-    or "off"; ``mode``: "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
+    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex; ``mode``:
+    "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
     """
 
     slope: float

@@ -22,6 +22,7 @@ from .densify import densify, triangulated
 from .growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
 from .network import border_positions, labels_of, one_network
 from .outliers import bar_outliers
+from .vertices import choice_of
 
 FATES = ("barred", "removed")
 """What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
@@ -151,7 +152,7 @@ class TinFilter(Filter):
             network = sets[numbers[0]].start(points, workers, silent)
             at_once = max(1, min(threads, len(numbers), int(memory // (_BYTES * len(network.xyz)))))
             with ThreadPoolExecutor(threads) as pool:
-                tin = triangulated(network, self.schedule(network), pool, threads)
+                tin = triangulated(network, choice_of(network, self.schedule(network).vertices), pool, threads)
 
             def grown(number: int, start: tuple[Network, Tin, int] = (network, tin, threads // at_once)) -> np.ndarray:
                 return sets[number]._ground_from(*start)
@@ -219,7 +220,7 @@ class Mirroring(TinFilter):
     )
 
     def mirroring(self, network: Network) -> Mirror | None:
-        return Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode)
+        return None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -237,4 +238,5 @@ class SlopeMirroring(TinFilter):
     )
 
     def mirroring(self, network: Network) -> Mirror | None:
-        return Mirror(math.degrees(math.atan(self.max_terrain_slope / 100.0)), self.mirror, self.mirror_mode)
+        slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
+        return None if self.mirror == "off" else Mirror(slope, self.mirror, self.mirror_mode)

@@ -1,0 +1,228 @@
+"""Compiled walks through a triangulation: which triangle holds a position, and what lies around a vertex.
+
+A triangulation is a table of triangles, i32[t, 3] (corners counter-clockwise), and one of neighbours, i32[t, 3] (opposite
+each corner), over nodes with positions on the integer lattice, i32[k, 2]. Every edge has two sides: a ghost triangle with
+the corner :data:`NOWHERE` lies beyond each edge of the hull. A triangle that was taken out has :data:`DEAD` for its first
+corner, and for its first neighbour a triangle that took its place. ``at`` holds for each node a triangle: one of a vertex's
+own, and for other nodes one near or around it. ``stamp`` holds when each triangle last changed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compiled import compiled
+from .predicates import after, left_of, turn
+
+NOWHERE = -1
+DEAD = -2
+MANY = 2**31 - 1
+
+
+@compiled
+def ahead(k):
+    """The corner after corner ``k``."""
+    return k + 1 if k < 2 else 0
+
+
+@compiled
+def behind(k):
+    """The corner before corner ``k``."""
+    return k - 1 if k > 0 else 2
+
+
+@compiled
+def place(table, t, value):
+    """Where a row of triangles or neighbours holds a value that is in it."""
+    return 0 if table[t, 0] == value else 1 if table[t, 1] == value else 2
+
+
+@compiled
+def position(xy, node):
+    """x and y, int64."""
+    return np.int64(xy[node, 0]), np.int64(xy[node, 1])
+
+
+@compiled
+def within(triangles, t, low, high):
+    """Whether all corners of a triangle are nodes from ``low`` to ``high``."""
+    return min(triangles[t, 0], triangles[t, 1], triangles[t, 2]) >= low and (
+        max(triangles[t, 0], triangles[t, 1], triangles[t, 2]) < high
+    )
+
+
+@compiled
+def is_ghost(triangles, t):
+    """Whether a triangle lies beyond an edge of the hull."""
+    return min(triangles[t, 0], triangles[t, 1], triangles[t, 2]) < 0
+
+
+@compiled
+def _walk(xy, triangles, neighbours, t, px, py, low, high):
+    """The triangle that contains a position; outside the hull a ghost whose edge is in sight, or holds the position.
+
+    -1 if the way leads over a triangle with a corner that is not from ``low`` to ``high``.
+    """
+    before = np.int32(-1)
+    while True:
+        if not within(triangles, t, low, high):
+            return np.int32(-1)
+        step = np.int32(-1)
+        for k in range(3):
+            a, b = triangles[t, ahead(k)], triangles[t, behind(k)]
+            if a < 0 or b < 0:
+                continue
+            beyond = neighbours[t, k]
+            if beyond != before:
+                ax, ay = position(xy, a)
+                bx, by = position(xy, b)
+                if not left_of(ax, ay, bx, by, px, py):
+                    step = beyond
+                    break
+        if step < 0:
+            break
+        before, t = t, step
+    # from a ghost on the line of whose edge the position lies to the one that holds it, or sees it
+    while is_ghost(triangles, t):
+        k = place(triangles, t, NOWHERE)
+        ax, ay = position(xy, triangles[t, ahead(k)])
+        bx, by = position(xy, triangles[t, behind(k)])
+        along = (px - ax) * (bx - ax) + (py - ay) * (by - ay)
+        if turn(ax, ay, bx, by, px, py) != 0 or 0 <= along <= (bx - ax) ** 2 + (by - ay) ** 2:
+            break
+        t = neighbours[t, behind(k) if along < 0 else ahead(k)]
+    return t
+
+
+@compiled
+def _away(xy, triangles, t, px, py):
+    """Square of the distance from a corner of a triangle to a position."""
+    x, y = position(xy, triangles[t, 0] if triangles[t, 0] >= 0 else triangles[t, 1])
+    return (x - px) ** 2 + (y - py) ** 2
+
+
+@compiled
+def find(xy, triangles, neighbours, own, other, px, py, low, high):
+    """The triangle that contains a position, walking from the nearer of two, of which -1 = none; -1: see ``_walk``."""
+    if own >= 0:
+        while triangles[own, 0] == DEAD:
+            own = neighbours[own, 0]
+        if other < 0 or _away(xy, triangles, own, px, py) <= _away(xy, triangles, other, px, py):
+            return _walk(xy, triangles, neighbours, own, px, py, low, high)
+    return _walk(xy, triangles, neighbours, other, px, py, low, high)
+
+
+@compiled
+def locate(xy, triangles, neighbours, at, sheet, nodes, first):
+    """Bring ``at`` up to date for nodes, walking from where each was, or from the one before it if that is nearer.
+
+    ``first``: i64[s], a triangle of each sheet, where to begin with nodes that were nowhere yet.
+    """
+    for i in range(len(nodes)):
+        node = nodes[i]
+        before = at[nodes[i - 1]] if i > 0 and sheet[nodes[i - 1]] == sheet[node] else np.int32(-1)
+        if at[node] < 0 and before < 0:
+            before = np.int32(first[sheet[node]])
+        px, py = position(xy, node)
+        at[node] = find(xy, triangles, neighbours, at[node], before, px, py, NOWHERE, MANY)
+
+
+@compiled
+def locate_positions(xy, triangles, neighbours, start, positions, out):
+    """Triangles that contain positions, i32[n, 2], walking from ``start``; outside -1 - t, t behind an edge in sight."""
+    for i in range(len(positions)):
+        px, py = position(positions, i)
+        t = find(xy, triangles, neighbours, start[i], np.int32(-1), px, py, NOWHERE, MANY)
+        out[i] = -1 - neighbours[t, place(triangles, t, NOWHERE)] if is_ghost(triangles, t) else t
+
+
+@compiled
+def vertex_at(xy, triangles, t, px, py):
+    """The corner of a triangle that is at a position, or -1."""
+    for k in range(3):
+        v = triangles[t, k]
+        if v >= 0 and xy[v, 0] == px and xy[v, 1] == py:
+            return v
+    return np.int32(-1)
+
+
+@compiled
+def twins(xy, triangles, at, nodes, out):
+    """For located nodes the vertex at the same position, or -1."""
+    for i in range(len(nodes)):
+        px, py = position(xy, nodes[i])
+        out[i] = vertex_at(xy, triangles, at[nodes[i]], px, py)
+
+
+@compiled
+def has_changed(at, stamp, image, node, now):
+    """Whether the triangle of a node, or that of its image (``image``, i32[k], -1 = none), has changed ``now``."""
+    t = image[node]
+    return stamp[at[node]] == now or (t >= 0 and stamp[t] == now)
+
+
+@compiled
+def changed(at, stamp, nodes, image, now, out):
+    """Which nodes lie in a triangle that has changed ``now``, or have an image that does."""
+    for i in range(len(nodes)):
+        out[i] = has_changed(at, stamp, image, nodes[i], now)
+
+
+@compiled
+def corners(triangles, neighbours, rows, out):
+    """The corners of triangles, of ghosts those of the triangle behind them, each from its first node on."""
+    for i in range(len(rows)):
+        t = rows[i]
+        if is_ghost(triangles, t):
+            t = neighbours[t, place(triangles, t, NOWHERE)]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if b < a and b < c:
+            a, b, c = b, c, a
+        elif c < a and c < b:
+            a, b, c = c, a, b
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+
+
+@compiled
+def nearest(xy, triangles, neighbours, at, counts, vertices, out):
+    """For vertices the nearest other vertex that counts, bool[k] (of equally near the first in order of x, then y), or -1.
+
+    The next nearest vertex has an edge to one of those that are nearer, or to the vertex itself.
+    """
+    known, square = np.empty(64, np.int64), np.empty(64, np.int64)
+    for i in range(len(vertices)):
+        centre = v = vertices[i]
+        cx, cy = position(xy, centre)
+        out[i], size, done = -1, 0, 0
+        while out[i] < 0 and v >= 0:
+            first = t = at[v]
+            while True:  # all that have an edge to v
+                k = place(triangles, t, v)
+                u = triangles[t, ahead(k)]
+                new = u >= 0 and u != centre
+                for m in range(size):
+                    new = new and known[m] != u
+                if new:
+                    if size == len(known):
+                        known, square = np.concatenate((known, known)), np.concatenate((square, square))
+                    x, y = position(xy, u)
+                    known[size], square[size] = u, (x - cx) ** 2 + (y - cy) ** 2
+                    size += 1
+                t = neighbours[t, ahead(k)]
+                if t == first:
+                    break
+            v = np.int64(-1)
+            least = done
+            for m in range(done, size):  # the first ``done`` have been asked
+                u, w = known[m], known[least]
+                if square[m] < square[least] or (
+                    square[m] == square[least] and after(xy[w, 0], xy[w, 1], xy[u, 0], xy[u, 1])
+                ):
+                    least = m
+            if done < size:
+                v = known[least]
+                known[least], square[least] = known[done], square[done]
+                known[done] = v
+                done += 1
+                if counts[v]:
+                    out[i] = v
