@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -79,19 +80,35 @@ def one_network(
         seeds: i64[s], rows of ``points``; border: f32[b, 2] positions; barred, late: bool[m], see :class:`Network`.
         more: further fields of it.
     """
-    m, b = len(points), len(border)
-    virtual = with_elevation(border, points.xyz[seeds])
-    seed = np.zeros(m + b, bool)
-    seed[seeds] = True
-    seed[m:] = True
+    sheet = np.arange(len(points)), np.ones(len(points), bool), with_elevation(border, points.xyz[seeds])
+    return _joined(points, [sheet], seeds, barred, late, **more)
+
+
+def _joined(
+    points: Points,
+    sheets: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    seeds: np.ndarray,
+    barred: np.ndarray,
+    late: np.ndarray,
+    **more: Any,
+) -> Network:
+    """Sheets, each of points i64[n], ascending, of which some are open, bool[n], and of border nodes f32[b, 3]."""
+    xyz, row, opened = [], [], []
+    for own, is_open, ring in sheets:
+        xyz += [points.xyz[own], ring]
+        row += [own, np.full(len(ring), -1)]
+        opened += [is_open, np.zeros(len(ring), bool)]
+    point = np.concatenate(row)
+    is_seed = np.zeros(len(points) + 1, bool)
+    is_seed[seeds] = is_seed[-1] = True  # the last is for border nodes, whose row is -1
     return Network(
         points=points,
-        xyz=np.concatenate([points.xyz, virtual]),
-        sheet=np.zeros(m + b, np.int32),
-        row=np.concatenate([np.arange(m), np.full(b, -1)]),
-        seed=seed,
-        open=np.arange(m + b) < m,
-        late=np.concatenate([late, np.zeros(b, bool)]),
+        xyz=np.concatenate(xyz),
+        sheet=np.repeat(np.arange(len(sheets), dtype=np.int32), [len(own) + len(ring) for own, _, ring in sheets]),
+        row=point,
+        seed=is_seed[point],
+        open=np.concatenate(opened),
+        late=np.append(late, False)[point],
         barred=barred,
         **more,
     )
@@ -114,57 +131,44 @@ def block_networks(
     points within ``reach`` of the block's centre. Where these do not surround the block, simulated points at the corners of
     the widened block, with the elevation of the nearest seed, complete them. Empty blocks have no sheet. All in metres.
     """
-    xy = points.xyz[:, :2].astype(np.float64)
     low, high = points.extent
-    nx, ny = block_count(high - low, size)
-    edges = [np.append(low[a] + size * np.arange(n), high[a]) for a, n in enumerate((nx, ny))]
-    home = [np.clip(np.searchsorted(edges[a][1:-1], xy[:, a], side="right"), 0, n - 1) for a, n in enumerate((nx, ny))]
-    rows, blocks = [], []
-    near = max(1, int(np.ceil(overlap / size)))
-    for dx in range(-near, near + 1):
-        for dy in range(-near, near + 1):
-            bx, by = home[0] + dx, home[1] + dy
-            ok = (bx >= 0) & (bx < nx) & (by >= 0) & (by < ny)
-            for b, edge, v in ((bx, edges[0], xy[:, 0]), (by, edges[1], xy[:, 1])):
-                b = np.clip(b, 0, len(edge) - 2)
-                ok &= (v >= edge[b] - overlap) & (v <= edge[b + 1] + overlap)
-            rows.append(np.flatnonzero(ok))
-            blocks.append((by * nx + bx)[ok])
-    row, block = np.concatenate(rows), np.concatenate(blocks)
-    order = np.lexsort((row, block))
-    row, block = row[order], block[order]
-    is_seed = np.zeros(len(points), bool)
-    is_seed[seeds] = True
+    shape = block_count(high - low, size)
+    edges = [np.append(low[a] + size * np.arange(shape[a]), high[a]) for a in range(2)]
     seed_xyz = points.xyz[seeds]
     virtual = with_elevation(border, seed_xyz)
-    parts: list[tuple[np.ndarray, ...]] = []
-    for sheet, (number, start) in enumerate(zip(*np.unique(block, return_index=True), strict=True)):
-        stop = np.searchsorted(block, number, side="right")
-        inside = row[start:stop]
-        corner = np.array(
-            [[edges[0][number % nx], edges[1][number // nx]], [edges[0][number % nx + 1], edges[1][number // nx + 1]]]
-        )
+    sheets = []
+    for (column, line), inside in _widened(points, edges, overlap):
+        corner = np.array([[edges[0][column], edges[1][line]], [edges[0][column + 1], edges[1][line + 1]]])
         centre = corner.mean(axis=0)
-        close = ((seed_xyz[:, :2] - centre) ** 2).sum(axis=1) <= reach**2
-        outside = np.setdiff1d(seeds[close], inside, assume_unique=True)
-        own = np.union1d(inside, outside)
+        close = seeds[((seed_xyz[:, :2] - centre) ** 2).sum(axis=1) <= reach**2]
+        own = np.union1d(inside, close)
         ring = virtual[((virtual[:, :2] - centre) ** 2).sum(axis=1) <= reach**2]
-        around = np.concatenate([points.xyz[seeds[close]], ring])
+        around = np.concatenate([points.xyz[close], ring])
         if not _surrounds(around[:, :2], corner[0] - overlap, corner[1] + overlap, points.xyz[inside, :2]):
             frame = border_positions(corner[0] - overlap - PAD, corner[1] + overlap + PAD, 1e9)
             ring = np.concatenate([ring, with_elevation(frame, seed_xyz)])
-        parts.append(
-            (
-                np.concatenate([points.xyz[own], ring]),
-                np.full(len(own) + len(ring), sheet, np.int32),
-                np.concatenate([own, np.full(len(ring), -1)]),
-                np.concatenate([is_seed[own], np.ones(len(ring), bool)]),
-                np.concatenate([np.isin(own, inside, assume_unique=True), np.zeros(len(ring), bool)]),
-                np.concatenate([late[own], np.zeros(len(ring), bool)]),
-            )
-        )
-    xyz, sheets, row, seed, opened, lates = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Network(points, xyz, sheets, row, seed, opened, lates, barred)
+        sheets.append((own, np.isin(own, inside, assume_unique=True), ring))
+    return _joined(points, sheets, seeds, barred, late)
+
+
+def _widened(points: Points, edges: list[np.ndarray], overlap: float) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+    """Column and line of each block that holds points when it is widened, and their rows, i64, ascending.
+
+    ``edges``: of the columns, f64[nx + 1], and of the lines, f64[ny + 1].
+    """
+    xy = points.xyz[:, :2].astype(np.float64)
+    first = [np.searchsorted(edges[a][1:] + overlap, xy[:, a]) for a in range(2)]
+    last = [np.searchsorted(edges[a][:-1] - overlap, xy[:, a], side="right") - 1 for a in range(2)]
+    columns, lines = (last[a] - first[a] + 1 for a in range(2))
+    row = np.repeat(np.arange(len(points)), columns * lines)
+    which = np.arange(len(row)) - np.repeat(np.cumsum(columns * lines) - columns * lines, columns * lines)
+    column, line = first[0][row] + which % columns[row], first[1][row] + which // columns[row]
+    width = len(edges[0]) - 1
+    block = line * width + column
+    order = np.argsort(block, kind="stable")
+    numbers, start = np.unique(block[order], return_index=True)
+    for number, inside in zip(numbers.tolist(), np.split(row[order], start[1:]), strict=True):
+        yield (number % width, number // width), inside
 
 
 def _surrounds(around: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> bool:
@@ -186,19 +190,23 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
     """From nodes back to points: ground where any sheet accepts it; quantities from a sheet that does, else from any."""
     points, barred = network.points, network.barred
     barred = np.zeros(len(points), bool) if barred is None else barred
-    real = np.flatnonzero(network.row >= 0)
-    order = real
+    order = np.flatnonzero(network.row >= 0)
     if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
-        order = real[np.argsort(out.ground[real], kind="stable")]
+        order = order[np.argsort(out.ground[order], kind="stable")]
     row = network.row[order]
 
-    def gather(values: np.ndarray) -> np.ndarray:
+    def of_points(values: np.ndarray) -> np.ndarray:
         spread = np.zeros(len(points), values.dtype)
         spread[row] = values[order]
         return spread
 
+    def in_any_sheet(nodes: np.ndarray) -> np.ndarray:
+        spread = np.zeros(len(points), bool)
+        spread[row[nodes[order]]] = True
+        return spread
+
     names = ("ground", "height", "slope", "angle", "elevation", "margin", "decision")
-    found = {name: gather(getattr(out, name)) for name in names}
+    found = {name: of_points(getattr(out, name)) for name in names}
     trace = out.trace
     if network.before is not None:
         before, trace = network.before, network.before.trace + trace
@@ -208,25 +216,20 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
             found[name][earlier] = getattr(before, name)[earlier]
     if keep_labels:
         for step in out.trace:
-            any_sheet = np.zeros(len(points), bool)
-            any_sheet[row[step["ground"][order]]] = True
-            step["ground"] = any_sheet
-    late, seeds = np.zeros(len(points), bool), np.zeros(len(points), bool)
-    late[network.row[real[network.late[real]]]] = True
-    seeds[network.row[real[network.seed[real]]]] = True
+            step["ground"] = in_any_sheet(step["ground"])
     return Labels(
         **found,
         barred=barred,
         status=Status.CONVERGED if out.converged else Status.ROUND_LIMIT,
         info={
             "sheets": int(network.sheet[-1]) + 1,
-            "seeds": int(seeds.sum()),
+            "seeds": int(in_any_sheet(network.seed).sum()),
             "border_points": len(network.virtual),
             "rounds": len(out.trace),
             "facets": len(out.tin),
             "vertices": int(out.tin.vertex.sum()),
             "barred": int(points.weight[barred].sum()),
-            "barred_low_clusters": int(points.weight[late].sum()),
+            "barred_low_clusters": int(points.weight[in_any_sheet(network.late)].sum()),
             "barred_then_ground": int(points.weight[barred & found["ground"]].sum()),
             **network.info,
         },
