@@ -15,6 +15,7 @@ from .walks import DEAD, ahead, behind, find, has_changed, is_ghost, place, posi
 @compiled
 def _conflict(xy, triangles, t, node):
     """Whether a node lies in the circle of a triangle: beyond the edge, or on it, if that is a ghost."""
+    t = np.uint32(t)
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     if a < 0:
         a, b, c = b, c, a
@@ -32,6 +33,7 @@ def _conflict(xy, triangles, t, node):
 
 @compiled
 def _write(triangles, neighbours, t, a, b, c, na, nb, nc):
+    t = np.uint32(t)
     triangles[t, 0], triangles[t, 1], triangles[t, 2] = a, b, c
     neighbours[t, 0], neighbours[t, 1], neighbours[t, 2] = na, nb, nc
 

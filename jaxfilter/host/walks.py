@@ -5,6 +5,9 @@ each corner), over nodes with positions on the integer lattice, i32[k, 2]. Every
 the corner :data:`NOWHERE` lies beyond each edge of the hull. A triangle that was taken out has :data:`DEAD` for its first
 corner, and for its first neighbour a triangle that took its place. ``at`` holds for each node a triangle: one of a vertex's
 own, and for other nodes one near or around it. ``stamp`` holds when each triangle last changed.
+
+Rows of tables are looked up by unsigned numbers where it matters: then nothing asks whether they count from the end, which
+takes an eighth of the time of an insertion.
 """
 
 from __future__ import annotations
@@ -34,18 +37,21 @@ def behind(k):
 @compiled
 def place(table, t, value):
     """Where a row of triangles or neighbours holds a value that is in it."""
+    t = np.uint32(t)
     return 0 if table[t, 0] == value else 1 if table[t, 1] == value else 2
 
 
 @compiled
 def position(xy, node):
     """x and y, int64."""
+    node = np.uint32(node)
     return np.int64(xy[node, 0]), np.int64(xy[node, 1])
 
 
 @compiled
 def within(triangles, t, low, high):
     """Whether all corners of a triangle are nodes from ``low`` to ``high``."""
+    t = np.uint32(t)
     return min(triangles[t, 0], triangles[t, 1], triangles[t, 2]) >= low and (
         max(triangles[t, 0], triangles[t, 1], triangles[t, 2]) < high
     )
@@ -54,6 +60,7 @@ def within(triangles, t, low, high):
 @compiled
 def is_ghost(triangles, t):
     """Whether a triangle lies beyond an edge of the hull."""
+    t = np.uint32(t)
     return min(triangles[t, 0], triangles[t, 1], triangles[t, 2]) < 0
 
 
@@ -67,12 +74,12 @@ def _walk(xy, triangles, neighbours, t, px, py, low, high):
     while True:
         if not within(triangles, t, low, high):
             return np.int32(-1)
-        step = np.int32(-1)
+        row, step = np.uint32(t), np.int32(-1)
         for k in range(3):
-            a, b = triangles[t, ahead(k)], triangles[t, behind(k)]
+            a, b = triangles[row, ahead(k)], triangles[row, behind(k)]
             if a < 0 or b < 0:
                 continue
-            beyond = neighbours[t, k]
+            beyond = neighbours[row, k]
             if beyond != before:
                 ax, ay = position(xy, a)
                 bx, by = position(xy, b)

@@ -112,7 +112,7 @@ class Densification:
         net, tin, choice, policy = self.net, self.tin, self.choice, self.growth.vertices
         waiting = net.open & ~self.ground
         todo = rest = np.flatnonzero(waiting & ~net.late)
-        total, enough = max(1, int(waiting.sum())), policy.stop_share * int((net.row >= 0).sum())
+        total, enough = max(1, int(waiting.sum())), policy.stop_share * int(net.real.sum())
         suspects_wait, stage, within = bool(net.late.any()), 0, 0
         self._adapt("round")
         for _ in range(self.growth.max_rounds):
@@ -120,10 +120,10 @@ class Densification:
             tin.now += 1
             accepted, put_off, inserted = self._round(todo)
             few, within = len(accepted) + len(put_off) < enough, within + 1
-            of_grid = (
-                {"cell": choice.cell, "stage": stage, "enough": not few} if isinstance(choice, LowestPerCell) else {}
-            )
-            self._record(len(todo), len(accepted), inserted, **of_grid, **self._limits())
+            more: dict[str, Any] = self._limits()
+            if isinstance(choice, LowestPerCell):
+                more |= {"cell": choice.cell, "stage": stage, "enough": not few}
+            self._record(len(todo), len(accepted), inserted, **more)
             waiting[accepted] = False
             rest = rest[waiting[rest]]
             loosened = self._adapt("round")
@@ -192,7 +192,7 @@ class Densification:
         net, tin = self.net, self.tin
         if not self.growth.border.follow:
             return
-        near = tin.nearest(net.virtual, net.row >= 0)
+        near = tin.nearest(net.virtual, net.real)
         node, z = net.virtual[near >= 0], tin.xyz[near[near >= 0], 2]
         tin.touch(node[tin.xyz[node, 2] != z])
         tin.xyz[node, 2] = z
@@ -221,18 +221,18 @@ class Densification:
         step = max(1, 3 * len(tin) // _SAMPLE)
         rows = np.flatnonzero((least >= 0) & (least % step == 0))  # by nodes: rows depend on the history
         corner = np.sort(tin.triangles[rows], axis=1)
-        inner = (self.net.row[corner] >= 0).all(axis=1)
+        inner = self.net.real[corner].all(axis=1)
         rows, corner = rows[inner], corner[inner]
         there = tin.neighbours[rows]
         behind = (tin.neighbours[there] == rows[:, None, None]).argmax(axis=2)
         apex = np.take_along_axis(tin.triangles[there], behind[:, :, None], 2)[:, :, 0]
-        row, edge = np.nonzero((apex >= 0) & (self.net.row[apex] >= 0))
+        row, edge = np.nonzero((apex >= 0) & self.net.real[apex])
         nodes = apex[row, edge]
         return self._judge(nodes, corner[row], _DEVIATION, tin.xyz[nodes])
 
     def review(self) -> None:
         """Test all points but the vertices against the final network; labels are those of this test."""
-        nodes = np.flatnonzero((self.net.row >= 0) & self.net.open & ~self.tin.vertex)
+        nodes = np.flatnonzero(self.net.open & ~self.tin.vertex)
         self.tin.locate(nodes)
         before, after = self.ground[nodes], self._test(nodes)["accepted"]
         self.ground[nodes] = after
@@ -291,7 +291,7 @@ class Densification:
         def tested(part: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[part], axis=0) if xyz is None else xyz[part]
             given = self.net.late[nodes[part]], here, np.take(self.tin.xyz, corner[part], axis=0)
-            return given if self.growth.border.in_tests else (*given, self.net.row[corner[part]] >= 0)
+            return given if self.growth.border.in_tests else (*given, self.net.real[corner[part]])
 
         return self._run(functools.partial(judge, self.rule, names=names), len(nodes), tested)
 
@@ -318,7 +318,7 @@ class Densification:
 
     def finish(self) -> None:
         """Heights and slopes over the final surface."""
-        tin, nodes = self.tin, np.flatnonzero(self.net.row >= 0)
+        tin, nodes = self.tin, np.flatnonzero(self.net.real)
         tin.locate(nodes)
         final = self._judge(nodes, tin.corners(tin.where[nodes]), ("height", "slope"))
         self.height[nodes], self.slope[nodes] = final["height"], final["slope"]
@@ -332,11 +332,7 @@ def _on_device(rule: Rule) -> Rule:
 
 def _parts(n: int) -> list[tuple[int, int]]:
     """Where parts of n rows begin, and the sizes of calls that hold them; the last may be padded, and there is one at least."""
-    parts: list[tuple[int, int]] = []
-    start = 0
-    for size in reversed(_BATCHES):
-        least = size // 2 if size > _BATCHES[0] else 0
-        while n - start > least or (size == _BATCHES[0] and not parts):
-            parts.append((start, size))
-            start += size
-    return parts
+    small, large = _BATCHES
+    many = max(0, -(-(n - large // 2) // large))
+    rest = range(many * large, max(n, 1), small)
+    return [*((i * large, large) for i in range(many)), *((start, small) for start in rest)]

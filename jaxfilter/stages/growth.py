@@ -50,7 +50,12 @@ class Network:
     @functools.cached_property
     def virtual(self) -> np.ndarray:
         """i64[b], simulated border nodes."""
-        return np.flatnonzero(self.row < 0)
+        return np.flatnonzero(~self.real)
+
+    @functools.cached_property
+    def real(self) -> np.ndarray:
+        """bool[k], nodes that are points."""
+        return self.row >= 0
 
 
 @dataclasses.dataclass(frozen=True)

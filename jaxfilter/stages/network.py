@@ -190,7 +190,7 @@ def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels
     """From nodes back to points: ground where any sheet accepts it; quantities from a sheet that does, else from any."""
     points, barred = network.points, network.barred
     barred = np.zeros(len(points), bool) if barred is None else barred
-    order = np.flatnonzero(network.row >= 0)
+    order = np.flatnonzero(network.real)
     if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
         order = order[np.argsort(out.ground[order], kind="stable")]
     row = network.row[order]

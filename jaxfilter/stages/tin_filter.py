@@ -165,7 +165,7 @@ class TinFilter(Filter):
         growth = self.schedule(network)
         out = densify(network, growth, tin=tin.copy(), scores=False, heights=False, workers=workers)
         ground = np.zeros(len(network.points), bool)
-        ground[network.row[out.ground & (network.row >= 0)]] = True
+        ground[network.row[out.ground & network.real]] = True
         return ground
 
     def settled(self, network: Network) -> Network:

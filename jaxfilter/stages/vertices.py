@@ -27,7 +27,7 @@ class _Choice:
     square: np.ndarray | None = None
 
     def __init__(self, network: Network) -> None:
-        self.network, self.real = network, network.row >= 0
+        self.network = network
 
     def divide(self, square: np.ndarray) -> None:
         """Begin with squares, i64[k], that have no vertices."""
@@ -57,7 +57,7 @@ class Spaced(_Choice):
             x, y = (np.floor(network.xyz[:, axis] / np.float32(vertices.spacing)).astype(np.int64) for axis in range(2))
             key = (network.sheet * (np.ptp(y) + 1) + y - y.min()) * (np.ptp(x) + 1) + x - x.min()
             self.divide(key if key.max() <= 8 * len(key) else np.unique(key, return_inverse=True)[1])
-        self.seeds = self._pick(np.flatnonzero(network.seed & self.real))
+        self.seeds = self._pick(np.flatnonzero(network.seed & network.real))
 
     def could(self, nodes: np.ndarray, tin: Tin) -> np.ndarray:
         """bool[n]: located nodes that may become vertices: their position, and their square, have none."""
@@ -111,7 +111,7 @@ class LowestPerCell(_Choice):
         super().__init__(network)
         self.finer = list(vertices.grids)
         self._next_grid()
-        self.seeds = self.lowest(np.flatnonzero(network.seed & self.real))
+        self.seeds = self.lowest(np.flatnonzero(network.seed & network.real))
 
     def _next_grid(self) -> None:
         grid: Grid = self.finer.pop(0)
@@ -121,8 +121,8 @@ class LowestPerCell(_Choice):
     def refine(self, ground: np.ndarray, tin: Tin) -> None:
         """Change to the next grid and make the lowest of all ground nodes, bool[k], its vertices."""
         self._next_grid()
-        after = ~self.real
-        after[self.lowest(np.flatnonzero(ground & self.real))] = True
+        after = ~self.network.real
+        after[self.lowest(np.flatnonzero(ground & self.network.real))] = True
         tin.remove(np.flatnonzero(tin.vertex & ~after))
         tin.insert(np.flatnonzero(after & ~tin.vertex))
 
