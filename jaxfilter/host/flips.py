@@ -174,15 +174,24 @@ def remove(xy, triangles, neighbours, at, stamp, nodes, freed, now):
         polygon = star[:degree].copy()
         while degree > 3:
             k = place(triangles, s, v)
-            beside = neighbours[s, ahead(k)]
-            bx, by = position(xy, triangles[s, ahead(k)])
-            cx, cy = position(xy, triangles[s, behind(k)])
-            ex, ey = position(xy, triangles[beside, place(neighbours, beside, s)])
+            ahead_s, behind_s = neighbours[s, ahead(k)], neighbours[s, behind(k)]
+            j = place(neighbours, ahead_s, s)
+            b, c, e = triangles[s, ahead(k)], triangles[s, behind(k)], triangles[ahead_s, j]
+            bx, by = position(xy, b)
+            cx, cy = position(xy, c)
+            ex, ey = position(xy, e)
             vx, vy = position(xy, v)
             if turn(bx, by, cx, cy, ex, ey) > 0 and turn(bx, by, ex, ey, vx, vy) >= 0:
-                _flip(triangles, neighbours, at, s, ahead(k))
+                beyond_s, beyond_a = neighbours[s, k], neighbours[ahead_s, ahead(j)]
+                further = neighbours[ahead_s, behind(j)]
+                _write(triangles, neighbours, s, v, b, e, ahead_s, further, behind_s)
+                _write(triangles, neighbours, ahead_s, c, e, b, s, beyond_s, beyond_a)
+                neighbours[beyond_s, place(neighbours, beyond_s, s)] = ahead_s
+                neighbours[further, place(neighbours, further, ahead_s)] = s
+                at[c], at[b], at[e] = ahead_s, ahead_s, ahead_s
                 degree -= 1
-            s = beside
+            else:
+                s = ahead_s
         k = place(triangles, s, v)
         one, two = neighbours[s, ahead(k)], neighbours[s, behind(k)]
         a, b, c = triangles[s, ahead(k)], triangles[s, behind(k)], triangles[one, place(neighbours, one, s)]
