@@ -24,7 +24,7 @@ def test_planes_agree_with_numpy(k, rng):
     xyz[:, 2] += 0.4 * xyz[:, 0]
     _, around = cKDTree(xyz[:, :2]).query(xyz[:, :2], k=min(k, 700))
     for translation in ("lowest", "none"):
-        got = over_local_planes(xyz, k, translation)
+        got = over_local_planes(xyz, 2.0, k, translation)
         for i in range(0, 700, 29):
             p = xyz[around[i]].astype(float)
             (a, b, c), *_ = np.linalg.lstsq(np.column_stack([p[:, :2], np.ones(len(p))]), p[:, 2], rcond=None)
@@ -34,8 +34,27 @@ def test_planes_agree_with_numpy(k, rng):
 
 
 def test_planes_of_few_seeds():
-    assert (over_local_planes(np.float32([[0, 0, 1], [5, 5, 3]]), 300, "lowest") == [0, 2]).all()
-    assert len(over_local_planes(np.zeros((0, 3), np.float32), 300)) == 0
+    assert (over_local_planes(np.float32([[0, 0, 1], [5, 5, 3]]), 2.0, 300, "lowest") == [0, 2]).all()
+    assert over_local_planes(np.float32([[7, 7, 1]]), 2.0, 300) == [0]
+    assert len(over_local_planes(np.zeros((0, 3), np.float32), 2.0, 300)) == 0
+
+
+@pytest.mark.parametrize(("cell", "k"), [(0.5, 3), (1.0, 10), (8.0, 40)])
+def test_planes_do_not_depend_on_the_order_though_many_seeds_are_equally_near(cell, k, rng):
+    node = np.argwhere(rng.random((40, 30)) < 0.6)
+    far = rng.integers(500, 4000, (12, 2))  # a few seeds with nobody near
+    xyz = np.column_stack([np.concatenate([node, far]), rng.integers(0, 3072, len(node) + 12) / 1024])
+    xyz = xyz.astype(np.float32)
+    square = ((xyz[:, None, :2] - xyz[:, :2]) ** 2).sum(axis=2)  # exact
+    near = square <= np.sort(square, axis=1)[:, k - 1 : k]
+    over = over_local_planes(xyz, cell, k, "none", workers=2)
+    for i in range(0, len(xyz), 17):
+        p = xyz[near[i]].astype(float) - xyz[i]
+        design = np.column_stack([p[:, :2], np.ones(len(p))])
+        (a, b, c), _, rank, _ = np.linalg.lstsq(design, p[:, 2], rcond=None)
+        assert rank < 3 or over[i] == pytest.approx(-c / np.sqrt(1 + a * a + b * b), abs=1e-4)
+    order = rng.permutation(len(xyz))
+    assert (over_local_planes(xyz[order], cell, k, "none", workers=1) == over[order]).all()
 
 
 def test_potential_seeds_are_the_lowest_points_of_cells_the_opening_keeps():

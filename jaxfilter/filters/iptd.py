@@ -134,7 +134,7 @@ class IPTD(Mirroring):
         progress(0.0, "openings")
         potential = self.potential_seeds(points, barred)
         progress(0.0, "planes")
-        over = over_local_planes(points.xyz[potential], self.k, self.translation, workers)
+        over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
         network = self.settled(self.network(points, seeds, self.border_spacing, barred, late))
         below = self.rule(max_angle=0.0, max_below=self.max_below, signed=1.0)

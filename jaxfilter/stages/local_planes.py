@@ -2,49 +2,54 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
-from ..host.neighbours import nearest, tree_of
-from ..ops.planes import fit_planes, plane_residuals
+from ..core.grid import lattice_over
+from ..host.quadrants import Buckets
 
 TRANSLATIONS = ("lowest", "none")
 """Where the plane is moved, without turning: down to the lowest seed of the neighbourhood, or nowhere."""
-_SEEDS_AT_ONCE = 2048
+_SEEDS_AT_ONCE = 8192
+_CELLS = 4
+"""So many cells of the search are about as wide as the square of as many seeds as a plane takes."""
 
 
-def over_local_planes(xyz: np.ndarray, k: int, translation: str = "lowest", workers: int | None = None) -> np.ndarray:
+def over_local_planes(
+    xyz: np.ndarray, cell: float, k: int, translation: str = "lowest", workers: int | None = None
+) -> np.ndarray:
     """f32[s]: metres, along the normal, of each seed over the plane of its neighbourhood.
 
-    A plane z = a x + b y + c is fitted to the ``k`` seeds nearest in x and y, the seed itself included, by least squares.
-    Fewer than ``k`` seeds are all taken. With fewer than three, or all on one line, the plane is level.
+    A plane z = a x + b y + c is fitted by least squares to the ``k`` seeds nearest in x and y, the seed itself included, and
+    those as near as the last of them. Fewer than ``k`` seeds are all taken. With fewer than three, or all on one line, the
+    plane is level.
 
     Args:
         xyz: f32[s, 3], local metres, at positions of their own.
+        cell: metres, of the cells that seeds are the lowest points of.
         translation: one of :data:`TRANSLATIONS`.
     """
-    s, few = len(xyz), min(k, len(xyz))
-    tree = tree_of(xyz[:, :2])
-    mask = np.arange(k) < few
-    out = np.empty(s, np.float32)
-    for start in range(0, s, _SEEDS_AT_ONCE):
-        own = xyz[start : start + _SEEDS_AT_ONCE]
-        _, index = nearest(tree, own[:, :2], few, np.inf, workers)
-        around = np.zeros((_SEEDS_AT_ONCE, k, 3), np.float32)
-        around[: len(own), :few] = np.take(xyz, index, axis=0)
-        centre = np.zeros((_SEEDS_AT_ONCE, 3), np.float32)
-        centre[: len(own)] = own
-        out[start : start + len(own)] = np.asarray(_over_planes(around, mask, centre, translation == "lowest"))[
-            : len(own)
-        ]
+    from ..host.local_planes import over_planes  # imports Numba, which takes longer than all the rest
+
+    if len(xyz) == 0:
+        return np.zeros(0, np.float32)
+    side = 2.0 ** max(math.ceil(math.log2(cell)), round(math.log2(cell * math.sqrt(k) / _CELLS)))
+    grid = lattice_over(xyz, side)
+    buckets = Buckets.of(xyz, np.arange(len(xyz)), grid.flat(xyz), grid.shape)
+    found = np.empty(len(xyz), np.float32)
+    few, corner = min(k, len(xyz)), (grid.x0, grid.y0)
+
+    def part(first: int) -> None:
+        last = min(first + _SEEDS_AT_ONCE, len(xyz))
+        over_planes(
+            buckets.xy, buckets.start, grid.shape, corner, side, few, translation == "lowest", first, last, found
+        )
+
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        list(pool.map(part, range(0, len(xyz), _SEEDS_AT_ONCE)))
+    out = np.empty(len(xyz), np.float32)
+    out[buckets.row] = found
     return out
-
-
-@jax.jit
-def _over_planes(around: jax.Array, mask: jax.Array, own: jax.Array, lowest: jax.Array) -> jax.Array:
-    """f32[B]: residual of f32[B, 3] to the plane through f32[B, k, 3], where ``lowest`` over the lowest of these."""
-    mask = jnp.broadcast_to(mask, around.shape[:2])
-    planes = fit_planes(around, mask)
-    below = jnp.where(mask, plane_residuals(planes, around), jnp.inf).min(axis=1)
-    return plane_residuals(planes, own[:, None])[:, 0] - jnp.where(lowest, below, 0)
