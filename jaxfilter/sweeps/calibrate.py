@@ -184,7 +184,7 @@ class Study:
         for done, (number, ground) in enumerate(self._ground_each(plan), 1):
             called = np.append(ground, False)
             found[number] = self._counts(called)
-            if self.filter.replace(**plan.sets[number]) == self.filter:
+            if plan.filters[number] == self.filter:
                 self._given = ground
             bits[number] = np.packbits(called[self.row_of_sample])
             report(done / len(sets), f"{len(sets)} sets")
@@ -203,7 +203,7 @@ class Study:
             if self.same is not None:
                 yield from ((number, self.same.ground) for number in group)
                 continue
-            some = [self.filter.replace(**plan.sets[i]) for i in group]
+            some = [plan.filters[i] for i in group]
             for number, ground in some[0].ground_each(self.points, some, **self.options):
                 yield group[number], ground
 

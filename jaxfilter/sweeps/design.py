@@ -28,12 +28,14 @@ class Design:
         kind: one of :data:`DESIGNS`.
         axes: values by field. For a grid those along each dimension, else one per set.
         sets: field values of every set; for a grid the last axis varies fastest.
+        filters: the filter with each of them.
         groups: numbers of the sets that differ in traced fields only, in the order in which the groups first occur.
     """
 
     kind: str
     axes: dict[str, list[Any]]
     sets: list[dict[str, Any]]
+    filters: list[Filter]
     groups: list[list[int]]
 
     @property
@@ -83,13 +85,12 @@ def make_design(
         if len(set(lengths.values())) > 1:
             raise ParameterError(f"axes: all axes of a list need as many values, not {lengths}")
         sets = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-    for one in sets:
-        filter_.replace(**one)  # raises ParameterError, naming field and value
+    filters = [filter_.replace(**one) for one in sets]  # raises ParameterError, naming field and value
     statics = [name for name in columns if fields[name].metadata["static"]]
     groups: dict[tuple[Any, ...], list[int]] = {}
     for number, one in enumerate(sets):
         groups.setdefault(tuple(one[name] for name in statics), []).append(number)
-    return Design(kind, columns, sets, list(groups.values()))
+    return Design(kind, columns, sets, filters, list(groups.values()))
 
 
 def _values(name: str, values: Any) -> list[Any]:

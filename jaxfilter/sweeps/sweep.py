@@ -105,7 +105,7 @@ def sweep(
                 text += f", group {g + 1} of {len(plan.groups)}" if len(plan.groups) > 1 else ""
                 report(state.done.sum() / jobs, text)
                 for number, ground in scene.ground_each(
-                    [filter_.replace(**plan.sets[i]) for i in pending], key=key, workers=workers, memory=memory
+                    [plan.filters[i] for i in pending], key=key, workers=workers, memory=memory
                 ):
                     state.add(c, pending[number], scene, ground)
                     report(state.done.sum() / jobs, text)
