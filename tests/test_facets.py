@@ -60,6 +60,19 @@ def test_a_point_has_the_same_result_among_few_and_among_many(scene, late):
             np.testing.assert_array_equal(few[name], many[name][:size], err_msg=name)
 
 
+def test_thresholds_of_each_point(scene):
+    points, facets = scene
+    late = np.zeros(len(points), bool)
+    angle = np.resize(np.float32([2, 10, 40]), len(points))
+    floor = np.resize(np.float32([-1, 0.5]), len(points))
+    each = judge(Rule(max_angle=angle, noise_floor=floor, max_distance=np.float32(1)), late, points, facets)
+    for limit, noise in {*zip(angle.tolist(), floor.tolist(), strict=True)}:
+        own = (angle == limit) & (floor == noise)
+        one = judge(Rule(*map(np.float32, (limit, np.inf, 1, np.inf, noise, 0))), late, points, facets)
+        assert 0 < one["accepted"][own].sum() < own.sum()
+        assert all(np.array_equal(each[name][own], one[name][own]) for name in one)
+
+
 def test_quantities_are_those_that_are_named(scene):
     points, facets = scene
     late = np.zeros(len(points), bool)

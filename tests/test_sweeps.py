@@ -137,8 +137,8 @@ def test_sets_stop_at_the_limit_of_rounds(limit, hills):
         assert np.array_equal(one(hills).ground, ground)
 
 
-@pytest.mark.parametrize(("workers", "memory", "at_once"), [(1, 2e9, 1), (3, 2e9, 3), (3, 1.0, 1)])
-def test_sets_share_the_start_and_grow_in_threads_as_memory_allows(workers, memory, at_once, hills, monkeypatch):
+@pytest.mark.parametrize(("workers", "memory", "at_once", "count"), [(1, 2e9, 1, 1), (3, 2e9, 3, 3), (3, 1.0, 1, 6)])
+def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory, at_once, count, hills, monkeypatch):
     sets = product(jf.FPTD(window=30.0), max_angle=(4.0, 15.0, 30.0), max_elevation=(0.4, 1.4))
     alone = [one(hills).ground for one in sets]
     starts, growths, start, densify = [], [], jf.FPTD.start, tin_filter.densify
@@ -155,7 +155,7 @@ def test_sets_share_the_start_and_grow_in_threads_as_memory_allows(workers, memo
     monkeypatch.setattr(tin_filter, "densify", grown)
     points = canonical_points(hills)
     found = dict(sets[0].ground_each(points, sets, key=None, workers=workers, memory=memory))
-    assert len(starts) == 1 and growths == [workers // at_once] * len(sets)
+    assert len(starts) == 1 and growths == [workers // at_once] * count
     for number, ground in enumerate(alone):
         assert np.array_equal(found[number][points.member], ground[points.index])
 

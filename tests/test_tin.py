@@ -283,6 +283,17 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             others = np.flatnonzero(~network.vertex)
             corners = together.corners(together.where[others + first[number]])
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
+    twice, k, (before, _) = together.repeated(2), len(xyz), together.facets()
+    free = np.flatnonzero(~together.vertex)
+    free = free[together.twins(free) < 0]
+    new = np.concatenate([single(xy, of(number, free)) for number in range(len(parts))])
+    for network, nodes_there in ((twice, new + k), (together, new)):  # in the second of each sheet, and in the only one
+        network.now += 1
+        network.insert(nodes_there)
+        network.locate(np.flatnonzero(~network.vertex))
+        assert_canonical(network)
+        assert_located(network, np.flatnonzero(~network.vertex))
+    assert np.array_equal(twice.facets()[0], np.concatenate([before, together.facets()[0] + k]))
 
 
 @settings(max_examples=40, deadline=None, derandomize=True, database=None)
@@ -423,7 +434,7 @@ def test_a_copy_grows_apart_from_its_original(pool, rng):
     names = ("xyz", "sheet", "triangles", "neighbours", "vertex", "where", "stamp")
     before = {name: getattr(tin, name).copy() for name in names}
     length, now = len(tin), tin.now
-    other = tin.copy()
+    other = tin.repeated(1)
     other.now += 1
     other.remove(inner(other)[::2])
     other.insert(np.flatnonzero(~other.vertex & ~tin.vertex))

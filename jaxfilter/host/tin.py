@@ -19,6 +19,8 @@ CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
 _SHARE = 8192
 """At least so many are worth a thread of their own where each takes a walk."""
+_TOGETHER = 4096
+"""Repeated sheets that get fewer nodes are worked on together."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _NONE = np.zeros(0, np.int32)
@@ -64,7 +66,7 @@ class Tin:
             raise ValueError(f"nodes more than {SPAN * QUANTUM / 1000:.0f} km apart: triangulate them in parts")
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
-        self.now = 0
+        self.now, self._together = 0, 1
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
         begin = np.array([self._one(part) for part in of_sheet])
@@ -90,11 +92,21 @@ class Tin:
         """How many triangles there are."""
         return len(self.triangles) - len(self._unused) - int(self._hull.sum())
 
-    def copy(self) -> Tin:
-        """A network of its own."""
-        out = copy.copy(self)
-        for name in ("xyz", "vertex", "where", "triangles", "neighbours", "stamp", "_hull"):
-            setattr(out, name, getattr(self, name).copy())
+    def repeated(self, times: int) -> Tin:
+        """A network of its own, with so many sheets for each one."""
+        out, nodes, rows = copy.copy(self), len(self.xyz), len(self.triangles)
+        for name, step in (
+            ("sheet", len(self._first)),
+            ("triangles", nodes),
+            *((name, rows) for name in ("neighbours", "where", "_first", "_unused")),
+            *((name, 0) for name in ("xyz", "xy", "vertex", "stamp", "_hull")),
+        ):
+            one = getattr(self, name)
+            many = np.concatenate([one] * times).reshape(times, *one.shape)
+            for i in range(1, times if step > 0 else 1):
+                np.add(many[i], i * step, out=many[i], where=one >= 0)
+            setattr(out, name, many.reshape(-1, *one.shape[1:]))
+        out._together = _TOGETHER
         return out
 
     def _one(self, vertices: np.ndarray) -> np.ndarray:
@@ -120,6 +132,7 @@ class Tin:
         """Make nodes (i64, ascending, not vertices, at positions of their own) vertices, in threads."""
         fresh = self._fresh(len(nodes))
         cuts = np.flatnonzero(np.diff(self.sheet[nodes])) + 1
+        cuts = cuts[np.diff(cuts // self._together, prepend=0) > 0]
         jobs = [slice(*cut) for cut in itertools.pairwise([0, *cuts, len(nodes)])]
 
         def one(job: slice) -> None:

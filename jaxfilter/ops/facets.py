@@ -9,7 +9,7 @@ the nearest vertex (Zhang & Lin 2013; Li et al. 2021, eq. 3) is also the largest
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -160,6 +160,7 @@ def judge(
     """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3], local metres.
 
     Args:
+        rule: thresholds, f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
         counted: bool[N, 3], vertices that can be the nearest and the highest; None, or none of them = all.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
@@ -175,7 +176,8 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    verdict = jax.vmap(judge_one, in_axes=(None, 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
+    each: Any = [0 if jnp.ndim(limit) > 0 else None for limit in rule]
+    verdict = jax.vmap(judge_one, in_axes=(Rule(*each), 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 

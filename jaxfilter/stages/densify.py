@@ -9,13 +9,11 @@ padded kernel call a round tests the points of all sheets together.
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import jax
 import numpy as np
 
 from ..core.compilation import on_same_device
@@ -95,7 +93,7 @@ class Densification:
     ) -> None:
         self.net, self.growth, self.choice, self.tin = network, growth, choice, tin
         self.scores, self.keep_labels = scores, keep_labels
-        self.rule = _on_device(growth.rule)
+        self.rule = _single(growth.rule)
         self.ground = network.seed.copy()
         self._border_follows()
         k = len(network.xyz)
@@ -205,7 +203,7 @@ class Densification:
         found = self._over_ground() if adaptive.sample == "ground" else self._over_neighbours()
         if len(found["distance"]) == 0:
             return False
-        before, self.rule = self.rule, _on_device(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
+        before, self.rule = self.rule, _single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
         return any(float(new) > float(old) for new, old in zip(self.rule, before, strict=True))
 
     def _over_ground(self) -> dict[str, np.ndarray]:
@@ -287,13 +285,19 @@ class Densification:
 
         ``names``: of :data:`jaxfilter.ops.facets.QUANTITIES`, those to return.
         """
+        own = [name for name, limit in self.rule._asdict().items() if np.ndim(limit) > 0]
 
         def tested(part: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[part], axis=0) if xyz is None else xyz[part]
-            given = self.net.late[nodes[part]], here, np.take(self.tin.xyz, corner[part], axis=0)
+            limits = [getattr(self.rule, name)[self.net.sheet[nodes[part]]] for name in own]
+            given = *limits, self.net.late[nodes[part]], here, np.take(self.tin.xyz, corner[part], axis=0)
             return given if self.growth.border.in_tests else (*given, self.net.real[corner[part]])
 
-        return self._run(functools.partial(judge, self.rule, names=names), len(nodes), tested)
+        def kernel(*given: np.ndarray) -> dict[str, Any]:
+            limits: dict[str, Any] = dict(zip(own, given[: len(own)], strict=True))
+            return judge(self.rule._replace(**limits), *given[len(own) :], names=names)
+
+        return self._run(kernel, len(nodes), tested)
 
     def _run(
         self, kernel: Callable[..., dict[str, Any]], n: int, arguments: Callable[[slice], tuple[np.ndarray, ...]]
@@ -325,9 +329,9 @@ class Densification:
         self.height[tin.vertex] = self.net.xyz[tin.vertex, 2] - tin.xyz[tin.vertex, 2]
 
 
-def _on_device(rule: Rule) -> Rule:
-    """The thresholds as arrays, so that calls need not make them."""
-    return Rule(*jax.device_put([np.float32(limit) for limit in rule]))
+def _single(rule: Rule) -> Rule:
+    """The thresholds in single precision."""
+    return Rule(*map(np.float32, rule))  # type: ignore[arg-type]
 
 
 def _parts(n: int) -> list[tuple[int, int]]:

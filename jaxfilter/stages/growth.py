@@ -47,6 +47,13 @@ class Network:
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     before: Labels | None = None
 
+    def repeated(self, times: int) -> Network:
+        """So many sheets for each one."""
+        sheet = np.concatenate([self.sheet + i * (self.sheet[-1] + 1) for i in range(times)])
+        xyz = np.tile(self.xyz, (times, 1))
+        alike: dict[str, Any] = {name: np.tile(getattr(self, name), times) for name in ("row", "seed", "open", "late")}
+        return dataclasses.replace(self, xyz=xyz, sheet=sheet, **alike)
+
     @functools.cached_property
     def virtual(self) -> np.ndarray:
         """i64[b], simulated border nodes."""
@@ -120,7 +127,7 @@ class Growth:
     """How the ground grows from the seeds.
 
     Attributes:
-        rule: thresholds.
+        rule: thresholds; those that differ between sheets are f32[sheets].
         mirror: mirror points over steep facets; None = never.
         adaptive: how thresholds change as the ground grows; None = they are constant.
         insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become

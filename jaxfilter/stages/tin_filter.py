@@ -16,7 +16,6 @@ from ..core.filter import Filter, Labels
 from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
-from ..host.tin import Tin
 from ..ops.facets import Rule
 from .densify import densify, triangulated
 from .growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
@@ -28,6 +27,8 @@ FATES = ("barred", "removed")
 """What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
 _BYTES = 250
 """About so many of memory per point and growth."""
+_NODES = 131072
+"""Sets of a sweep grow together up to so many nodes."""
 
 
 def facet_reach(cell: float) -> float:
@@ -142,31 +143,14 @@ class TinFilter(Filter):
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds; several grow at a time."""
+        """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds."""
         deciding = [f.name for f in dataclasses.fields(self) if f.name not in self.LIMITS]
         alike: dict[tuple[Any, ...], list[int]] = {}
         for number, one in enumerate(sets):
             alike.setdefault(tuple(getattr(one, name) for name in deciding), []).append(number)
-        threads = workers or os.cpu_count() or 1
         for numbers in alike.values():
-            network = sets[numbers[0]].start(points, workers, silent)
-            at_once = max(1, min(threads, len(numbers), int(memory // (_BYTES * len(network.xyz)))))
-            with ThreadPoolExecutor(threads) as pool:
-                tin = triangulated(network, choice_of(network, self.schedule(network).vertices), pool, threads)
-
-            def grown(number: int, start: tuple[Network, Tin, int] = (network, tin, threads // at_once)) -> np.ndarray:
-                return sets[number]._ground_from(*start)
-
-            yield from in_turn(grown, numbers, at_once)
-
-    def _ground_from(self, network: Network, tin: Tin, workers: int) -> np.ndarray:
-        """bool[m]: the labels alone, from a network and the triangulation of its seeds, which stays as it is."""
-        network = self.settled(network)
-        growth = self.schedule(network)
-        out = densify(network, growth, tin=tin.copy(), scores=False, heights=False, workers=workers)
-        ground = np.zeros(len(network.points), bool)
-        ground[network.row[out.ground & network.real]] = True
-        return ground
+            for i, ground in _grown_each([sets[number] for number in numbers], points, workers, memory):
+                yield numbers[i], ground
 
     def settled(self, network: Network) -> Network:
         """The network with the nodes that are open to this filter: without outliers, if they are removed."""
@@ -201,6 +185,50 @@ class TinFilter(Filter):
     def rule(self, **limits: float) -> Rule:
         """The thresholds of a test, with the noise floor of the method."""
         return Rule(noise_floor=self.noise_floor if self.noise_floor > 0 else -1.0, **limits)
+
+
+def _grown_each(
+    sets: Sequence[TinFilter], points: Points, workers: int | None, memory: float
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Number of the set and bool[m], ground, for sets that differ in ``LIMITS`` only; several grow at a time, in threads.
+
+    On small clouds each thread takes many sets, as sheets of one network: a round costs them little more than one alone.
+    """
+    threads = workers or os.cpu_count() or 1
+    network = sets[0].start(points, workers, silent)
+    growth = sets[0].schedule(network)
+    with ThreadPoolExecutor(threads) as pool:
+        tin = triangulated(network, choice_of(network, growth.vertices), pool, threads)
+    nodes, sheets = len(network.xyz), int(network.sheet[-1]) + 1
+    most = max(1, int(memory // (_BYTES * nodes)))
+    at_once = min(threads, len(sets), most)
+    size = max(1, min(_NODES // nodes, most // at_once))
+    if growth.adaptive is not None or growth.vertices.grids:  # what a round decides depends on the whole network
+        size = 1
+    batches = at_once * -(-len(sets) // (at_once * size))
+    limits = np.array([one.limits() for one in sets], np.float32).T
+    differ = (limits != limits[:, :1]).any(axis=1)
+
+    def grown(part: slice) -> np.ndarray:
+        some = sets[part]
+        own = differ & (len(some) > 1)
+        rule: Any = [np.repeat(v[part], sheets) if each else v[part][0] for v, each in zip(limits, own, strict=True)]
+        opened = np.concatenate([one.settled(network).open for one in some])
+        many = dataclasses.replace(network.repeated(len(some)), open=opened)
+        growth = some[0].schedule(many, rule=Rule(*rule))
+        out = densify(
+            many, growth, tin=tin.repeated(len(some)), scores=False, heights=False, workers=threads // at_once
+        )
+        if len(some) > 1 and not out.converged:  # together they may need more rounds than any alone
+            return np.concatenate([grown(slice(i, i + 1)) for i in range(len(sets))[part]])
+        ground = np.zeros((len(some), len(points)), bool)
+        node = np.flatnonzero(out.ground & many.real)
+        ground[node // nodes, many.row[node]] = True
+        return ground
+
+    parts = [slice(i, None, batches) for i in range(min(batches, len(sets)))]  # neighbours take about equally long
+    for part, found in in_turn(grown, parts, at_once):
+        yield from zip(range(len(sets))[part], found, strict=True)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
