@@ -15,6 +15,7 @@ from .frame import (
     check_resolution,
     check_scales,
     checked_anchor,
+    ends,
     extremes,
     localise,
     localise_integers,
@@ -212,12 +213,12 @@ class PointCloud:
         check_scales(scales, offsets, name)
         valid = None
         if len(ticks):
-            low, high = (end * scales + offsets for end in (ticks.min(axis=0), ticks.max(axis=0)))
+            low, high = (end * scales + offsets for end in ends(ticks))
             valid = near_points(
                 lambda axis: ticks[:, axis] * scales[axis] + offsets[axis], low, high, scale, name, drop_invalid
             )
             if valid is not None and valid.any():
-                low, high = (end * scales + offsets for end in (ticks[valid].min(axis=0), ticks[valid].max(axis=0)))
+                low, high = (end * scales + offsets for end in ends(ticks[valid]))
             check_resolution(low, high, scale, name)
         origin, local = localise_integers(ticks, scales, offsets, scale, grid_anchor, valid)
         chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}

@@ -347,14 +347,11 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
     """From canonical points back to all points of the cloud, in input order."""
 
     def spread(values: np.ndarray | None, empty: Any, dtype: Any) -> np.ndarray:
-        out = np.full(len(cloud), empty, dtype)
-        if values is not None:
-            out[points.index] = values[points.member]
-        return out
+        return np.full(len(cloud), empty, dtype) if values is None else points.spread(values, empty, dtype)
 
     decision = labels.decision
     if decision is None:
-        decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE)
+        decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), np.uint8(Decision.SURFACE))
     trace = [
         {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
     ]

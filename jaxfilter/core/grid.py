@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from .errors import InputError
+from .frame import ends
 
 MAX_CELLS = 400_000_000
 _PER_POINT, _AT_LEAST = 64, 4_000_000
@@ -53,7 +54,7 @@ def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0
 
     A point on the upper edge of the extent belongs to the last cell.
     """
-    low, high = (np.array([pick(xy[:, axis]) for axis in range(2)]) for pick in (np.min, np.max))
+    low, high = ends(xy[:, :2])
     x0, y0 = (math.floor((float(v) - o) / cell + 1e-9) * cell + o for v, o in zip(low, offset, strict=True))
     nx, ny = (max(1, math.ceil((float(v) - s) / cell - 1e-6)) for v, s in zip(high, (x0, y0), strict=True))
     return Grid(x0, y0, cell, nx, ny)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.errors import InputError, warn
-from ..core.inputs import is_laspy
+from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
 from ..core.result import Progress, silent
 from ..core.units import (
@@ -236,23 +236,18 @@ def las_cloud(
     """The cloud of some records of a file, u8[k, record_length] at a time, ``most`` of them or fewer; ``cut`` says which
     they are."""
     name, number = str(header.path), header.point_format
-    fields: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "return_number": lambda r: records.echoes(r, number)[0],
-        "number_of_returns": lambda r: records.echoes(r, number)[1],
-        "classification": lambda r: records.classes(r, number),
-        "withheld": lambda r: records.withheld(r, number),
-    }
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
     ticks, n = np.empty((most, 3), np.int32), 0
-    columns: dict[str, Any] = {key: np.empty(most, bool if key == "withheld" else np.uint8) for key in fields}
+    columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
     identity, tally = cast(Identity, header.identity), Tally()
     with identity.kept(header.path, CHANGED_IN_READING):
         for chunk in chunks:
             rows = slice(n, n + len(chunk))
             ticks[rows] = records.integers(chunk)
             tally.add(ticks[rows])
-            for key, get in fields.items():
-                columns[key][rows] = get(chunk)
+            columns["return_number"][rows], columns["number_of_returns"][rows] = records.echoes(chunk, number)
+            columns["classification"][rows] = records.classes(chunk, number)
+            columns["withheld"][rows] = records.withheld(chunk, number)
             n = rows.stop
     if n < most:
         ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}

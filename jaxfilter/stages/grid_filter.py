@@ -237,7 +237,7 @@ class GridFilter(Filter):
                 np.concatenate([_passed(part, surfaces, chunk) for part in parts], axis=1)[
                     ..., : rows.stop - rows.start
                 ]
-                for rows, chunk, _ in chunks(points.xyz)
+                for rows, chunk in chunks(points.xyz)
             ]
             return np.concatenate(ground, axis=-1)
 
@@ -352,11 +352,7 @@ def _between(surface: Surface, xyz: jax.Array) -> Heights:
 def labels_of(height: np.ndarray, slope: np.ndarray, above: np.ndarray, below: np.ndarray) -> Labels:
     """Labels of points by what :class:`Heights` holds, f32[n] each."""
     margin = np.maximum(above, below)
-    decision = np.where(above > 0, Decision.SURFACE, np.where(below > 0, Decision.LOW, Decision.ACCEPTED))
-    return Labels(
-        margin <= 0,
-        height=height,
-        slope=np.degrees(np.arctan(slope)),
-        margin=margin,
-        decision=decision.astype(np.uint8),
-    )
+    decision = np.full(len(margin), Decision.ACCEPTED, np.uint8)
+    decision[below > 0] = Decision.LOW
+    decision[above > 0] = Decision.SURFACE
+    return Labels(margin <= 0, height=height, slope=np.degrees(np.arctan(slope)), margin=margin, decision=decision)

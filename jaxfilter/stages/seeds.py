@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import Grid, most_cells
 from ..core.points import Points
-from ..ops.grid import block_minima, cell_index, padded_shape
+from ..host.minima import lowest_points, places_in
+from ..ops.grid import padded_shape
 from ..ops.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
 
@@ -39,41 +37,13 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
             f"{layout.blocks[0]} x {layout.blocks[1]} cells over this extent: let the stride divide the window, or remove "
             "stray points far from the rest"
         )
-    n = bucket(len(points))
-    xyz = np.zeros((n, 3), np.float32)
-    xyz[: len(points)] = points.xyz
-    xyz[len(points) :, 2] = xyz[: len(points), 2][barred] = np.inf
-    blocks, counts = np.array(layout.blocks, np.int32), np.array(layout.counts, np.int32)
-    found = _lowest_of_windows(
-        xyz,
-        corner.astype(np.float32),
-        np.float32(layout.block),
-        blocks,
-        counts,
-        shape=padded_shape(layout.blocks, points.least_shape(layout.block)),
-        width=layout.width,
-        stride=layout.stride,
-    )
-    found = np.unique(np.asarray(found))
+    z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
+    frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)
+    shape = padded_shape(layout.blocks, points.least_shape(layout.block))
+    lowest, first = (cells.reshape(shape) for cells in lowest_points(points.xyz, z, frame, blocks, shape))
+    counts = np.array(layout.counts, np.int32)
+    found = np.unique(np.asarray(window_minima(lowest, first, counts, layout.width, layout.stride)[1]))
     return found[found < len(points)].astype(np.int64)
-
-
-@functools.partial(jax.jit, static_argnames=("shape", "width", "stride"))
-def _lowest_of_windows(
-    xyz: jax.Array,
-    corner: jax.Array,
-    block: jax.Array,
-    blocks: jax.Array,
-    counts: jax.Array,
-    *,
-    shape: tuple[int, int],
-    width: int,
-    stride: int,
-) -> jax.Array:
-    """i32[rows, columns]: the lowest point of each window; see :func:`jaxfilter.ops.windows.window_minima`."""
-    cell = cell_index(xyz, corner, block, blocks, shape[1])
-    lowest, first = block_minima(cell, xyz[:, 2], shape[0] * shape[1])
-    return window_minima(lowest.reshape(shape), first.reshape(shape), counts, width, stride)[1]
 
 
 def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarray:
@@ -106,10 +76,7 @@ def lowest_of_cells(points: Points, cells: Cells, chosen: jax.Array, barred: np.
     chosen = jnp.where(chosen & cells.seen, cells.lowest, -jnp.inf)
     (low,) = look_up(points.xyz, cells, chosen)
     rows = np.flatnonzero(~barred & (points.xyz[:, 2] == low))
-    n = bucket(len(rows))
-    xy = np.zeros((n, 2), np.float32)
-    xy[: len(rows)] = points.xyz[rows, :2]
-    at = np.asarray(cell_index(xy, cells.frame[:2], cells.frame[2], cells.extent, chosen.shape[1]))[: len(rows)]
+    at = places_in(points.xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), chosen.shape[1])
     return np.sort(rows[np.unique(at, return_index=True)[1]])
 
 

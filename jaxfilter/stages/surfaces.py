@@ -16,6 +16,7 @@ from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
+from ..host.minima import cell_minima, places_in
 from ..ops.grid import cell_index, inside, padded_shape
 from ..ops.morphology import progressive_opening
 
@@ -95,12 +96,10 @@ def lowest_cells(
     shape = padded_shape(grid.shape, least or points.least_shape(cell))
     extent = np.asarray(grid.shape, np.int32)
     frame = np.asarray([grid.x0, grid.y0, grid.cell], np.float32)
+    z = xyz[:, 2]
     if barred is not None and barred.any():
-        xyz = np.where(barred[:, None] & [False, False, True], np.float32(np.inf), xyz)
-    lowest = jnp.asarray(np.full(shape, np.inf, np.float32))
-    for _, chunk, count in chunks(xyz):
-        lowest = _lower(lowest, chunk, count, frame, extent)
-    z, seen, valid = _occupied(lowest, extent)
+        z = np.where(barred, np.float32(np.inf), z)
+    z, seen, valid = _occupied(cell_minima(xyz, z, frame, extent, shape).reshape(shape), extent)
     return Cells(z, seen, valid, extent, frame)
 
 
@@ -113,7 +112,7 @@ def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray | None) -> n
     shape = cells.lowest.shape
     low = xyz[:, 2] == look_up(xyz, cells, cells.lowest)[0]
     rows = np.flatnonzero(low if barred is None else low & ~barred)
-    at = np.asarray(cell_index(xyz[rows], cells.frame[:2], cells.frame[2], cells.extent, shape[1]))
+    at = places_in(xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), shape[1])
     order = np.lexsort((xyz[rows, 1], xyz[rows, 0], at))[::-1]
     place = np.zeros((shape[0] * shape[1], 2), np.float32)
     place[at[order]] = xyz[rows[order], :2]  # of repeated cells the last one written stays
@@ -135,7 +134,7 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
         for values, out in zip(tested, outputs, strict=True):
             out[rows] = np.asarray(values)[: rows.stop - rows.start]
 
-    for rows, chunk, _ in chunks(xyz):
+    for rows, chunk in chunks(xyz):
         running.append((rows, test(chunk)))
         if len(running) == _IN_FLIGHT:
             collect(running.popleft())
@@ -177,23 +176,15 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     return jnp.hypot(difference(0), difference(1))
 
 
-def chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.int32]]:
-    """Rows, points f32[size, 3] padded to one of few sizes, and the number of true points among them."""
+def chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
+    """Rows, and their points f32[size, 3], padded to one of few sizes."""
     size = min(_CHUNK, bucket(len(xyz)))
     for start in range(0, len(xyz), size):
         rows = slice(start, min(start + size, len(xyz)))
         part = xyz[rows]
         if len(part) < size:
             part = np.concatenate([part, np.zeros((size - len(part), 3), np.float32)])
-        yield rows, part, np.int32(rows.stop - rows.start)
-
-
-@functools.partial(jax.jit, donate_argnames="lowest")
-def _lower(lowest: jax.Array, xyz: jax.Array, count: jax.Array, frame: jax.Array, extent: jax.Array) -> jax.Array:
-    """Cell minima f32[rows, columns] with the first ``count`` points taken into account."""
-    index = cell_index(xyz, frame[:2], frame[2], extent, lowest.shape[1])
-    z = jnp.where(jnp.arange(len(xyz)) < count, xyz[:, 2], jnp.inf)
-    return lowest.reshape(-1).at[index].min(z).reshape(lowest.shape)
+        yield rows, part
 
 
 @jax.jit
