@@ -85,9 +85,16 @@ def few_neighbours(
 
 
 def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
-    """i32[n]: the connected component of each of ``n`` nodes, by links i64[l] - i64[l]."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    """i64[n]: the connected component of each of ``n`` nodes, by links i[l] - i[l]; numbered as they appear.
 
-    links = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(n, n))
-    return connected_components(links, directed=False)[1]
+    Every root joins the lowest one that it is linked to, until no links between different roots are left.
+    """
+    root = np.arange(n)
+    while len(one):
+        np.minimum.at(root, np.maximum(one, other), np.minimum(one, other))
+        while (root != (above := root[root])).any():
+            root = above
+        one, other = root[one], root[other]
+        apart = one != other
+        one, other = one[apart], other[apart]
+    return (np.cumsum(root == np.arange(n)) - 1)[root]

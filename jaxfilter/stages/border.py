@@ -16,7 +16,7 @@ import numpy as np
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, warn
 from ..core.grid import grid_over
-from ..core.points import plain_points
+from ..core.points import pieces, plain_points
 from ..core.result import FilterResult
 from ..host.files import Bounds
 from ..host.neighbours import groups
@@ -123,11 +123,8 @@ def cut_objects(
     outside, unknown = frame.beyond(boxes, None if window is None else frame.local(window))
     if not outside.any():
         return []
-    cell = frame.cells_of(cloud.xyz)
-    covered = np.zeros(frame.shape, bool)
-    covered.flat[_rows(cell, cloud.valid)] = True
+    covered, z, is_ground = _surface(frame, ground)
     outside = _connected(~_closed(covered) & ~unknown, outside)
-    z, is_ground = _surface(frame, *(_rows(v, cloud.candidate) for v in (cell, cloud.xyz[:, 2], ground)))
     found = _standing(_filled(z), outside, is_ground, frame.cell)
     objects = [(frame.place(one), one) for one in found]
     if core is not None:
@@ -160,7 +157,8 @@ class _Frame:
     @classmethod
     def of(cls, cloud: PointCloud) -> _Frame:
         cell = cell_for(plain_points(cloud).spacing(), 1.5)
-        grid = grid_over(_rows(cloud.xyz, cloud.valid), cell, cloud.grid_offset(cell), name="cut_objects: cell")
+        known = cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid]
+        grid = grid_over(known, cell, cloud.grid_offset(cell), name="cut_objects: cell")
         lag = _MARGIN * cell
         return cls(cloud, grid.x0 - lag, grid.y0 - lag, cell, (grid.ny + 2 * _MARGIN, grid.nx + 2 * _MARGIN))
 
@@ -222,90 +220,114 @@ class _Frame:
         return float(origin[0]) + x / factor, float(origin[1]) + y / factor
 
 
-def _rows(values: np.ndarray, which: np.ndarray | None) -> np.ndarray:
-    """The rows ``which``, bool[n], of [n, ...]; not a copy where that is all of them, as it mostly is."""
-    return values if which is None or which.all() else values[which]
-
-
-def _surface(frame: _Frame, cell: np.ndarray, level: np.ndarray, ground: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f32, bool[rows, columns]: the lowest elevation in each cell, infinite without any, and whether it is ground."""
+def _surface(frame: _Frame, ground: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """bool[rows, columns], cells with points; f32, the lowest elevation of the candidates in each, infinite without any; and
+    bool, whether it is ground. ``ground``: bool[n]."""
+    cloud = frame.cloud
+    covered, is_ground = np.zeros(frame.shape, bool), np.zeros(frame.shape, bool)
     z = np.full(frame.shape, np.inf, np.float32)
-    np.minimum.at(z.ravel(), cell, level)
-    is_ground = np.zeros(frame.shape, bool)
-    is_ground.flat[cell[ground & (level == z.flat[cell])]] = True
-    return z, is_ground
+    cell = np.empty(len(cloud), np.int32)
+    flat, level, judged = z.reshape(-1), cloud.xyz[:, 2], None if cloud.candidate.all() else cloud.candidate
+    for part in pieces(len(cloud)):
+        at = frame.cells_of(cloud.xyz[part])
+        cell[part] = at
+        covered.flat[at if cloud.valid is None else at[cloud.valid[part]]] = True
+        if judged is None:
+            np.minimum.at(flat, at, level[part])
+        else:
+            np.minimum.at(flat, at[judged[part]], level[part][judged[part]])
+    for part in pieces(len(cloud)):
+        lowest = ground[part] & cloud.candidate[part] & (level[part] == flat[cell[part]])
+        is_ground.flat[cell[part][lowest]] = True
+    return covered, z, is_ground
+
+
+def _over_square(values: np.ndarray, steps: int, pick: np.ufunc) -> np.ndarray:
+    """[rows, columns]: what ``pick``, such as ``np.minimum``, leaves of all that is at most so many rows and columns away."""
+    for axis in range(2):
+        values = np.moveaxis(values, axis, 0)
+        reach = 0
+        while reach < steps:
+            lag = min(reach + 1, steps - reach)  # so that what lies beyond the array is not missed
+            before, values = values, values.copy(order="K")
+            pick(values[lag:], before[:-lag], out=values[lag:])
+            pick(values[:-lag], before[lag:], out=values[:-lag])
+            reach += lag
+        values = np.moveaxis(values, 0, axis)
+    return values
 
 
 def _closed(known: np.ndarray) -> np.ndarray:
     """bool[rows, columns]: cells with data, and those between them."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    size = 2 * _CLOSED + 1
-    return minimum_filter(maximum_filter(known.view(np.uint8), size), size).astype(bool)
+    return _over_square(_over_square(known, _CLOSED, np.logical_or), _CLOSED, np.logical_and)
 
 
 def _filled(z: np.ndarray) -> np.ndarray:
     """f32[rows, columns]: cells between cells with an elevation get the lowest beside them."""
-    from scipy.ndimage import minimum_filter
-
     known = np.isfinite(z)
     inside = _closed(known)
     for _ in range(_CLOSED):
-        z = np.where(known | ~inside, z, minimum_filter(z, 3))
+        z = np.where(known | ~inside, z, _over_square(z, 1, np.minimum))
         known = np.isfinite(z)
     return z
 
 
+def _components(cells: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """i64[k]: the component of each of the marked ``cells``, bool[rows, columns], row by row, numbered as they appear.
+
+    ``across``: bool[rows, columns - 1], cells that are joined to the next in their row; ``along``: bool[rows - 1, columns], to
+    that in the next row.
+    """
+    begins = cells.copy()
+    begins[:, 1:] &= ~across
+    run = np.cumsum(begins, dtype=np.int32).reshape(cells.shape) - 1
+    one, other = run[:-1][along], run[1:][along]
+    new = np.ones(len(one), bool)
+    new[1:] = (one[1:] != one[:-1]) | (other[1:] != other[:-1])
+    return groups(one[new], other[new], int(run[-1, -1]) + 1)[run[cells]]
+
+
 def _connected(free: np.ndarray, start: np.ndarray) -> np.ndarray:
     """bool[rows, columns]: the components of ``free`` that hold a cell of ``start``."""
-    from scipy.ndimage import label
-
-    name, count = label(free)
-    held = np.zeros(count + 1, bool)
-    held[name[start & free]] = True
-    held[0] = False
-    return held[name]
+    name = _components(free, free[:, 1:] & free[:, :-1], free[1:] & free[:-1])
+    held = np.zeros(len(name) + 1, bool)
+    held[name[start[free]]] = True
+    out = np.zeros_like(free)
+    out[free] = held[name]
+    return out
 
 
 def _standing(z: np.ndarray, outside: np.ndarray, is_ground: np.ndarray, cell: float) -> list[_Found]:
     """The segments that touch the outside and stand above what surrounds them."""
-    from scipy.ndimage import distance_transform_cdt, minimum_filter
-
-    reach = math.ceil(REACH / cell)
-    away = distance_transform_cdt(~outside, "chessboard")
-    strip = np.isfinite(z) & (away <= reach + 1)
-    name = np.full(z.shape, -1, np.int32)
-    count = int(strip.sum())
-    if count == 0:
+    near = _over_square(outside, math.ceil(REACH / cell), np.logical_or)
+    strip = np.isfinite(z) & _over_square(near, 1, np.logical_or)
+    if not strip.any():
         return []
-    name[strip] = np.arange(count)
-    one_end, other_end, walls = [], [], np.zeros(z.shape, bool)
+    joined, walls = [], np.zeros(z.shape, bool)
     for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:, :], np.s_[:-1, :])):
         both = strip[one] & strip[other]
         with np.errstate(invalid="ignore"):
-            joined = both & (np.abs(z[one] - z[other]) < np.float32(STEP * cell))
-        one_end.append(name[one][joined])
-        other_end.append(name[other][joined])
-        walls[one] |= both & ~joined
-        walls[other] |= both & ~joined
-    segment = groups(np.concatenate(one_end), np.concatenate(other_end), count)
+            level = both & (np.abs(z[one] - z[other]) < np.float32(STEP * cell))
+        joined.append(level)
+        walls[one] |= both & ~level
+        walls[other] |= both & ~level
+    segment = _components(strip, *joined)
     touching = _beside(outside)[strip]
     of = np.bincount(segment, touching)
-    deep = np.bincount(segment, away[strip] > reach)
+    deep = np.bincount(segment, ~near[strip])
     cells = np.bincount(segment)
     with np.errstate(invalid="ignore"):
-        fall = (z - minimum_filter(z, 5))[strip]
+        fall = (z - _over_square(z, 2, np.minimum))[strip]
     wall = walls[strip]
     border = np.bincount(segment, wall)
     falling = np.bincount(segment, wall & (fall > np.float32(DROP)))
     large = (of * cell >= TOUCH) & (cells >= max(_CELLS, AREA / cell**2))
     listed = large & (deep == 0) & (border > 0) & (falling >= DROP_SHARE * border)
     rows, columns = np.nonzero(strip)
-    ground, found = is_ground[strip], []
-    order = np.argsort(segment, kind="stable")  # within a segment by row and column
-    ends = np.cumsum(cells)
+    ground = is_ground[strip]
+    found = []
     for number in np.flatnonzero(listed).tolist():
-        at = order[ends[number] - cells[number] : ends[number]]
+        at = np.flatnonzero(segment == number)
         first = at[touching[at]][0]
         found.append(
             _Found(
