@@ -92,9 +92,15 @@ def flooded(z, depth, max_cells):
     return found
 
 
+def cells_of(inside):
+    """Cells of one point each, where ``inside`` is true."""
+    row, column = np.nonzero(inside)
+    return Cells.of(lambda part: (row[part], column[part]), len(row), inside.shape)
+
+
 def pits_of(z, depth, max_points, points=None):
     """Depressions of a grid that has one point in each cell."""
-    around = Cells.of(*map(np.ravel, np.indices(z.shape)), z.shape)[0].around()
+    around = cells_of(np.ones_like(z, bool))[0].around()
     return Basins(z.ravel(), around).depressions(
         np.ones(z.size, np.int64) if points is None else points, depth, max_points
     )
@@ -182,7 +188,7 @@ def test_cells_are_found_with_and_without_a_table(rng, monkeypatch):
     number = np.where(wide, np.cumsum(wide).reshape(wide.shape) - 1, wide.sum()).ravel()
     for table in (1000, 0):
         monkeypatch.setattr("jaxfilter.host.cells._TABLE", table)
-        cells, member = Cells.of(*np.nonzero(inside), inside.shape)
+        cells, member = cells_of(inside)
         assert member.tolist() == list(range(inside.sum()))
         np.testing.assert_array_equal(cells.grown(2).find(row, column), number)
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+
+from ..core.points import pieces
 
 _TABLE = 16  # a grid of so many cells per cell in use is looked up in a table
 
@@ -29,16 +33,24 @@ class Cells:
         return len(self._key)
 
     @classmethod
-    def of(cls, row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> tuple[Cells, np.ndarray]:
-        """The cells that points are in, and i[m], which one each point is in; ``row`` and ``column``: i[m]."""
-        key = _key(row, column, shape[1] + 2)
-        if (size := (shape[0] + 2) * (shape[1] + 2)) <= _TABLE * len(key):
-            seen = np.zeros(size, bool)
+    def of(
+        cls, places: Callable[[slice], tuple[np.ndarray, np.ndarray]], points: int, shape: tuple[int, int]
+    ) -> tuple[Cells, np.ndarray]:
+        """The cells that points are in, and i32[points], which one each is in; ``places``: i[m], i[m], row and column of some."""
+        wide = shape[1] + 2
+        if (size := (shape[0] + 2) * wide) > min(_TABLE * points, 2**31):
+            distinct, member = np.unique(_key(*places(slice(points)), wide), return_inverse=True)
+            return cls(distinct, shape), member.astype(np.int32)
+        seen, member = np.zeros(size, bool), np.empty(points, np.int32)
+        for part in pieces(points):
+            key = _key(*places(part), wide)
             seen[key] = True
-            cells = cls(np.flatnonzero(seen), shape)
-            return cells, cells._number(key)
-        distinct, member = np.unique(key, return_inverse=True)
-        return cls(distinct, shape), member
+            member[part] = key
+        number = np.cumsum(seen, dtype=np.int32)
+        number -= 1
+        for part in pieces(points):
+            member[part] = number[member[part]]
+        return cls(np.flatnonzero(seen), shape), member
 
     def grown(self, steps: int = 1) -> Cells:
         """With the cells of the grid that are at most so many rows and columns away."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..core.frame import ends
+from ..core.points import pieces
 from .cells import Cells
 
 _MARGIN = 3  # cells around those with points: one each for interpolation, mean and median
@@ -15,26 +17,40 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
     The minima of cells of ``size`` metres are replaced by the median and then by the mean of three by three of them, and
     interpolated bilinearly. Lone low cells and buildings up to about ``size`` across do not bend it.
     """
-    x = (xyz[:, 0] - np.float32(x0)) / np.float32(size)
-    y = (xyz[:, 1] - np.float32(y0)) / np.float32(size)
-    row, column = y.astype(np.int32), x.astype(np.int32)
-    occupied, at = Cells.of(row, column, (int(row.max()) + 1, int(column.max()) + 1))
+    corner, high = np.array([x0, y0], np.float32), ends(xyz[:, :2])[1]
+
+    def steps(xy: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+        x, y = ((xy[..., axis] - corner[axis]) / np.float32(size) + np.float32(lag) for axis in range(2))
+        return y, x
+
+    def cells(lag: float) -> tuple[Cells, np.ndarray]:
+        def places(part: slice) -> tuple[np.ndarray, np.ndarray]:
+            y, x = steps(xyz[part], lag)
+            return y.astype(np.int32), x.astype(np.int32)
+
+        rows, columns = (int(last) + 1 for last in steps(high, lag))
+        return Cells.of(places, len(xyz), (rows, columns))
+
+    occupied, at = cells(0.0)
     low = np.full(len(occupied) + 1, np.inf, np.float32)
-    np.minimum.at(low, at, xyz[:, 2])
+    for part in pieces(len(xyz)):
+        np.minimum.at(low, at[part], xyz[part, 2])
     smooth, level = _smoothed(occupied, low)
-    x += np.float32(0.5)
-    y += np.float32(0.5)
-    row, column = y.astype(np.int32), x.astype(np.int32)
-    x -= column.astype(np.float32)
-    y -= row.astype(np.float32)
-    between, at = Cells.of(row, column, (int(row.max()) + 1, int(column.max()) + 1))  # the squares between four centres
-
-    def node(dy: int, dx: int) -> np.ndarray:
-        return level[_clamped(smooth, between.row + (dy - 1), between.column + (dx - 1))][at]
-
-    south = node(0, 0) * (1 - x) + node(0, 1) * x
-    north = node(1, 0) * (1 - x) + node(1, 1) * x
-    return south * (1 - y) + north * y
+    between, at = cells(0.5)  # the squares between four centres
+    nodes = [
+        level[_clamped(smooth, between.row + dy, between.column + dx)]
+        for dy, dx in ((-1, -1), (-1, 0), (0, -1), (0, 0))
+    ]
+    trend = np.empty(len(xyz), np.float32)
+    for part in pieces(len(xyz)):
+        y, x = steps(xyz[part], 0.5)
+        x -= x.astype(np.int32).astype(np.float32)
+        y -= y.astype(np.int32).astype(np.float32)
+        southwest, southeast, northwest, northeast = (node[at[part]] for node in nodes)
+        south = southwest * (1 - x) + southeast * x
+        north = northwest * (1 - x) + northeast * x
+        trend[part] = south * (1 - y) + north * y
+    return trend
 
 
 def _smoothed(occupied: Cells, low: np.ndarray) -> tuple[Cells, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
-from ..core.points import Points
+from ..core.points import Points, pieces
 from ..host.cells import Cells
 from ..host.depressions import Basins
 from ..host.neighbours import few_neighbours, groups, nearest, tree_of
@@ -143,23 +143,32 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
     grid = lattice_over(points.xyz, cell, points.offset(cell))
-    occupied, at = Cells.of(*grid.places(points.xyz), grid.shape)
+    occupied, at = Cells.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
     coarse = max(15.0, 4.0 * cell)
     corner = (grid.x0, grid.y0) if points.cloud.anchor is None else points.lattice_corner(coarse)
-    z = points.xyz[:, 2] - low_trend(points.xyz, *corner, coarse)
+    z = low_trend(points.xyz, *corner, coarse)
+    np.subtract(points.xyz[:, 2], z, out=z)
     cells = occupied.grown()
-    at = cells.find(occupied.row, occupied.column)[at]
+    number = cells.find(occupied.row, occupied.column)
     lowest = np.full((2, len(cells)), np.inf, np.float32)  # +inf in cells that are only beside one with points
-    np.minimum.at(lowest[0], at, z)
-    np.minimum.at(lowest[1], at, points.xyz[:, 2])
+    for part in pieces(len(points)):
+        at[part] = own = number[at[part]]
+        np.minimum.at(lowest[0], own, z[part])
+        np.minimum.at(lowest[1], own, points.xyz[part, 2])
     around = cells.around()
     low = _Low(cells, cell, around, Basins(_close_gaps(lowest[0], around), around), *lowest)
     level = np.full(len(cells), -np.inf, np.float32)
     clusters = 0
     for times in (1, FARTHER):
-        held = np.bincount(at[z < lowest[0][at] + times * depth / 2], minlength=len(cells))
+        held = np.zeros(len(cells), np.int64)
+        for part in pieces(len(points)):
+            own = at[part]
+            np.add.at(held, own[z[part] < lowest[0][own] + times * depth / 2], 1)
         clusters += low.search(held, times * depth, times**2 * max_points, times * reach, level)
-    return LowClusters(z < level[at], clusters)
+    barred = np.empty(len(points), bool)
+    for part in pieces(len(points)):
+        np.less(z[part], level[at[part]], out=barred[part])
+    return LowClusters(barred, clusters)
 
 
 class _Low(NamedTuple):
