@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+import weakref
 
 import jax
 import numpy as np
@@ -328,6 +329,19 @@ def test_order_of_candidates_is_decided_by_coordinates(small, rng):
     assert (one.xyz == two.xyz).all() and (one.weight == two.weight).all()
     assert (one.xyz[one.member] == cloud.xyz).all()
     assert one.weight.sum() == len(cloud)
+
+
+def test_points_that_were_sorted_for_the_parameters_are_not_sorted_again(small, monkeypatch):
+    cloud = jf.PointCloud.from_arrays(small[0])
+    expected = jf.FPTD()(cloud)
+    kept = weakref.ref(canonical_points(cloud, keep=True).xyz)
+    assert canonical_points(cloud).xyz is kept()
+    assert kept() is None  # and is held no longer
+    jf.FPTD.for_cloud(cloud)
+    monkeypatch.setattr("jaxfilter.core.points._sorted", None)
+    assert (jf.FPTD()(cloud).ground == expected.ground).all()
+    with pytest.raises(TypeError):
+        canonical_points(cloud)
 
 
 def test_points_that_share_the_leading_digits_of_their_codes_are_ordered_by_all_digits(rng):

@@ -113,7 +113,7 @@ class Filter:
         """
         if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
-        points = canonical_points(as_cloud(cloud))
+        points = canonical_points(as_cloud(cloud), keep=not cls.ORDER_FREE)
         changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
 

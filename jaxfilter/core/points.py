@@ -22,6 +22,8 @@ PIECE = 1 << 15
 """Points that are worked on at a time where several arrays are made of them one after the other."""
 _SPACINGS: WeakKeyDictionary[PointCloud, dict[int, float]] = WeakKeyDictionary()
 """Spacings of clouds, metres, by the number of candidates that count: with repeated ones or without."""
+_SORTED: WeakKeyDictionary[PointCloud, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
+"""What :func:`canonical_points` keeps."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -220,11 +222,20 @@ def _candidates(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray]:
     return index, cloud.xyz if len(index) == len(cloud) else cloud.xyz[index]
 
 
-def canonical_points(cloud: PointCloud) -> Points:
+def canonical_points(cloud: PointCloud, keep: bool = False) -> Points:
     """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays.
 
-    Codes count from the corner of the cloud, or from its anchor, so that clouds with one anchor sort points alike.
+    Codes count from the corner of the cloud, or from its anchor, so that clouds with one anchor sort points alike. ``keep``: for
+    the next call with this cloud, which so need not sort them again.
     """
+    arrays = _SORTED.pop(cloud, None) or _sorted(cloud)
+    if keep:
+        _SORTED[cloud] = arrays
+    return Points(cloud, *arrays)
+
+
+def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``xyz``, ``index``, ``member`` and ``weight`` of :func:`canonical_points`."""
     index, xyz = _candidates(cloud)
     shift = (0, 0)
     if cloud.anchor is not None:
@@ -233,12 +244,12 @@ def canonical_points(cloud: PointCloud) -> Points:
     member = np.empty(len(order), np.int64)
     if len(repeated) == 0:
         member[order] = np.arange(len(order))
-        return Points(cloud, xyz[order], index, member, np.ones(len(order), np.int32))
+        return xyz[order], index, member, np.ones(len(order), np.int32)
     first = np.ones(len(order), bool)
     first[repeated] = False
     group = np.cumsum(first) - 1
     member[order] = group
-    return Points(cloud, xyz[order[first]], index, member, np.bincount(group).astype(np.int32))
+    return xyz[order[first]], index, member, np.bincount(group).astype(np.int32)
 
 
 def _canonical_order(code: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ class Basins:
         self.z, self._pours = z, pours
         walled = np.append(z, np.float32(np.inf))
         self.basin, self.bottom = pours.descend(walled, around)
-        a, b, level = pours.passes(walled, around, self.basin)
+        a, b, level = pours.passes(walled, around, self.basin, len(self.bottom))
         order = _ascending(level)
         self.a, self.b, self.level = a[order], b[order], level[order]
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from .compiled import compiled
 
+_MET = 4  # basins that each one has met last, whose passes are remembered
+
 
 @compiled
 def descend(z, around):
@@ -40,9 +42,13 @@ def descend(z, around):
 
 
 @compiled
-def passes(z, around, basin):
-    """Pairs of touching cells in different basins: i64[p], i64[p] the basins, and f32[p] the level of the pass between."""
+def passes(z, around, basin, basins):
+    """Passes between basins that touch: i64[p], i64[p] the basins, the lower number first, and f32[p] the level.
+
+    The lowest of two basins is among them; most of the others, which join nothing, are not.
+    """
     a, b, level = np.empty(1024, np.int64), np.empty(1024, np.int64), np.empty(1024, np.float32)
+    met, place = np.full((basins, _MET), -1, np.int32), np.empty((basins, _MET), np.int64)
     count = 0
     for cell in range(len(basin)):
         if basin[cell] < 0:
@@ -51,11 +57,18 @@ def passes(z, around, basin):
             other = around[k, cell]
             if z[other] == np.inf or basin[other] == basin[cell]:
                 continue
+            low, high = min(basin[cell], basin[other]), max(basin[cell], basin[other])
+            at, slot = max(z[cell], z[other]), high % _MET
+            if met[low, slot] == high:
+                known = place[low, slot]
+                level[known] = min(level[known], at)
+                continue
             if count == len(a):
                 a = np.concatenate((a, np.empty_like(a)))
                 b = np.concatenate((b, np.empty_like(b)))
                 level = np.concatenate((level, np.empty_like(level)))
-            a[count], b[count], level[count] = basin[cell], basin[other], max(z[cell], z[other])
+            a[count], b[count], level[count] = low, high, at
+            met[low, slot], place[low, slot] = high, count
             count += 1
     return a[:count].copy(), b[:count].copy(), level[:count].copy()
 
