@@ -203,8 +203,10 @@ def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> ja
             out = jnp.minimum(out, lax.dynamic_slice(border, (at[0], at[1]), z.shape))
         return out
 
-    first, last = starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE
-    return lax.fori_loop(first, last, rim, functools.reduce(jnp.minimum, moved))
+    out = functools.reduce(jnp.minimum, moved)
+    if len(cells) == 0:  # as with disks of two cells and less
+        return out
+    return lax.fori_loop(starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE, rim, out)
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "element"))
