@@ -485,7 +485,10 @@ def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
 
     def prepare(self: Any, cells: Cells) -> smrf.Opened:
         filled = fill(cells.lowest, cells.seen, cells.valid)
-        return self._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
+        plain = jf.SMRF(
+            **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        )  # a pytree, for a jitted step
+        return plain._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
 
     def surface(self: Any, prepared: smrf.Opened) -> Surface:
         cells, filled, steepest, bare, _ = prepared

@@ -156,7 +156,11 @@ class PPDF(Filter):
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points within the distance f32[m], metres, from their local planes."""
-        return reference | (np.abs(distance) <= self.max_distance)
+        return reference | self._within(distance, self.max_distance)
+
+    def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
+        """bool[m], points on either side of their planes, f32[m] metres from them, up to the limit."""
+        return np.abs(distance) <= limit
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call.
@@ -202,7 +206,7 @@ class PPDF(Filter):
             self._around(xyz, np.flatnonzero(may_be & ~reference), side),
             reference,
             over,
-            lambda distance: np.abs(distance) <= self.reference_distance,
+            lambda distance: self._within(distance, self.reference_distance),
             max_rounds=self.max_rounds,
             workers=workers,
             progress=lambda fraction, step: progress(0.3 + 0.4 * fraction, step),
