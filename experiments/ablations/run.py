@@ -109,6 +109,7 @@ def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Cal
         for name in methods:
             getattr(given, name)
         cls = type(f"Modified{type(given).__name__}", (type(given),), methods)
+        jax.tree_util.register_static(cls)
         return cls(**{f.name: getattr(given, f.name) for f in dataclasses.fields(given)})
 
     return make
@@ -485,10 +486,7 @@ def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
 
     def prepare(self: Any, cells: Cells) -> smrf.Opened:
         filled = fill(cells.lowest, cells.seen, cells.valid)
-        plain = jf.SMRF(
-            **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        )  # a pytree, for a jitted step
-        return plain._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
+        return self._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
 
     def surface(self: Any, prepared: smrf.Opened) -> Surface:
         cells, filled, steepest, bare, _ = prepared
