@@ -84,6 +84,10 @@ def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
     check_equal([jf.SMRF(cut=20.0, window=12.0).replace(slope=float(s)) for s in slopes], cloud)
 
 
+def test_a_parameter_may_be_left_open_in_some_sets(cloud):
+    check_equal(product(jf.SPF(window=30.0), long_edge=(None, 5.0), max_angle=(6.0, 20.0)), cloud)
+
+
 def test_slopes_of_smrf_share_a_terrain_if_no_cell_lies_between_them(cloud):
     sets = [jf.SMRF(window=12.0).replace(slope=float(slope)) for slope in np.linspace(0.1, 0.3, 300)]
     opened = sets[0].prepare(sets[0].cells(plain_points(cloud)))

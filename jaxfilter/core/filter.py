@@ -304,11 +304,11 @@ def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, 
 
 
 def alike(keys: Iterable[Any]) -> list[list[int]]:
-    """Numbers of equal keys together, in the order of the keys."""
+    """Numbers of equal keys together, in the order in which the keys appear."""
     found: dict[Any, list[int]] = {}
     for number, key in enumerate(keys):
         found.setdefault(key, []).append(number)
-    return [numbers for _, numbers in sorted(found.items())]
+    return list(found.values())
 
 
 def check_resources(workers: int | None, memory: float = 1.0) -> None:

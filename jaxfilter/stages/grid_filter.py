@@ -215,7 +215,8 @@ class GridFilter(Filter):
     ) -> Iterator[tuple[int, np.ndarray]]:
         """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
         prepared = self.prepare(self.cells(points, self.barred(points, workers)))
-        groups = alike(self.deciding(prepared, sets))
+        keys = self.deciding(prepared, sets)
+        groups = sorted(alike(keys), key=lambda numbers: keys[numbers[0]])  # surfaces made together are alike
         jobs = sorted((part[k : k + _SETS] for part in groups for k in range(0, len(part), _SETS)), key=len)
         wide = bucket(min(_SETS, max(map(len, alike(values_but(self.TESTED, sets))), default=1)), 1)
         size = max(a.size for a in jax.tree.leaves(prepared))

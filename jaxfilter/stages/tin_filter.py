@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..core.compilation import in_turn
-from ..core.filter import Filter, Labels
+from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
@@ -144,11 +144,7 @@ class TinFilter(Filter):
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
         """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds."""
-        deciding = [f.name for f in dataclasses.fields(self) if f.name not in self.LIMITS]
-        alike: dict[tuple[Any, ...], list[int]] = {}
-        for number, one in enumerate(sets):
-            alike.setdefault(tuple(getattr(one, name) for name in deciding), []).append(number)
-        for numbers in alike.values():
+        for numbers in alike(values_but(self.LIMITS, sets)):
             for i, ground in _grown_each([sets[number] for number in numbers], points, workers, memory):
                 yield numbers[i], ground
 
