@@ -50,6 +50,37 @@ def test_trials_are_scored_as_evaluate_does(scene, patches):
     assert trials.confusion.sum() == 2 * patches.sum() and trials.total.values.tolist() == scores.tolist()
 
 
+@pytest.mark.parametrize("score", ["total", "kappa"])
+def test_labels_of_a_fold_do_not_choose_the_set_that_it_is_scored_with(scene, patches, score):
+    sets = [{"slope": s, "threshold": t} for s in (0.05, 0.15, 0.4) for t in (0.3, 0.8, 2.0)]
+
+    def evaluated(truth):
+        study = jf.Study(jf.SMRF(), scene.cloud, truth, labelled=patches, score=score, folds=3)
+        study.evaluate(sets)
+        return study
+
+    study, known = evaluated(scene.truth), np.flatnonzero(patches)
+    assert study.folds == 3
+    called = np.zeros(len(scene.truth), bool)
+    for fold in range(3):
+        held = known[study.fold == fold]
+        without = study.expected([fold])
+        called[held] = jf.SMRF(**sets[int(study.best(without)[0])])(scene.cloud).ground[held]
+        wrong = scene.truth.copy()
+        wrong[held] ^= True
+        other = evaluated(wrong)
+        assert np.array_equal(other.expected([fold]), without)
+        assert not np.array_equal(other.expected(), study.expected())  # they count where no fold is left out
+
+    found, nowhere = study.result(), ~patches
+    expected, seen = (
+        getattr(jf.evaluate(labels, scene.truth, ignore=nowhere), score)
+        for labels in (called, found.filter(scene.cloud).ground)
+    )
+    assert found.score == pytest.approx(expected)
+    assert expected > seen + 0.5 if score == "total" else expected < seen - 0.5  # what all labels chose looks better
+
+
 def test_kappa_is_maximised(scene, patches):
     study = jf.Study(jf.SMRF(), scene.cloud, scene.truth, labelled=patches, score="kappa")
     scores = study.evaluate([{"slope": s} for s in (0.02, 0.15, 0.9)])
