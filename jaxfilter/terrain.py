@@ -209,10 +209,7 @@ def heights_of(
         at = cloud.xyz[these, :2].astype(np.float64)
         z = np.full(len(at), np.nan)
         if surface is not None:
-            among = ((at >= low) & (at <= high)).all(
-                axis=1
-            )  # stray points may be farther than the lattice of triangles
-            z[among] = surface(at[among])
+            z = surface(np.clip(at, low - 1.0, high + 1.0))  # stray points may be farther than the lattice of triangles
             if look is not None:
                 look(at, surface)
         beyond = np.flatnonzero(np.isnan(z))

@@ -331,6 +331,13 @@ def test_order_of_candidates_is_decided_by_coordinates(small, rng):
     assert one.weight.sum() == len(cloud)
 
 
+def test_points_of_one_elevation_coincide_in_one_place_only(rng):
+    place = np.argwhere(np.ones((20, 20))).repeat(2, axis=0)
+    cloud = jf.PointCloud.from_arrays(rng.permutation(np.column_stack([place, np.full(800, 5.0)])))
+    points = canonical_points(cloud)
+    assert len(points) == 400 and (points.weight == 2).all() and (points.xyz[points.member] == cloud.xyz).all()
+
+
 def test_points_that_were_sorted_for_the_parameters_are_not_sorted_again(small, monkeypatch):
     cloud = jf.PointCloud.from_arrays(small[0])
     expected = jf.FPTD()(cloud)

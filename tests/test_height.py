@@ -56,17 +56,27 @@ def test_heights_are_those_of_scipy():
 
 
 def test_units_of_z_and_points_without_coordinates():
-    xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [np.nan, 1, 1], [40, 40, 12.5]])
+    xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [np.nan, 1, 1], [40, 40, 2.5]])
     cloud = jf.PointCloud.from_arrays(xyz, units="ft", drop_invalid=True)
-    ground = np.array([True, True, True, False, False, False])
+    ground = np.array(
+        [True, True, True, False, True, False]
+    )  # what has no coordinates is no ground, whatever its label
     heights = jf.height_above_ground(cloud, ground)
-    np.testing.assert_allclose(heights, [0, 0, 0, 15, 0, 2.5], atol=2 * QUANTUM / 0.3048)
+    np.testing.assert_allclose(heights, [0, 0, 0, 15, 0, -7.5], atol=2 * QUANTUM / 0.3048)
+
+
+def test_on_the_edge_of_the_ground_heights_are_linear():
+    """On a side of a square of ground points, which is the edge of their extent; beyond it the nearest of them counts."""
+    xyz = np.array([[0, 0, 0], [32, 0, 8], [0, 32, 0], [32, 32, 8], [16, 0, 9], [32, 16, 9], [8, 32, 9], [8, -4, 9]])
+    heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz.astype(float)), np.arange(8) < 4)
+    np.testing.assert_allclose(heights, [0, 0, 0, 0, 5, 1, 7, 9], atol=2 * QUANTUM)
 
 
 def test_stray_points_far_off():
     xyz = np.array([[0, 0, 10], [30, 0, 10], [0, 30, 10], [10, 10, 25], [5e6, 10, 12], [10, 4e6, 13]])
     ground = np.arange(6) < 3
-    heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz), ground)
+    with np.errstate(invalid="raise"):  # as of numbers that the lattice of triangles does not hold
+        heights = jf.height_above_ground(jf.PointCloud.from_arrays(xyz), ground)
     np.testing.assert_allclose(heights, [0, 0, 0, 15, 2, 3])
     with pytest.raises(jf.InputError, match=r"140 km apart.* leave out stray ones"):
         jf.height_above_ground(jf.PointCloud.from_arrays(np.where(xyz > 1e6, 3e5, xyz)), np.ones(6, bool))

@@ -274,5 +274,5 @@ def _canonical_order(code: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.nd
     points = order[rows]
     points = points[np.lexsort((z[points], code[points]))]
     order[rows] = points
-    same = (rows[1:] == rows[:-1] + 1) & (code[points[1:]] == code[points[:-1]]) & (z[points[1:]] == z[points[:-1]])
+    same = (code[points[1:]] == code[points[:-1]]) & (z[points[1:]] == z[points[:-1]])
     return order, rows[1:][same]

@@ -33,8 +33,8 @@ class MSF(GridFilter):
     That is an erosion: the ground is what lies on or below the cloud eroded with the allowance as structuring element. Here
     q runs over the lowest points of square cells, and the erosion is one of a grid.
 
-    The result's ``height`` is metres above the surface eroded with the slope alone, ``slope`` that surface's in degrees,
-    ``margin`` metres above the limit.
+    The result's ``height`` is metres above the surface eroded with the slope alone, as far as the allowance grows; ``slope``
+    is that surface's in degrees, ``margin`` metres above the limit.
 
     "paper" is the plain rule with the thresholds of Cai et al., who name no tolerance for noise. It has no defence against
     low outliers, each of which clears the ground around it up to the window. "recommended" is the default: clusters of low
@@ -103,7 +103,7 @@ class MSF(GridFilter):
 
     @jax.jit
     def surface(self, prepared: Cells) -> Surface:
-        """The surface eroded with the slope alone, and the limits for points. Pure.
+        """The surface eroded with the slope alone, as far as the allowance grows, and the limits for points. Pure.
 
         Where the allowance has reached its largest value the structuring element is flat: an erosion with a disk.
         """

@@ -75,7 +75,7 @@ def clustered_seeds(
         good |= ~_raised(corner, beside, cluster, len(size), raised) & (size > 0)
     keep = np.zeros(s, bool)
     keep[facet[inner[good[cluster[inner]]]]] = True
-    return keep & ~noise
+    return keep
 
 
 def _smallest_angle(square: np.ndarray) -> np.ndarray:
