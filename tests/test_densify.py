@@ -173,10 +173,36 @@ def test_two_sided_rule_with_mirroring_equals_plain_loop(mode):
     assert (out.ground != without.ground).sum() > 10
 
 
-def blocks_of(points):
+def blocks_of(points, reach=63.6):
     border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
     none = np.zeros(len(points), bool)
-    return block_networks(points, seeds_of(points), border, none, none, size=30.0, overlap=5.0, reach=63.6)
+    return block_networks(points, seeds_of(points), border, none, none, size=30.0, overlap=5.0, reach=reach)
+
+
+@pytest.mark.parametrize("sides", [(95.0, 30.0), (59.9, 120.0), (10.0, 61.0)])
+def test_border_nodes_stand_a_block_apart_and_the_last_block_takes_what_is_left_over(sides):
+    blocks = 0
+    for width, height in (sides, sides[::-1]):
+        border = border_positions(np.zeros(2), np.array([width, height]), 30.0)
+        gaps = np.diff(np.sort(border[border[:, 1] < -0.1, 0].clip(0, width)))  # along the southern side
+        np.testing.assert_allclose(gaps[:-1], 30.0, atol=1e-4)
+        assert min(30.0, width) <= gaps[-1] + 1e-4 < 60
+        blocks += len(gaps)
+    assert len(border) == 2 * blocks
+
+
+def test_a_block_has_its_points_and_the_seeds_within_reach_of_its_centre():
+    """Seeds stand 15 m apart, so that some are 30 m from a centre exactly."""
+    column, line = (v.ravel().astype(float) for v in np.mgrid[:91, :91])
+    points = canonical_points(PointCloud.from_arrays(np.column_stack([column, line, 0 * line])))
+    net, xy = blocks_of(points, 30.0), points.xyz[:, :2].astype(float)
+    seed = np.isin(np.arange(len(points)), seeds_of(points))
+    for number, centre in enumerate((c, r) for r in (15, 45, 75) for c in (15, 45, 75)):
+        own = (net.sheet == number) & (net.row >= 0)
+        off = np.abs(xy - centre)
+        near = seed & (np.hypot(*off.T) <= 30)
+        assert 0 < near.sum() < seed.sum()
+        assert np.array_equal(net.row[own], np.flatnonzero(near | (off <= 20).all(axis=1)))
 
 
 def sheet_of(net, number):

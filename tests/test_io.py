@@ -165,9 +165,10 @@ def test_internal_waveforms_move_with_their_start(tmp_path):
     assert start != end and content[start:] == b"W" * 1000
 
 
-def test_waveforms_of_several_channels(tmp_path):
-    make_las(tmp_path / "in.las", 9)
-    make_las(tmp_path / "in.laz", 9)
+@pytest.mark.parametrize("channels", [(0, 1), (0, 2), (1, 3)])
+def test_waveforms_of_several_channels(tmp_path, channels):
+    for name in ("in.las", "in.laz"):
+        make_las(tmp_path / name, 9, scanner_channel=np.resize(channels, 200))
     for source, target in (("in.las", "out.laz"), ("in.laz", "out.las")):
         cloud = read(tmp_path / source)
         with pytest.raises(OutputError, match="several scanner channels"):

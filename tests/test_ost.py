@@ -241,6 +241,37 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
         assert ground.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
+def test_low_roofs_close_together_do_not_pass_for_relief():
+    """Nine roofs of 24 x 24 m, 1.5 m high, in lanes of 10 m: with all of them the landscape is steep, without them level."""
+    x, y = (v.ravel() + 0.5 for v in np.mgrid[:112, :112])
+    roof = (x % 34 > 10) & (y % 34 > 10)
+    result = jf.OST()(np.column_stack([x, y, 1.5 * roof]))
+    np.testing.assert_array_equal(result.ground, ~roof)
+
+
+def test_barred_points_join_by_densification_only():
+    """The bottom of a bowl, smooth ground, is more than a metre below all that is 4 m away."""
+    x, y = (v.ravel() / 2 for v in np.mgrid[:61, :61])
+    xyz = np.column_stack([x, y, 0.12 * np.minimum(np.hypot(x - 15, y - 15), 8) ** 2])
+    seeded, grown = (jf.OST(rounds=rounds, low_points=0)(xyz) for rounds in (0, 6))
+    bottom = np.hypot(x - 15, y - 15) < 1
+    assert seeded.barred[bottom].all() and not seeded.barred[np.hypot(x - 15, y - 15) > 2].any()
+    assert seeded.ground.any() and not (seeded.ground & seeded.barred).any() and grown.ground[bottom].all()
+
+
+def test_the_local_spread_counts_per_metre_of_spacing_up_to_one_metre():
+    """In filters in which the spacing decides nothing else."""
+    cloud = jf.scenes.make("mixed", size=60.0, density=1.5, seed=3).cloud
+    plain = jf.OST(tolerance_spacing=0.0, scaling=0.0, distance_relief=0.0, void=99.0, scene_spread=1.0)
+
+    def ground(spacing, spread):
+        result = plain.replace(spacing=spacing, local_spread=spread)(cloud)
+        assert result.info["pruned"] > 0
+        return result.ground.tolist()
+
+    assert ground(1.0, 2.0) == ground(3.0, 2.0) == ground(0.5, 4.0) != ground(0.5, 2.0)
+
+
 def test_points_are_taken_in_by_height_and_by_distance_and_angle():
     """Over a level square: at most a limit high, or so far from its plane and below an angle to the corner."""
     corners = [[0, 0, 0], [20, 0, 0], [0, 20, 0], [20, 20, 0]]

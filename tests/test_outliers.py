@@ -244,6 +244,13 @@ def test_what_is_shallow_large_or_drains_is_no_cluster(rng):
         assert not low_clusters(points_of(other)).barred.any()
 
 
+def test_a_gully_that_swells_and_fades_drains_down_a_slope_and_is_a_pit_in_level_land():
+    x, y = (v.ravel().astype(float) for v in np.mgrid[:120, :120])
+    depth = 4.0 * np.clip(1 - np.abs(x - 60) / 12, 0, 1) * (y == 60)
+    pit, gully = (low_clusters(points_of(np.column_stack([x, y, slope * x - depth]))) for slope in (0.0, 0.5))
+    assert pit.clusters == 1 and 10 < pit.barred.sum() < 23 and not gully.barred.any()
+
+
 def test_ground_under_dense_canopy_is_kept(rng):
     xyz = hillside(rng, 0.2, density=2.0)
     crown = rng.random(len(xyz)) > 0.08

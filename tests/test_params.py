@@ -182,6 +182,14 @@ def test_parameters_from_the_cloud_are_valid(method):
         method.for_cloud(np.zeros((0, 3)), largest_building=0)
 
 
+def test_the_window_of_fptd_is_the_least_multiple_of_six_strides_that_holds_the_building():
+    """Strides are whole decimetres; sizes that are such a multiple themselves have the window of their own size."""
+    for decimetres in range(10, 3000, 7):
+        found = FILTERS["fptd"].from_spacing(1.0, decimetres / 10)
+        window, stride = round(10 * found["window"], 6), round(10 * found["stride"], 6)
+        assert window == 6 * stride == -(-decimetres // 6) * 6
+
+
 @METHODS
 def test_every_method_survives_the_pytree_round_trip(method):
     leaves, structure = jax.tree_util.tree_flatten(method())

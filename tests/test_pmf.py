@@ -124,6 +124,20 @@ def test_the_grid_reading_equals_brute_force(changes):
     np.testing.assert_array_equal(f(xyz).ground, brute_grid(xyz - xyz.min(axis=0), f))
 
 
+@pytest.mark.parametrize(("height", "kept"), [(0.5, True), (0.75, False)])
+def test_cells_that_an_opening_lowers_by_its_threshold_exactly_are_no_objects(height, kept):
+    """A block of 4 x 4 cells, which the second opening removes; its threshold is 0.5 m."""
+    x, y = (v.ravel() + 0.25 for v in np.mgrid[:24.0, :24.0])
+    block = (np.abs(x - 10) < 2) & (np.abs(y - 10) < 2)
+    lowest = np.column_stack([x, y, height * block])
+    xyz = np.concatenate([lowest, lowest[block] + 0.25])
+    f = PMF(low_clusters=False, slope=0.125, initial_distance=0.25, max_window=20.0)
+    assert windows(f)[1] == (2, 0.5)
+    ground = f(xyz).ground
+    np.testing.assert_array_equal(ground, brute_grid(xyz - xyz.min(axis=0), f))
+    assert ground[len(lowest) :].sum() == 12 * kept  # not the four corners, which the first opening cuts
+
+
 @pytest.mark.parametrize("changes", [{"max_window": 10.0}, {"max_window": 17.0, "cell": 0.7, "max_distance": 1.2037}])
 def test_the_reading_around_points_equals_brute_force(changes):
     xyz, _ = hamlet()

@@ -202,6 +202,20 @@ def test_a_cell_is_divided_where_the_ground_lies_below_its_plane(rng):
     )
 
 
+@pytest.mark.parametrize(("share", "divided"), [(0.99, 0), (1.0, 1)])
+def test_a_cell_is_divided_into_four_from_the_division_distance_on(share, divided):
+    """One point of a level cell of 8 m lies ``share`` of that distance below the others."""
+    x, y = (v.ravel() for v in np.mgrid[:8:0.25, :8:0.25])
+    low = (x == 1.0) & (y == 1.0)
+    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, -1.5 * share * low])))
+    options = {"cell": 8.0, "min_points": 20, "inlier_distance": 0.3, "max_slope": 75.0, "division_distance": 1.5}
+    found = progressive_planes(points, np.ones(len(points), bool), DRAWS, **options)
+    small = (points.xyz[:, :2] < 4).all(axis=1)
+    assert (found.divided > 0) == bool(divided) and (found.size[~small] == (4.0 if divided else 8.0)).all()
+    sides = np.unique(found.size[small & ~np.isnan(found.size)]).tolist()
+    assert sides == ([2.0] if divided else [8.0])  # the quarter with the point is divided again, down to min_points
+
+
 @pytest.fixture(scope="module")
 def forest():
     return scenes.make("forest", size=(80, 70), density=4, seed=3)

@@ -35,6 +35,7 @@ def test_linear_windows():
     f = jf.SPF(cell=1.0, initial_window=2, window=30.0)
     assert f.windows() == [2 * k * 2 + 1 for k in range(1, 9)]  # 33 is the first beyond 30
     assert jf.SPF(cell=2.0, window=60.0).windows() == list(range(3, 33, 2))
+    assert jf.SPF(cell=2.0, window=10.0).windows() == [3, 5, 7]  # 10 m do not exceed 10 m
 
 
 def test_exponential_windows():
