@@ -356,6 +356,25 @@ def test_damaged_virtual_point_clouds(tmp_path, content, words):
         jf.open(tmp_path / "a.vpc")
 
 
+@pytest.mark.parametrize("base", ["", "memory://all"])
+@pytest.mark.parametrize(
+    "href",
+    ["reference://a.laz::file:///r.json", "./a.laz::s3://b", "reference://a.laz", "zip://a.laz", "ssh://x/a.laz"],
+)
+def test_virtual_point_clouds_name_plain_files_only(tmp_path, monkeypatch, base, href):
+    """A reference is a file that says what is done to reach another; so nothing of the name may get to fsspec."""
+    import fsspec
+
+    written = write_items(tmp_path / "a.vpc", [an_item(), an_item(href, **{"pc:count": None})])
+    if base:
+        fsspec.filesystem("memory").put_file(str(written), "/all/a.vpc")
+    url_to_fs, asked = fsspec.core.url_to_fs, []
+    monkeypatch.setattr(fsspec.core, "url_to_fs", lambda uri: asked.append(uri) or url_to_fs(uri))
+    with pytest.raises(jf.InputError, match=rf"a\.vpc: names {href!r}.*file, s3, gs, az, abfs, http, https"):
+        jf.open(f"{base}/a.vpc" if base else written)
+    assert set(asked) <= {"memory://all/a.vpc"}
+
+
 def test_the_map_of_a_survey():
     survey = Collection(
         [tile("a.laz"), tile("b.laz", 100, 0, count=40), tile("c.laz", 150, 50), tile("d.laz", count=0)]

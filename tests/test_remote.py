@@ -87,6 +87,33 @@ def test_what_does_not_pass_is_an_error_that_names_the_uri(tmp_path, server, sta
     assert server.requests == requests
 
 
+@pytest.mark.parametrize("scheme", ["dir", "generic", "github", "no-such"])
+@pytest.mark.parametrize("act", [jf.read, jf.open])
+def test_odd_urls_are_named(scheme, act):
+    for url in (f"{scheme}://host/in.laz", f"{scheme}://host/*.laz", f"{scheme}://[host/in.laz"):
+        with pytest.raises(jf.InputError) as caught:
+            act(url)
+        assert str(caught.value).startswith(f"{url}: ")
+
+
+@pytest.mark.parametrize("url", ["Reference://in.laz", "memory://in.laz::file:///r.json"])
+def test_chains_of_stores_are_refused_whoever_names_them(tmp_path, url, monkeypatch):
+    import fsspec
+
+    cloud = jf.PointCloud.from_arrays(np.random.default_rng(0).uniform(0, 30, (50, 3)))
+    jf.write(tmp_path / "in.laz", cloud, None)
+    fsspec.filesystem("memory").put_file(str(tmp_path / "in.laz"), "/chained/reference::a.laz")
+    known = fsspec.core.url_to_fs
+    monkeypatch.setattr(fsspec.core, "url_to_fs", lambda uri: pytest.fail(uri) if "::" in uri else known(uri))
+    for act in (jf.read, jf.open, lambda name: jf.write(name, cloud, None)):
+        with pytest.raises(jf.InputError, match=f"{url}: chains of stores"):
+            act(url)
+    done = run("ground", url, tmp_path / "out.laz")
+    assert done.exit_code in (1, 2) and "chains of stores" in done.output and not (tmp_path / "out.laz").exists()
+    with pytest.raises(jf.InputError, match=r"chained/reference::a\.laz: chains of stores"):
+        jf.open("memory://chained/")  # a name that the store tells
+
+
 def test_missing_changed_and_without_ranges(tmp_path, server):
     make_copc(tmp_path / "in.copc.laz")
     make_copc(tmp_path / "large.copc.laz", n=20_000)

@@ -222,13 +222,17 @@ def _preset(method: type[Filter]) -> click.Option:
 
 def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Place, Place | None]:
     """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
+    from ..core.errors import InputError
     from ..filters import FILTERS
     from ..host.storage import Remote, place_of
 
     words = dict(zip(("IN", "OUT"), paths, strict=False))
     found: list[Place] = []
     for name, word in words.items():
-        place = place_of(word)
+        try:
+            place = place_of(word)
+        except InputError as error:
+            raise click.BadParameter(str(error), ctx, param_hint=repr(name)) from error
         if isinstance(place, Remote):
             found.append(place)
             continue

@@ -47,9 +47,22 @@ _T = TypeVar("_T")
 
 @dataclasses.dataclass(frozen=True)
 class Remote:
-    """A file that is reached by its URI, with what of :class:`pathlib.Path` the readers use."""
+    """A file that is reached by its URI, with what of :class:`pathlib.Path` the readers use.
+
+    Raises: InputError for a chain of stores (``::``) and for ``reference:``: they lead to what a file says, not the user.
+    """
 
     uri: str
+
+    def __post_init__(self) -> None:
+        if "::" in self.uri or self.uri.lower().startswith("reference:"):
+            raise InputError(
+                f"{self.uri}: chains of stores (::) and reference: are not followed; name the file itself, or copy it"
+            )
+        try:
+            urllib.parse.urlsplit(self.uri)
+        except ValueError as error:
+            raise InputError(f"{self.uri}: is no URL: {error}") from error
 
     def __str__(self) -> str:
         return self.uri
@@ -113,9 +126,8 @@ class Remote:
         system, path = self._system()
         is_pattern = any(c in self.uri for c in "*[")
         find: Callable[[], Any] = (lambda: system.glob(path)) if is_pattern else (lambda: system.ls(path, detail=False))
-        return sorted(
-            system.unstrip_protocol(found) for found in _persistent(self.uri, find) if found.lower().endswith(suffixes)
-        )
+        found = [path for path in _persistent(self.uri, find) if path.lower().endswith(suffixes)]
+        return sorted(_persistent(self.uri, lambda: [system.unstrip_protocol(path) for path in found]))
 
     def held(self) -> list[str]:
         """Names in this folder, sorted; none if there is no such folder. Raises InputError if the store cannot be reached."""
@@ -151,8 +163,8 @@ class Remote:
         except ImportError as error:
             text = f"{self.uri}: cannot be reached: {error}; pip install 'jaxfilter[remote]' brings what s3:// and https:// need"
             raise InputError(text) from error
-        except ValueError as error:
-            raise InputError(f"{self.uri}: cannot be reached: {error}") from error
+        except Exception as error:  # a store raises what it likes where a URL is not what it expects
+            raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}") from error
 
 
 class _Ranges(io.RawIOBase):

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _PIECE = 1 << 22  # characters that are read at a time
 _LONGEST = 1 << 20  # of a text within an item
+_SCHEMES = ("file", "s3", "gs", "az", "abfs", "http", "https")  # of names: others may do more than fetch a file
 _EXTENSIONS = [
     "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
     "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
@@ -114,7 +115,7 @@ def _member(
 ) -> str | Source:
     assets = item["assets"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
-    uri, facts = _resolved(asset["href"], base, remote), item["properties"]
+    uri, facts = _resolved(asset["href"], base, remote, name), item["properties"]
     lower = uri.lower()
     kind = next(
         (k for k, end in (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las")) if lower.endswith(end)), None
@@ -147,9 +148,15 @@ def _member(
     )
 
 
-def _resolved(href: str, base: str, remote: bool) -> str:
-    """A name relative to the folder of the .vpc, or as it is."""
-    if "://" in href or os.path.isabs(href):
+def _resolved(href: str, base: str, remote: bool, name: str) -> str:
+    """A name relative to the folder of the .vpc, or as it is. Raises InputError for other stores than :data:`_SCHEMES`."""
+    scheme, mark, _ = href.partition("://")
+    if "::" in href or (mark and scheme.lower() not in _SCHEMES):
+        raise InputError(
+            f"{name}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
+            "correct the name, or copy that file"
+        )
+    if mark or os.path.isabs(href):
         return href
     path = href.removeprefix("./")
     return f"{base}/{path}" if remote else os.path.normpath(f"{base}/{path}")
