@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import struct
 import time
 import tracemalloc
 import warnings
+from types import SimpleNamespace
 
 import laspy
+import lazrs
 import numpy as np
+import psutil
 import pytest
 from las_files import OFFSETS, make_copc, make_las, patch
+from laspy import LazBackend
 
 from jaxfilter.core.cloud import PointCloud, as_cloud
 from jaxfilter.core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError
@@ -130,6 +135,78 @@ def test_damaged_chunk_table(tmp_path):
         path.write_bytes(whole)
         patch(path, layout, at, value)
         assert_refused(path, "truncated|damaged|decoded")
+
+
+def with_table(content, sizes):
+    """The LAZ file with other sizes of chunks in its table, which an independent encoder writes."""
+    start = struct.unpack_from("<I", content, 96)[0]
+    table = struct.unpack_from("<q", content, start)[0]
+    at = content.find(b"laszip encoded") + 52
+    record = lazrs.LazVlr(content[at : at + 34 + 6 * struct.unpack_from("<H", content, at + 32)[0]])
+    with io.BytesIO(content) as file:
+        file.seek(start)
+        counts = [count for count, _ in lazrs.read_chunk_table(file, record)]
+        old = file.tell()
+        file.seek(table)
+        lazrs.write_chunk_table(file, list(zip(counts, sizes, strict=True)), record)
+        return file.getvalue()[:table] + file.getvalue()[table : file.tell()] + content[old:]
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_chunks_of_other_lengths_than_in_the_table(tmp_path, point_format):
+    """Their sum is right, so that all but the ends between them are where they should be."""
+    path = tmp_path / "in.laz"
+    make_las(path, point_format, "1.2" if point_format == 1 else None, n=50_100)
+    start, content = offset_to_points(path), path.read_bytes()
+    table = struct.unpack_from("<q", content, start)[0]
+    with path.open("rb") as file:
+        file.seek(start)
+        at = content.find(b"laszip encoded") + 52
+        record = lazrs.LazVlr(content[at : at + 34 + 6 * struct.unpack_from("<H", content, at + 32)[0]])
+        first, second = (size for _, size in lazrs.read_chunk_table(file, record))
+    assert first + second == table - start - 8
+    for moved in (7, -7, second - first):
+        path.write_bytes(with_table(content, [first + moved, second - moved]))
+        assert_refused(path, "chunk [12] of 2 is not as long as its table says")
+    path.write_bytes(with_table(content, [first, second + 2]))
+    assert_refused(path, "do not end where their table begins")
+
+
+def test_layers_that_do_not_fill_their_chunk(tmp_path):
+    path = tmp_path / "in.laz"
+    make_las(path, 6, n=300)
+    at, content = offset_to_points(path) + 8 + 30, path.read_bytes()
+    count, *sizes = struct.unpack_from("<10I", content, at)
+    assert count == 300
+    for layer, size in enumerate(sizes):
+        for wrong in {size + 1, size // 2, max(size - 1, 0), 0} - {size}:
+            path.write_bytes(content)
+            patch(path, "I", at + 4 + 4 * layer, wrong)
+            assert_refused(path, "chunk 1 of 1 is not as long as its table says")
+    path.write_bytes(content)
+    patch(path, "I", at, 299)
+    assert_refused(path, "announces 300 points, but the compressed chunks hold 299")
+
+
+@pytest.mark.parametrize("backend", LazBackend)
+@pytest.mark.parametrize("point_format", [0, 6, 8])
+def test_sound_laz_of_any_writer_is_read(tmp_path, point_format, backend):
+    if not backend.is_available():
+        pytest.skip(f"{backend.name} is not installed")
+    for n in (0, 1, 2, 50_001):
+        las = make_las(tmp_path / "in.las", point_format, n=n, extra=n == 2)
+        las.write(tmp_path / "in.laz", laz_backend=backend)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            cloud = read(tmp_path / "in.laz", drop_invalid=True) if n else None
+        if cloud is not None:
+            np.testing.assert_allclose(cloud.coordinates(), las.xyz, atol=0.002)
+            np.testing.assert_array_equal(cloud.classification, las.classification)
+    with pytest.warns(JaxfilterWarning, match=r"in\.laz: holds no points") as given:
+        las = make_las(tmp_path / "in.las", point_format, n=0)
+        las.write(tmp_path / "in.laz", laz_backend=backend)
+        assert len(read(tmp_path / "in.laz")) == 0
+    assert len(given) == 1
 
 
 def test_truncated_extended_records(tmp_path):
@@ -252,6 +329,24 @@ def test_other_header_fields(tmp_path, at, layout, value, message):
     make_las(path, 6)
     patch(path, layout, at, value)
     assert_refused(path, message)
+
+
+def test_chunk_that_no_memory_holds(tmp_path, monkeypatch):
+    """One chunk, of which neither its bytes nor its table tell how many points it has."""
+    path = tmp_path / "in.laz"
+    make_las(path, 1, n=240_000)
+    content = bytearray(path.read_bytes())
+    sizes = content.find(b"laszip encoded") + 52 + 12
+    struct.pack_into("<I", content, sizes, 2**32 - 2)
+    struct.pack_into("<I", content, 107, 4_200_000_000)
+    path.write_bytes(content)
+    assert len(content) > 4.2e6
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(total=16 * 2**30))
+    assert_refused(path, "chunk of 4200000000 points does not fit into the memory of this machine")
+    make_las(path, 1)
+    monkeypatch.setattr(np, "empty", lambda *_: bytearray(2**62))
+    with pytest.raises(InputError, match=r"in\.laz: its points need more memory than there is.*by bounds"):
+        read(path)
 
 
 def test_laszip_record_of_another_point_size(tmp_path):

@@ -138,6 +138,22 @@ def test_what_laspy_would_not_keep(tmp_path):
     assert (tmp_path / "unpacked.las").read_bytes() == direct.removesuffix(b"trailing bytes")
 
 
+@pytest.mark.parametrize("point_format", [4, 5, 9, 10])
+def test_wave_packets_are_written_for_laszip(tmp_path, point_format):
+    """In the versions of LASzip itself: WAVEPACKET13 (9) in 1, WAVEPACKET14 (13) in 3."""
+    las = make_las(tmp_path / "in.las", point_format, extra=True, **one_channel(point_format, ".laz"))
+    write(tmp_path / "out.laz", read(tmp_path / "in.las"), None)
+    with laspy.open(tmp_path / "out.laz") as file:
+        record = file.header.vlrs.get("LasZipVlr")[0].record_data
+    versions = {kind: version for kind, _, version in struct.iter_unpack("<3H", record[34:])}
+    assert versions[9 if point_format < 6 else 13] == (1 if point_format < 6 else 3)
+    for backend in laspy.LazBackend.detect_available():  # LASzip is one of them where it is installed
+        assert (
+            laspy.read(tmp_path / "out.laz", laz_backend=backend).points.array.tobytes() == las.points.array.tobytes()
+        )
+    assert len(read(tmp_path / "out.laz")) == len(las.points)
+
+
 @pytest.mark.parametrize("point_format", [0, 3, 5, 6, 7, 10])
 def test_las_to_laz_and_back_is_the_same_file(tmp_path, point_format):
     source = tmp_path / "in.las"

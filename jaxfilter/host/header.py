@@ -17,11 +17,12 @@ from typing import BinaryIO
 
 import lazrs
 import numpy as np
+import psutil
 
 from ..core.errors import InputError, OutputError, warn
 from ..core.frame import check_scales
 from .files import CHANGED_IN_READING, Identity
-from .storage import Place, Remote
+from .storage import Place, Remote, read_ranges
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point record by point format, 0 to 10."""
@@ -34,6 +35,7 @@ _EXTRA_BYTES = ("LASF_Spec", 4)
 _LASZIP = ("laszip encoded", 22204)
 _EXTRA_ENTRY = 192
 _CHUNKED, _LAYERED = 2, 3  # methods of LASzip
+_ITEMS, _ITEM, _WAVES = 34, 6, 9  # where a laszip record lists the parts of a point, bytes for each, wave packets
 _POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
 _EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
 _UINT8, FLOAT32, FLOAT64 = 1, 9, 10
@@ -426,17 +428,29 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
         raise InputError(f"{path}: {chunks} compressed chunks cannot fit into {header.file_size} bytes; it is damaged")
     file.seek(len(header.head))
     table = lazrs.read_chunk_table(file, compressor)
-    sizes = [length for _, length in table]
-    if compressor.uses_variable_size_chunks():
-        most = least = sum(count for count, _ in table)
-    else:
-        most, least = len(table) * size, max(0, len(table) - 1) * size + bool(table)
-    if len(header.head) + 8 + sum(sizes) > start:
+    varying, sizes = compressor.uses_variable_size_chunks(), [length for _, length in table]
+    held = [count if varying else size for count, _ in table]
+    most = least = sum(held)
+    if not varying and sizes:  # the last chunk holds anything from one point on, if it is more than the end of a stream
+        least += int(sizes[-1] >= header.record_length) - size
+    if len(header.head) + 8 + sum(sizes) != start:
         raise InputError(
-            f"{path}: the compressed chunks run into the table of chunks; the file is damaged or truncated"
+            f"{path}: the compressed chunks do not end where their table begins; the file is damaged or truncated"
         )
-    if header.count <= most and method == _LAYERED:
-        most = least = _check_layers(header, file, sizes)
+    largest, memory = min(header.count, max(held, default=0)), psutil.virtual_memory().total
+    if largest * header.record_length > memory:
+        raise InputError(
+            f"{path}: a compressed chunk of {largest} points does not fit into the memory of this machine ({memory} bytes); "
+            "the file is damaged, or has to be compressed anew in smaller chunks"
+        )
+    if header.count <= most:
+        counts = _check_chunks(header, file, method == _LAYERED, sizes)
+        full = len(held) - (not varying)
+        if counts and (counts[:full] != held[:full] or counts[full:] > held[full:]):
+            raise InputError(
+                f"{path}: the compressed chunks hold other numbers of points than their table says: damaged"
+            )
+        most, least = (sum(counts), sum(counts)) if counts else (most, least)
     if header.count > most or (header.is_copc and header.count != most):
         raise InputError(
             f"{path}: the header announces {header.count} points, but the compressed chunks hold "
@@ -445,21 +459,47 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
     return max(0, least - header.count)
 
 
-def _check_layers(header: Header, file: BinaryIO, sizes: list[int]) -> int:
-    """Formats 6 to 10: a chunk is a first point, the number of points, the sizes of its layers, then the layers.
+def _check_chunks(header: Header, file: BinaryIO, layered: bool, sizes: list[int]) -> list[int]:
+    """Refuse chunks of the wrong length: decoders would read other points from them, and not notice.
 
-    Returns: number of points in the chunks.
+    Of formats 6 to 10, a chunk is a first point, the number of points, the sizes of its layers, then the layers, which fill
+    it; without points it may have no bytes at all. Of formats 0 to 5, it ends in the two zero bytes of its encoder.
+
+    Returns: points of each layered chunk.
     """
-    items = struct.iter_unpack("<3H", header.laszip[34:])
-    layers = sum(size if kind == 14 else {10: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
-    at, points = len(header.head) + 8, 0
-    for i, size in enumerate(sizes):
-        file.seek(at + header.record_length)
-        count, *lengths = struct.unpack(f"<{1 + layers}I", file.read(4 + 4 * layers))
-        if header.record_length + 4 + 4 * layers + sum(lengths) > size:
-            raise InputError(f"{header.path}: layers of compressed chunk {i + 1} of {len(sizes)} exceed it: damaged")
-        at, points = at + size, points + count
-    return points
+    starts = len(header.head) + 8 + np.cumsum([0, *sizes[:-1]])
+    chunks = [(i, int(at), size) for i, (at, size) in enumerate(zip(starts, sizes, strict=False)) if size]
+    counts = [0] * len(sizes) if layered else []
+    if not layered:
+        ends = read_ranges(header.path, file, [max(0, at + size - 2) for _, at, size in chunks], [2] * len(chunks))
+        wrong = [i for (i, _, _), end in zip(chunks, ends, strict=True) if end != b"\0\0"]
+    else:
+        items = struct.iter_unpack("<3H", header.laszip[_ITEMS:])
+        layers = sum(size if kind == 14 else {10: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
+        first = header.record_length + 4 + 4 * layers
+        wrong = [i for i, _, size in chunks if size < first]
+        if not wrong:
+            begins = [at + header.record_length for _, at, _ in chunks]
+            stated = read_ranges(header.path, file, begins, [4 + 4 * layers] * len(chunks))
+            for (i, _, size), block in zip(chunks, stated, strict=True):
+                counts[i], *lengths = struct.unpack(f"<{1 + layers}I", block)
+                if first + sum(lengths) != size:
+                    wrong.append(i)
+    if wrong:
+        raise InputError(
+            f"{header.path}: compressed chunk {wrong[0] + 1} of {len(sizes)} is not as long as its table says; the file is "
+            "damaged"
+        )
+    return counts
+
+
+def laszip_record(point_format: int, extra: int) -> bytes:
+    """What LAZ of new files states of itself; ``extra``: bytes of a point beyond those of its format."""
+    data = bytearray(lazrs.LazVlr.new_for_compression(point_format, extra).record_data())
+    for at in range(_ITEMS, len(data), _ITEM):
+        if struct.unpack_from("<H", data, at)[0] == _WAVES:  # the same bytes, of which LASzip knows version 1 only
+            struct.pack_into("<H", data, at + 4, 1)
+    return bytes(data)
 
 
 def vlr(user: str, number: int, payload: bytes, description: str = "") -> bytes:

@@ -237,8 +237,9 @@ def las_cloud(
     they are."""
     name, number = str(header.path), header.point_format
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
-    ticks, n = np.empty((most, 3), np.int32), 0
-    columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
+    with reading(header.path):
+        ticks, n = np.empty((most, 3), np.int32), 0
+        columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
     identity, tally = cast(Identity, header.identity), Tally()
     with identity.kept(header.path, CHANGED_IN_READING):
         for chunk in chunks:

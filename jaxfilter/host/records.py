@@ -45,7 +45,11 @@ def reading(path: Place) -> Iterator[None]:
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, IndexError, OverflowError, MemoryError, struct.error) as error:
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: its points need more memory than there is ({error}); read a part of it by bounds, or run it in tiles"
+        ) from error
+    except (ValueError, IndexError, OverflowError, struct.error) as error:
         raise InputError(f"{path}: cannot be decoded: {error}") from error
     except lazrs.LazrsError as error:
         raise InputError(f"{path}: the compressed points are damaged or truncated: {error}") from error

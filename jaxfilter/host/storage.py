@@ -108,8 +108,6 @@ class Remote:
         def fetch() -> list[bytes]:
             found: list[Any] = system.cat_ranges([path] * len(starts), list(starts), list(ends), on_error="raise")
             for part, start, end in zip(found, starts, ends, strict=True):
-                if isinstance(part, Exception):  # fsspec of 2024 gives some back, whatever on_error says
-                    raise part
                 if len(part) > end - start:
                     raise InputError(
                         f"{self.uri}: the server sends {len(part)} bytes where {end - start} were asked for: it knows no "

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-import lazrs
 import numpy as np
 import pyproj
 
@@ -19,7 +18,7 @@ from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
 from .files import Handle, Replay, new_file
-from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, new_header, read_header
+from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
 from .storage import Place, Remote, place_of
 
@@ -252,7 +251,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     compressor = None
     if path.suffix.lower() == ".laz":
         width = header.record_length + 4 * len(added)
-        compressor = lazrs.LazVlr.new_for_compression(number, width - RECORD_LENGTHS[number]).record_data()
+        compressor = laszip_record(number, width - RECORD_LENGTHS[number])
     drop = ("copc",) if header.is_copc else ()
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
