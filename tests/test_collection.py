@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import re
 
 import numpy as np
 import pyproj
@@ -354,6 +356,46 @@ def test_damaged_virtual_point_clouds(tmp_path, content, words):
     (tmp_path / "a.vpc").write_bytes(content.encode("latin-1"))
     with pytest.raises(jf.InputError, match=rf"a\.vpc.*{words}"):
         jf.open(tmp_path / "a.vpc")
+
+
+def spelled(code, kind="WKT1_GDAL", **changes):
+    """The WKT of a CRS without the codes in it, with other words."""
+    text = re.sub(r',AUTHORITY\["[^"]*","[^"]*"\]', "", pyproj.CRS.from_epsg(code).to_wkt(kind))
+    for old, new in changes.items():
+        text = re.sub(old, new, text)
+    return text
+
+
+LAMBERT = {"Reseau_Geodesique_Francais_1993_v1": "Not_specified", "RGF93 v1 / Lambert-93": "ours"}
+
+
+@pytest.mark.parametrize(
+    "texts, one",
+    [
+        (
+            [
+                spelled(2154, Reseau_Geodesique_Francais_1993_v1="Reseau Geodesique Francais 1993"),
+                pyproj.CRS(2154).to_wkt(),
+            ],
+            True,
+        ),
+        (
+            [spelled(2154, **LAMBERT, **{"298.257222101": "298.2572221"}), spelled(2154), spelled(2154, "WKT1_ESRI")],
+            True,
+        ),
+        ([spelled(2154, **LAMBERT, **{"46.5": "46.5000000000001"}), spelled(2154, "WKT1_ESRI")], True),
+        ([spelled(31466), pyproj.CRS(31466).to_wkt()], True),
+        ([spelled(2154, **LAMBERT, **{"46.5": "46.6"}), spelled(2154)], False),
+        ([spelled(2154, **LAMBERT, **{"298.257222101": "298.257223563"}), spelled(2154)], False),
+        ([spelled(2154, **LAMBERT), spelled(3942), spelled(2154)], False),
+        ([spelled(26910), spelled(6339)], False),  # NAD83 and NAD83(2011), which differ by a metre
+        ([spelled(32632), spelled(25832)], False),
+    ],
+)
+def test_files_of_one_crs_in_any_order_and_spelling(texts, one):
+    for order in itertools.permutations(texts):
+        files = Collection([tile(str(k), 10.0 * k, 0.0, wkt=text) for k, text in enumerate(order)])
+        assert (files.check().mixed is None) == one
 
 
 @pytest.mark.parametrize("base", ["", "memory://all"])

@@ -89,6 +89,47 @@ def parse_crs(value: Any) -> pyproj.CRS | None:
         raise InputError(f"crs={value!r}: no coordinate reference system that PROJ knows: {reason}") from error
 
 
+def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    """What a CRS says of X and Y, without heights and shifts to other datums."""
+    while crs.is_compound or crs.is_bound:
+        crs = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs  # type: ignore[assignment]
+    return crs
+
+
+def same_system(one: pyproj.CRS, other: pyproj.CRS) -> bool:
+    """Whether two horizontal CRS are one, in whichever order they are given: PROJ says so, or their codes do, or projection,
+    ellipsoid, prime meridian and units agree to a part in 10^9 and the datum, as far as both state one that has a code."""
+    if one.equals(other, ignore_axis_order=True) or other.equals(one, ignore_axis_order=True):
+        return True
+    if _code(one) is not None and _code(one) == _code(other):
+        return True
+    numbers = _numbers(one), _numbers(other)
+    known = (pyproj.CRS.from_authority(*code) if (code := _code(crs)) else crs for crs in (one, other))
+    datums = [crs.geodetic_crs and _code(crs.geodetic_crs) for crs in known]
+    return (
+        bool(numbers[0])
+        and numbers[0].keys() == numbers[1].keys()
+        and all(math.isclose(value, numbers[1][name], rel_tol=1e-9, abs_tol=1e-9) for name, value in numbers[0].items())
+        and (None in datums or datums[0] == datums[1])
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _code(crs: pyproj.CRS) -> tuple[str, str] | None:
+    return crs.to_authority()
+
+
+def _numbers(crs: pyproj.CRS) -> dict[str, float]:
+    """What matters of a projected CRS, by names: its projection, in radians and metres, and what that is of."""
+    operation, ellipsoid, meridian = crs.coordinate_operation, crs.ellipsoid, crs.prime_meridian
+    if operation is None or ellipsoid is None or meridian is None:
+        return {}
+    found = {p.name: p.value * (p.unit_conversion_factor or 1.0) for p in operation.params}
+    found |= {"a": ellipsoid.semi_major_metre, "1/f": ellipsoid.inverse_flattening}
+    found |= {f"axis {k}": axis.unit_conversion_factor for k, axis in enumerate(crs.axis_info[:2])}
+    return found | {operation.method_name: 0.0, "meridian": meridian.longitude * meridian.unit_conversion_factor}
+
+
 @dataclasses.dataclass(frozen=True)
 class Reference:
     """What a file says of its coordinates.

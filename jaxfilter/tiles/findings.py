@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError
-from ..core.units import Units
+from ..core.units import Units, horizontal, same_system
 from ..host.files import Bounds
 from ..host.footprints import Footprints
 
@@ -101,25 +102,21 @@ def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Seque
     kinds: dict[tuple[str | None, Units], str] = {}
     for uri, wkt, unit in zip(uris, wkts, units, strict=True):
         kinds.setdefault((wkt, unit), uri)
-    first: tuple[str, pyproj.CRS] | None = None
     (_, unit), named = next(iter(kinds.items()))
+    systems: list[tuple[str, pyproj.CRS]] = []
     for (wkt, other), uri in kinds.items():
         if (other.xy, other.z) != (unit.xy, unit.z):
             raise InputError(
                 f"{named} is in {unit}, {uri} in {other}: files of different units cannot be run together; convert one, or "
                 "pass units= if one states its unit wrongly"
             )
-        if wkt is None:
-            continue
-        crs = _horizontal(pyproj.CRS.from_wkt(wkt))
-        if first is None:
-            first = uri, crs
-        elif not crs.equals(first[1], ignore_axis_order=True):
+        if wkt is not None:
+            crs = horizontal(pyproj.CRS.from_wkt(wkt))
+            if not any(crs.equals(known) and known.equals(crs) for _, known in systems):
+                systems.append((uri, crs))
+    for (one, first), (another, second) in itertools.combinations(systems, 2):
+        if not same_system(first, second):
             raise InputError(
-                f"{first[0]} is in {first[1].name}, {uri} in {crs.name}: files of different coordinate reference systems "
+                f"{one} is in {first.name}, {another} in {second.name}: files of different coordinate reference systems "
                 "cannot be run together; reproject one"
             )
-
-
-def _horizontal(crs: pyproj.CRS) -> pyproj.CRS:
-    return crs.sub_crs_list[0] if crs.is_compound else crs
