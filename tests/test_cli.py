@@ -292,10 +292,30 @@ def test_low_outliers_get_the_class_of_noise(folder, with_low):
     np.testing.assert_array_equal(plain, np.where(classes == 7, 1, classes))
 
 
-def test_text_without_classes_cannot_hold_noise(folder):
-    result = ground(folder, "--noise-class", "7", source="truth.txt", target="out.txt", method="smrf")
+@pytest.mark.parametrize("source", ["truth.txt", "scene.laz"])
+def test_text_without_classes_cannot_hold_noise(folder, source):
+    result = ground(folder, "--noise-class", "7", source=source, target="out.txt", method="smrf")
     assert_one_line(result, 1, "out.txt", "noise_class=7")
     assert not (folder / "out.txt").exists()
+
+
+@pytest.mark.parametrize("source, target", [("truth.txt", "out.txt"), ("truth.laz", "out.csv")])
+def test_the_summary_of_text_speaks_of_its_labels(folder, source, target):
+    done = ground(folder, "--json", source=source, target=target, method="smrf")
+    report, out = json.loads(done.stdout), np.genfromtxt(folder / target, delimiter="," if "csv" in target else None)
+    held = [{"label": k, "points": int((out[:, 3] == k).sum())} for k in (0, 1)]
+    assert report["labels"] == held and report["classes"] == [] and held[0]["points"] == report["ground"] > 0
+    shown = ground(folder, "--overwrite", source=source, target=target, method="smrf").stdout
+    assert f"label 0: {held[0]['points']:,}, label 1: {held[1]['points']:,}" in shown and "class" not in shown
+
+
+def test_the_summary_of_text_with_classes_speaks_of_these(folder, scene):
+    table = np.column_stack([scene.xyz, scene.classes])
+    np.savetxt(folder / "in.csv", table, "%.3f,%.3f,%.3f,%d", header="x,y,z,classification", comments="")
+    report = json.loads(ground(folder, "--json", source="in.csv", target="out.csv", method="smrf").stdout)
+    classes = np.genfromtxt(folder / "out.csv", delimiter=",", skip_header=1)[:, 3]
+    after = {k: sum(one["points"] for one in report["classes"] if one["after"] == k) for k in range(256)}
+    assert after == {k: int((classes == k).sum()) for k in range(256)} and "labels" not in report
 
 
 def test_a_log_says_what_was_done_when(folder):

@@ -283,6 +283,8 @@ def _ground(
     **options: Any,
 ) -> None:
     from .. import class_changes, cut_objects, read, write
+    from ..host.text import GROUND, OBJECT
+    from ..host.writing import holds_classes
 
     reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -313,7 +315,8 @@ def _ground(
 
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
-        changed = class_changes(cloud, result, **how)
+        named = holds_classes(target, cloud)
+        changed = class_changes(cloud, result, **how) if named else {}
         with session.step("border"):
             cut = [dataclasses.asdict(one) for one in cut_objects(cloud, result)]
         logger.info(f"{target}: {int(result.ground.sum()):,} of {len(cloud):,} points are ground")
@@ -330,6 +333,9 @@ def _ground(
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
         "cut_objects": cut,
     }
+    if not named:
+        labels = ((GROUND, report["ground"]), (OBJECT, report["points"] - report["ground"]))
+        report |= {"of_ground_class": None, "labels": [{"label": int(one), "points": n} for one, n in labels]}
     if places is not None:
         listed, expected = len(places), float(places["expected_errors"].sum())
         report["review"] = {"output": str(review), "places": listed, "expected_errors": expected}

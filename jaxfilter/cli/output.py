@@ -43,7 +43,7 @@ def print_report(report: dict[str, Any]) -> None:
         f"{report['output']}: {report['ground']:,} of {report['points']:,} points are ground ({share:.1f} %), "
         f"{report['candidates']:,} were judged"
     )
-    kept = report.get("of_ground_class", report["ground"]) - report["ground"]
+    kept = (report.get("of_ground_class") or report["ground"]) - report["ground"]
     if kept:
         name, all_ = report["ground_class"], report["of_ground_class"]
         click.echo(f"{kept:,} points keep class {name} without being found ground, so that {all_:,} have it")
@@ -63,6 +63,10 @@ def print_report(report: dict[str, Any]) -> None:
         listed = report["review"]
         click.echo(
             f"{listed['output']}: {listed['places']:,} places with {listed['expected_errors']:,.0f} expected errors"
+        )
+    if report.get("labels"):
+        click.echo(
+            "the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in report["labels"])
         )
     if report.get("classes"):
         print_classes(report["classes"])

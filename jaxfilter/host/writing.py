@@ -110,7 +110,7 @@ def write(
         raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
     if kind in text.SUFFIXES and (names or heights is not None):
         raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
-    if kind in text.SUFFIXES and noise_class is not None and cloud.classification is None:
+    if noise_class is not None and not holds_classes(path, cloud):
         raise OutputError(
             f"{path}: this text holds labels only; noise_class={noise_class!r} needs classes, .las or .laz"
         )
@@ -123,6 +123,12 @@ def write(
             with open(temporary, "xb") as file:
                 _write_las(path, file, cloud, labels, replay)
     return path
+
+
+def holds_classes(path: Place, cloud: PointCloud) -> bool:
+    """Whether what :func:`write` makes of a cloud there has classes: text has them if its lines had, and else labels only."""
+    of_text = cloud.source is not None and cloud.source.kind == "text" and cloud.classification is not None
+    return of_text or path.suffix.lower() not in text.SUFFIXES
 
 
 def class_changes(
