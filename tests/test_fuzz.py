@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import jaxfilter as jf
-from experiments.fuzz import check, mutations
+from experiments.fuzz import check, compressed, mutations
 from experiments.fuzz import run as fuzz
 
 SEED = 7
@@ -47,6 +47,29 @@ def test_damaged_files(tmp_path, found, group, numbers):
         except Exception as error:
             raise AssertionError(f"{group} {number}: {origin.name}, {done}") from error
     assert min(outcomes.count(check.REFUSED), outcomes.count(check.EQUAL)) > 0.1 * len(numbers)
+
+
+def test_damaged_layers_tables_and_laszip_records(tmp_path):
+    """Refused, or with the points of the sound file; where layers exchange bytes, LASzip has to judge."""
+    few, path, refused = [one for one in compressed.seeds(tmp_path) if one.kind != "LASzip"], tmp_path / "in.laz", 0
+    sound = {}
+    for one in few:
+        path.write_bytes(compressed.Laz.of(one.content).bytes())
+        sound[one.name] = compressed.ours(path)
+    for number in range(150):
+        origin, act, content = compressed.mutant(few, SEED, number)
+        path.write_bytes(content)
+        records = compressed.ours(path)
+        refused += isinstance(records, str)
+        assert isinstance(records, str) or np.array_equal(records, sound[origin.name]) or act == "layers", (number, act)
+    assert 75 < refused < 150
+
+
+def test_the_experiment_with_laszip_runs(tmp_path, monkeypatch):
+    pytest.importorskip("laszip", reason="laszip is not installed: nothing to compare with")
+    monkeypatch.setattr(sys, "argv", ["compressed.py", "--out", str(tmp_path), "--number", "20"])
+    compressed.main()
+    assert "20 files, seed 20265" in (text := (tmp_path / "compressed.md").read_text()) and "Failures: 0" in text
 
 
 def test_mutants_are_those_of_their_number(found):

@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 from las_files import make_copc, make_las, patch
 
+from jaxfilter.host.header import RECORD_LENGTHS, laszip_record
+
 KINDS = ("las", "laz", "copc", "text")
 """Of seeds; the first three are one group, see :func:`mutant`."""
 
@@ -81,7 +83,7 @@ def seeds(folder: Path) -> list[Seed]:
                 add(path.suffix[1:], path.name, path)
     for number in (1, 6):  # LAZ of several chunks
         path = folder / f"chunks-{number}.laz"
-        path.write_bytes(_in_chunks((folder / f"{number}-{2 if number < 6 else 4}.las").read_bytes()))
+        path.write_bytes(in_chunks((folder / f"{number}-{2 if number < 6 else 4}.las").read_bytes()))
         add("laz", path.name, path)
     for seed in range(3):
         path = folder / f"octree-{seed}.copc.laz"
@@ -90,13 +92,12 @@ def seeds(folder: Path) -> list[Seed]:
     return found + _texts()
 
 
-def _in_chunks(content: bytes) -> bytes:
+def in_chunks(content: bytes) -> bytes:
     """Uncompressed LAS, without what follows its points, as LAZ in chunks of 16 points."""
     start, kind, length = struct.unpack_from("<I4xBH", content, 96)
     size, records = struct.unpack_from("<H4xI", content, 94)
     points = np.frombuffer(content, np.uint8, 60 * length, start)
-    plain = {0: 20, 1: 28, 6: 30}[kind]
-    data = bytearray(lazrs.LazVlr.new_for_compression(kind, length - plain).record_data())
+    data = bytearray(laszip_record(kind, length - RECORD_LENGTHS[kind]))
     struct.pack_into("<I", data, 12, 16)
     record = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(data), b"") + data
     head = bytearray(content[:start] + record)

@@ -20,6 +20,7 @@ import numpy as np
 import psutil
 
 from ..core.errors import InputError, OutputError, warn
+from ..core.forks import need_threads
 from ..core.frame import check_scales
 from .files import CHANGED_IN_READING, Identity
 from .storage import Place, Remote, read_ranges
@@ -35,7 +36,8 @@ _EXTRA_BYTES = ("LASF_Spec", 4)
 _LASZIP = ("laszip encoded", 22204)
 _EXTRA_ENTRY = 192
 _CHUNKED, _LAYERED = 2, 3  # methods of LASzip
-_ITEMS, _ITEM, _WAVES = 34, 6, 9  # where a laszip record lists the parts of a point, bytes for each, wave packets
+_ITEMS, _ITEM = 34, 6  # where a laszip record lists the parts of a point, and bytes for each
+_WAVES, _POINT14 = 9, 10  # kinds of parts: wave packets of formats 4 and 5; the first of those that are layered
 _POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
 _EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
 _UINT8, FLOAT32, FLOAT64 = 1, 9, 10
@@ -406,6 +408,14 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
             f"{path}: the laszip record describes points of {compressor.item_size()} bytes, the header of "
             f"{header.record_length}; the file is damaged"
         )
+    items = _items(header.laszip)
+    known = _items(laszip_record(header.point_format, header.record_length - RECORD_LENGTHS[header.point_format]))
+    versions = {kind: (1, 2) if kind == _WAVES else (2,) if kind < _POINT14 else (3, 4) for kind, _, _ in known}
+    same = [item[:2] for item in items] == [item[:2] for item in known]
+    if not same or any(version not in versions[kind] for kind, _, version in items):
+        raise InputError(
+            f"{path}: the laszip record describes other points than point format {header.point_format}; the file is damaged"
+        )
     method, size = struct.unpack_from("<H", header.laszip)[0], struct.unpack_from("<I", header.laszip, 12)[0]
     if method not in (_CHUNKED, _LAYERED):
         raise InputError(f"{path}: LAZ without chunks (before LASzip 2.0) is not supported; compress the file anew")
@@ -444,7 +454,7 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
             "the file is damaged, or has to be compressed anew in smaller chunks"
         )
     if header.count <= most:
-        counts = _check_chunks(header, file, method == _LAYERED, sizes)
+        counts = _check_chunks(header, file, sizes, held)
         full = len(held) - (not varying)
         if counts and (counts[:full] != held[:full] or counts[full:] > held[full:]):
             raise InputError(
@@ -459,38 +469,73 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
     return max(0, least - header.count)
 
 
-def _check_chunks(header: Header, file: BinaryIO, layered: bool, sizes: list[int]) -> list[int]:
+def _check_chunks(header: Header, file: BinaryIO, sizes: list[int], held: list[int]) -> list[int]:
     """Refuse chunks of the wrong length: decoders would read other points from them, and not notice.
 
     Of formats 6 to 10, a chunk is a first point, the number of points, the sizes of its layers, then the layers, which fill
-    it; without points it may have no bytes at all. Of formats 0 to 5, it ends in the two zero bytes of its encoder.
+    it; without points it may have no bytes at all. Of formats 0 to 5, it is a first point, then the others. Of files on a
+    disk more is looked at: what an encoder writes, a layer or such a chunk, ends in two zero bytes. The first chunk of
+    formats 0 to 5 is decoded, and each before one whose first point lies outside the extent: its points need all its bytes.
 
-    Returns: points of each layered chunk.
+    Args: ``held``: points of each chunk by the table.
+    Returns: points of each chunk of formats 6 to 10.
     """
+    path, local, counts = header.path, not isinstance(header.path, Remote), [0] * len(sizes)
     starts = len(header.head) + 8 + np.cumsum([0, *sizes[:-1]])
     chunks = [(i, int(at), size) for i, (at, size) in enumerate(zip(starts, sizes, strict=False)) if size]
-    counts = [0] * len(sizes) if layered else []
-    if not layered:
-        ends = read_ranges(header.path, file, [max(0, at + size - 2) for _, at, size in chunks], [2] * len(chunks))
-        wrong = [i for (i, _, _), end in zip(chunks, ends, strict=True) if end != b"\0\0"]
+    if header.point_format < 6:
+        wrong = _wrong_chunks(header, file, chunks, held) if local and chunks else []
+        counts = []
     else:
-        items = struct.iter_unpack("<3H", header.laszip[_ITEMS:])
-        layers = sum(size if kind == 14 else {10: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
+        items = _items(header.laszip)
+        layers = sum(size if kind == 14 else {_POINT14: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
         first = header.record_length + 4 + 4 * layers
         wrong = [i for i, _, size in chunks if size < first]
-        if not wrong:
-            begins = [at + header.record_length for _, at, _ in chunks]
-            stated = read_ranges(header.path, file, begins, [4 + 4 * layers] * len(chunks))
-            for (i, _, size), block in zip(chunks, stated, strict=True):
-                counts[i], *lengths = struct.unpack(f"<{1 + layers}I", block)
-                if first + sum(lengths) != size:
-                    wrong.append(i)
+        begins = [at + header.record_length for _, at, _ in chunks if not wrong]
+        stated = read_ranges(path, file, begins, [first - header.record_length] * len(begins))
+        for (i, at, size), block in zip(chunks, stated, strict=not wrong):
+            counts[i], *lengths = struct.unpack(f"<{1 + layers}I", block)
+            ends = at + first - 2 + np.cumsum([length for length in lengths if length])
+            if first + sum(lengths) != size or (
+                local and not _zero(read_ranges(path, file, ends.tolist(), [2] * len(ends)))
+            ):
+                wrong.append(i)
     if wrong:
         raise InputError(
-            f"{header.path}: compressed chunk {wrong[0] + 1} of {len(sizes)} is not as long as its table says; the file is "
-            "damaged"
+            f"{path}: compressed chunk {wrong[0] + 1} of {len(sizes)} is not as long as its table says; the file is damaged"
         )
     return counts
+
+
+def _wrong_chunks(header: Header, file: BinaryIO, chunks: list[tuple[int, int, int]], held: list[int]) -> list[int]:
+    """Those of formats 0 to 5, out of number, start and bytes, that are not as long as stated: see ``_check_chunks``."""
+    behind = [12] * (len(chunks) - 1) + [0]  # of the next one: X, Y, Z of its first point
+    found = read_ranges(
+        header.path, file, [max(0, at + size - 2) for _, at, size in chunks], [2 + more for more in behind]
+    )
+    wrong = [i for (i, _, _), end in zip(chunks, found, strict=True) if not _zero([end[:2]])]
+    ticks = np.frombuffer(b"".join(end[2:] for end in found), "<i4").reshape(-1, 3)
+    with np.errstate(all="ignore"):  # headers may state any extent
+        low, high = (np.rint((edge - header.offsets) / header.scales) for edge in header.extent)
+    odd = np.flatnonzero(((ticks < low - 1) | (ticks > high + 1)).any(axis=1))
+    for i, at, size in [chunks[k] for k in np.union1d(odd, 0).tolist() if len(chunks) > 1 and not wrong]:
+        need_threads()
+        most = read_ranges(header.path, file, [at], [size - 1])[0]
+        points = np.empty(held[i] * header.record_length, np.uint8)
+        everything = lazrs.DecompressionSelection(lazrs.SELECTIVE_DECOMPRESS_ALL)
+        with contextlib.suppress(lazrs.LazrsError):  # as it has to be: the last point needs the last byte
+            lazrs.decompress_points_with_chunk_table(most, header.laszip, points, [(held[i], size - 1)], everything)
+            wrong.append(i)
+    return wrong
+
+
+def _zero(ends: list[bytes]) -> bool:
+    return not any(map(any, ends))
+
+
+def _items(record: bytes) -> list[tuple[int, int, int]]:
+    """Kind, bytes and version of the parts of a point that a laszip record lists."""
+    return list(struct.iter_unpack("<3H", record[_ITEMS:]))
 
 
 def laszip_record(point_format: int, extra: int) -> bytes:
