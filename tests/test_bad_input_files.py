@@ -356,7 +356,7 @@ def test_laszip_record_of_another_point_size(tmp_path):
     assert_refused(path, "describes points of 28 bytes, the header of 40")
     make_las(path, 1)
     items = path.read_bytes().find(b"laszip encoded") + 52 + 34
-    for at, value in ((4, 1), (6, 0)):  # POINT10 of version 1, bytes in place of times
+    for at, value in ((4, 1), (6, 0), (-34, 3)):  # POINT10 of version 1, bytes in place of times, layers
         make_las(path, 1)
         patch(path, "H", items + at, value)
         assert_refused(path, "describes other points than point format 1")

@@ -124,8 +124,7 @@ def _numbers(crs: pyproj.CRS) -> dict[str, float]:
     operation, ellipsoid, meridian = crs.coordinate_operation, crs.ellipsoid, crs.prime_meridian
     if operation is None or ellipsoid is None or meridian is None:
         return {}
-    numeric = [p for p in operation.params if not isinstance(p.value, str)]
-    found = {p.name: p.value * float(p.unit_conversion_factor or 1.0) for p in numeric}
+    found = {p.name: float(p.value) * float(p.unit_conversion_factor or 1.0) for p in operation.params}
     found |= {"a": ellipsoid.semi_major_metre, "1/f": ellipsoid.inverse_flattening}
     found |= {f"axis {k}": axis.unit_conversion_factor for k, axis in enumerate(crs.axis_info[:2])}
     return found | {operation.method_name: 0.0, "meridian": meridian.longitude * float(meridian.unit_conversion_factor)}

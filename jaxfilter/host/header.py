@@ -411,12 +411,16 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
     items = _items(header.laszip)
     known = _items(laszip_record(header.point_format, header.record_length - RECORD_LENGTHS[header.point_format]))
     versions = {kind: (1, 2) if kind == _WAVES else (2,) if kind < _POINT14 else (3, 4) for kind, _, _ in known}
+    method, size = struct.unpack_from("<H", header.laszip)[0], struct.unpack_from("<I", header.laszip, 12)[0]
     same = [item[:2] for item in items] == [item[:2] for item in known]
-    if not same or any(version not in versions[kind] for kind, _, version in items):
+    if (
+        not same
+        or any(version not in versions[kind] for kind, _, version in items)
+        or method == (_LAYERED if header.point_format < 6 else _CHUNKED)
+    ):
         raise InputError(
             f"{path}: the laszip record describes other points than point format {header.point_format}; the file is damaged"
         )
-    method, size = struct.unpack_from("<H", header.laszip)[0], struct.unpack_from("<I", header.laszip, 12)[0]
     if method not in (_CHUNKED, _LAYERED):
         raise InputError(f"{path}: LAZ without chunks (before LASzip 2.0) is not supported; compress the file anew")
     if header.count > _POINTS_PER_BYTE * header.file_size:
