@@ -7,17 +7,23 @@ import json
 import multiprocessing
 import os
 import pickle
+import re
 import shutil
+import struct
 import subprocess
 import sys
 
 import laspy
 import numpy as np
 import pytest
+from las_files import make_copc
 
 import jaxfilter as jf
+from experiments.faults.surveys import JOURNALS, damage_journal
+from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
-from jaxfilter.tiles import dask, task
+from jaxfilter.host.windows import read_window
+from jaxfilter.tiles import dask, setup, task
 from jaxfilter.tiles.dask import Cluster
 from jaxfilter.tiles.folder import SCRATCH
 from jaxfilter.tiles.ground import ground
@@ -85,6 +91,15 @@ def run(files, out, executor=None, filter_=PMF, **how):
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.la[sz]"))}
+
+
+@pytest.fixture(scope="module")
+def las_files(files, tmp_path_factory):
+    """The same, not compressed."""
+    folder = tmp_path_factory.mktemp("plain")
+    for path in files.glob("*.laz"):
+        laspy.read(path).write(folder / f"{path.stem}.las")
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -217,6 +232,152 @@ def test_inputs_that_have_changed_are_noticed(files, tmp_path):
     with pytest.raises(jf.InputError, match="begun with other inputs"):
         run(survey, tmp_path / "out", resume=True)
     assert run(survey, tmp_path / "out", overwrite=True).complete
+
+
+def rewritten(path, change):
+    """The same header, size and time; ``change`` is made to u8[n, record_length] of a LAS file, in place."""
+    before, data = path.stat(), bytearray(path.read_bytes())
+    length, start = struct.unpack_from("<H", data, 105)[0], struct.unpack_from("<I", data, 96)[0]
+    records = np.frombuffer(data, np.uint8, offset=start).reshape(-1, length)
+    change(records)
+    path.write_bytes(data)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def turned(records):
+    records[:] = records[::-1].copy()
+
+
+def higher(records):
+    records[:, 8] ^= 64
+
+
+@pytest.mark.parametrize("change, sampled", [(turned, True), (turned, False), (higher, False)])
+def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path, monkeypatch, change, sampled):
+    """Size, header and time stay. No file is written with labels of points that it does not hold."""
+    survey, out = tmp_path / "survey", tmp_path / "out"
+    shutil.copytree(las_files, survey)
+    if not sampled:  # as of most files of a large survey
+        monkeypatch.setattr(setup, "sampled", lambda *_: setup.Sample([], Whole(1.0)))
+        monkeypatch.setattr("jaxfilter.tiles.ground.sampled", setup.sampled)
+    with pytest.raises(KeyboardInterrupt):
+        run(survey, out, Here(3, stop_after=13))
+    rewritten(survey / "01.las", change)
+    changed = r"01\.las: the file has changed since its points were first read; .* overwrite=True"
+    if sampled:
+        with pytest.raises(jf.InputError, match=changed):
+            run(survey, out, resume=True)
+    else:
+        report = run(survey, out, resume=True)
+        assert [re.search(changed, one["reason"]) is not None for one in report.failed] == [True]
+        assert not report.complete and sorted(contents(out)) == ["00.las", "10.las", "11.las"]
+    assert run(survey, out, overwrite=True).complete
+    run(survey, tmp_path / "fresh")
+    assert contents(out) == contents(tmp_path / "fresh")
+
+
+def test_chunks_of_copc_and_laz_that_change_are_noticed(files, tmp_path):
+    make_copc(tmp_path / "a.copc.laz")
+    shutil.copy(files / "00.laz", tmp_path / "b.laz")
+    for path in tmp_path.glob("*.laz"):
+        before, index = path.stat(), tmp_path / "index"
+        source, box = jf.open(str(path), units="m")[0], (-1e9, -1e9, 1e9, 1e9)
+        assert len(read_window(source, box, index).cloud)
+        with laspy.open(path) as file:
+            start = file.header.offset_to_point_data
+        data = bytearray(path.read_bytes())
+        data[start + 8] ^= 1  # the first point, which is not compressed
+        path.write_bytes(data)
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+        with pytest.raises(jf.InputError, match=f"{path.name}: the file has changed since its points were first read"):
+            read_window(source, box, index)
+
+
+def test_outputs_that_are_gone_or_damaged_are_made_again_and_named(files, done, tmp_path):
+    out, executor = tmp_path / "out", Here()
+    shutil.copytree(done[0], out)
+    times = (out / "00.laz").stat()
+    data = bytearray((out / "00.laz").read_bytes())
+    data[-5] ^= 1
+    (out / "00.laz").write_bytes(data)
+    os.utime(out / "00.laz", ns=(times.st_atime_ns, times.st_mtime_ns))
+    (out / "01.laz").unlink()
+    os.truncate(out / "10.laz", 500)
+    report = run(files, out, executor, resume=True)
+    assert report.complete and contents(out) == contents(done[0]) and len(report.files) == 4
+    length = (done[0] / "10.laz").stat().st_size
+    wrong = {"00.laz": "was changed", "01.laz": "is missing", "10.laz": f"has 500 bytes instead of {length:,}"}
+    assert report.again == [{"file": str(out / name), "reason": reason} for name, reason in wrong.items()]
+    assert (report.points, report.classes) == (done[1].points, done[1].classes)
+    assert [n for name, n in executor.calls if name == "write_file"].count(3) == 0, (
+        "the copy of the fourth is as it was"
+    )
+    (out / "11.laz").unlink()
+    (out / "11.laz").mkdir()
+    report = run(files, out, resume=True)
+    assert not report.complete and "is a folder" in report.failed[0]["reason"]
+    with pytest.raises(jf.OutputError, match=r"11\.laz: is a folder, and only regular files"):
+        run(files, out, overwrite=True)
+    assert (out / "00.laz").exists()
+
+
+def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        run(files, out, Here(3, stop_after=8))
+    kept = sorted((out / SCRATCH / "labels").rglob("*.npz"))
+    os.truncate(kept[0], 100)
+    kept[1].write_bytes(kept[1].read_bytes()[:-30] + bytes(30))
+    assert len(kept) > 2 and run(files, out, resume=True).complete and contents(out) == contents(done[0])
+
+
+@pytest.mark.parametrize("kind", JOURNALS)
+def test_damaged_journals_are_named_and_begun_anew(files, done, tmp_path, kind):
+    out, executor = tmp_path / "out", Here()
+    shutil.copytree(done[0], out)
+    damage_journal(out / "jaxfilter-run.sqlite", kind, np.random.default_rng(0))
+    with pytest.raises(jf.InputError, match=r"jaxfilter-run\.sqlite: the journal .* pass overwrite=True to begin"):
+        run(files, out, executor, resume=True)
+    assert executor.calls == [] and contents(out) == contents(done[0])
+    report = run(files, out, overwrite=True)
+    assert report.complete and contents(out) == contents(done[0])
+    assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
+
+
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+def test_one_run_at_a_time_writes_into_a_folder(files, done, tmp_path, how):
+    out, refused = tmp_path / "out", []
+
+    class Rival(Here):
+        def completed(self, seconds):
+            if len(self.calls) in (0, 5):
+                with pytest.raises(jf.OutputError, match="another run is writing into this folder") as raised:
+                    run(files, out, **{how: True})
+                refused.append(raised.value)
+            return super().completed(seconds)
+
+    assert run(files, out, Rival()).complete and len(refused) == 2 and contents(out) == contents(done[0])
+
+
+def test_what_was_written_before_a_kill_is_not_done_again(files, done, tmp_path):
+    """The folder as it is at any moment, which is what kill -9 leaves."""
+    out, left = tmp_path / "out", []
+
+    class Watched(Here):
+        def completed(self, seconds):
+            written = [n for name, n in self.calls if name == "write_file"]
+            if len(written) > len(left):
+                shutil.copytree(out, tmp_path / f"left{len(written)}")
+                left.append(written)
+            return super().completed(seconds)
+
+    assert run(files, out, Watched()).complete and len(left) >= 2
+    for number, written in enumerate(left, 1):
+        executor = Here()
+        report = run(files, tmp_path / f"left{number}", executor, resume=True)
+        assert report.complete and contents(tmp_path / f"left{number}") == contents(done[0])
+        again = [n for name, n in executor.calls if name == "write_file"]
+        assert sorted(again + written) == [0, 1, 2, 3] and report.points == done[1].points
 
 
 def test_folders_that_hold_something_are_refused(files, done, tmp_path):
@@ -655,6 +816,25 @@ def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
     assert report.tiles == 16 and report.complete and report.points == report.ground == len(x)
     centres = np.arange(1.0, 60.0, 2.0)
     np.testing.assert_allclose(jf.Raster.read(target).values, np.tile(0.1 * centres, (30, 1)), atol=1e-3)
+
+
+def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_into(tmp_path):
+    """No ground within 10 m of the edge, nor in a void of 120 m: only tiles at the void need more than the first halo."""
+    pytest.importorskip("rasterio")
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 401.0, 5.0), np.arange(0.0, 121.0, 5.0)))
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
+    las.x, las.y, las.z = x, y, 0.1 * x + 3 * np.sin(x / 40) * np.cos(y / 30)
+    las.classification = np.where((x > 160) & (x < 280) | (abs(x - 200) > 190) | (abs(y - 60) > 50), 1, 2)
+    las.write(tmp_path / "in.las")
+    how = {"cell": 10.0, "units": "m", "tile": 80.0, "executor": Here()}
+    report = jf.terrain_model(str(tmp_path / "in.las"), tmp_path / "dtm.tif", **how)
+    cloud = jf.read(tmp_path / "in.las", units="m", anchor=ANCHOR)
+    expected = jf.dtm(cloud, cloud.classification == 2, cell=10.0)
+    found = jf.Raster.read(tmp_path / "dtm.tif")
+    np.testing.assert_array_equal(found.values[2:-2, 2:-2], expected.values[2:-2, 2:-2])
+    assert report.uncertain == 0 and report.complete
+    assert report.halos[40.0] > report.tiles // 2 and len(report.halos) > 1
 
 
 def test_a_terrain_model_by_a_method_that_looks_at_the_whole_first(files, tmp_path):

@@ -262,6 +262,8 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"tile {one['tile']} {one['core']} was set aside: {one['reason']}")
     for one in report.left_out:
         session.warn(f"left out, so that tiles beside it lack its points: {one['file']}: {one['reason']}")
+    for one in report.again:
+        session.warn(f"{one['file']}: {one['reason']}, so it had to be made again")
     for one in report.failed:
         session.warn(f"not written: {one['file']}: {one['reason']}")
 

@@ -7,6 +7,7 @@ run of LAS or LAZ cover is found by one pass over the file, see :func:`measured`
 from __future__ import annotations
 
 import dataclasses
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -14,6 +15,7 @@ from typing import BinaryIO
 import lazrs
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.forks import need_threads
 from .files import Bounds, new_file
 from .header import Header
@@ -25,6 +27,10 @@ RUN = 16384
 _MOST = 1_000_000  # points that are read at a time
 
 
+class Changed(InputError):
+    """Points are not those that were read before."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Blocks:
     """k runs of records of a file, in file order.
@@ -33,6 +39,7 @@ class Blocks:
         start, size: i64[k], bytes: where a run begins in the file, and how long it is there.
         first, points: i64[k]: number of its first record in the file, counted from 0, and how many it has.
         low, high: f64[k, 2], file coordinates: all points of a run lie in low <= (x, y) <= high.
+        checksum: i64[k], CRC-32 of the bytes of a run in the file, which must still have it when they are read; -1 = unknown.
     """
 
     start: np.ndarray
@@ -41,6 +48,7 @@ class Blocks:
     points: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    checksum: np.ndarray
 
     def __len__(self) -> int:
         return len(self.start)
@@ -111,28 +119,51 @@ def runs(header: Header, file: BinaryIO) -> Blocks:
         begin = len(header.head)
     unknown = np.zeros((len(points), 2))
     start, first = begin + np.cumsum(size) - size, np.cumsum(points) - points
-    return Blocks(start, size, first, points, unknown, unknown).everywhere()
+    return Blocks(start, size, first, points, unknown, unknown, np.full(len(points), -1)).everywhere()
 
 
 def measured(header: Header) -> Blocks:
-    """The runs of a LAS or LAZ file with the areas that their points cover: reads all of it. Raises InputError."""
-    low, high = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    """The runs of a LAS or LAZ file with the areas that their points cover, and checksums: reads all of it. Raises InputError."""
+    low, high, sums = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     with header.open() as file:
         found = runs(header, file)
         found = found[found.points > 0]
         for group in found.groups():
-            records = read_blocks(header, file, group, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-            for areas, edge in zip((low, high), _areas(header, group, records), strict=True):
-                areas.append(edge)
-    return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high))
+            packed, checksum = _packed(header, file, group)
+            records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+            for all_, part in zip((low, high, sums), (*_areas(header, group, records), checksum), strict=True):
+                all_.append(part)
+    return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high), checksum=np.concatenate(sums))
+
+
+def summed(header: Header, file: BinaryIO, blocks: Blocks) -> Blocks:
+    """The same runs with their checksums: reads all of their bytes. Raises InputError if the file ends before."""
+    sums = [_packed(header, file, group)[1] for group in blocks.groups()]
+    return dataclasses.replace(blocks, checksum=np.concatenate([np.zeros(0, np.int64), *sums]))
 
 
 def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
     """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress.
 
-    Raises: InputError if they are damaged.
+    Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
-    packed = b"".join(read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist()))
+    packed, checksum = _packed(header, file, blocks)
+    if ((checksum != blocks.checksum) & (blocks.checksum >= 0)).any():
+        raise Changed(
+            f"{header.path}: the file has changed since its points were first read; open it again, and begin a run anew with "
+            "overwrite=True"
+        )
+    return _decoded(header, blocks, packed, wanted)
+
+
+def _packed(header: Header, file: BinaryIO, blocks: Blocks) -> tuple[bytearray, np.ndarray]:
+    """The bytes of some runs, and the checksum of each, i64[k]."""
+    parts = read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist())
+    return bytearray().join(parts), np.array([zlib.crc32(part) for part in parts], np.int64)
+
+
+def _decoded(header: Header, blocks: Blocks, packed: bytearray, wanted: int) -> np.ndarray:
+    """The records of some runs, u8[n, record_length], from their bytes."""
     if not header.compressed:
         return np.frombuffer(packed, np.uint8).reshape(-1, header.record_length)
     records = np.zeros((int(blocks.points.sum()), header.record_length), np.uint8)

@@ -40,7 +40,7 @@ def nodes(header: Header, file: BinaryIO) -> Blocks:
         edge = 2 * half / 2.0 ** key[:, :1]
         low = np.array(centre) - half + key[:, 1:] * edge - header.scales  # cubes are rounded by some writers
         high = np.array(centre) - half + (key[:, 1:] + 1) * edge + header.scales
-    found = Blocks(start, length, np.cumsum(points) - points, points, low[:, :2], high[:, :2])
+    found = Blocks(start, length, np.cumsum(points) - points, points, low[:, :2], high[:, :2], np.full(len(points), -1))
     if not isinstance(header.path, Remote):
         at_first = np.frombuffer(b"".join(read_ranges(header.path, file, start.tolist(), [12] * len(start))), "<i4")
         first = at_first.reshape(-1, 3) * header.scales + header.offsets

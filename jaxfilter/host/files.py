@@ -14,8 +14,9 @@ import stat
 import sys
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +80,55 @@ class Identity:
             return False
 
 
+@dataclasses.dataclass(frozen=True)
+class Seal:
+    """By which a file that a run has written is known again.
+
+    Attributes:
+        size: bytes; checksum: CRC-32 of them, None for remote files.
+        status: numbers that change with every change of the file; where they have changed, the checksum decides.
+    """
+
+    size: int
+    checksum: int | None
+    status: Sequence[int | str]
+
+    @classmethod
+    def of(cls, place: Place) -> Seal:
+        """Of a file that was just written. Raises OSError, InputError."""
+        size, status = _state(place)
+        return cls(size, None if isinstance(place, Remote) else _checksum(place), status)
+
+    def broken(self, place: Place) -> str | None:
+        """In words, what is wrong with the file that has this name now; None if it is the one that was sealed."""
+        try:
+            size, status = _state(place)
+            if size != self.size:
+                return f"has {size:,} bytes instead of {self.size:,}"
+            if status == list(self.status):
+                return None
+            known = not isinstance(place, Remote) and self.checksum == _checksum(place)
+            return None if known else "was changed"
+        except (OSError, InputError):
+            return "is missing"
+
+
+def _state(place: Place) -> tuple[int, list[int | str]]:
+    if isinstance(place, Remote):
+        size, tag = place.status()
+        return size, [tag]
+    status = os.stat(place)
+    return status.st_size, [status.st_ino, status.st_mtime_ns, status.st_ctime_ns]
+
+
+def _checksum(path: Path) -> int:
+    found = 0
+    with open(path, "rb") as file:
+        while piece := file.read(2**22):
+            found = zlib.crc32(piece, found)
+    return found
+
+
 class Tally:
     """Number and checksum (CRC-32) of points, in order.
 
@@ -106,7 +156,8 @@ class Handle:
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
         identity: of the file when it was read.
         checksum: of the coordinates of the points, see :class:`Tally`: labels can so never get to other points, even if
-            a file is changed and its time set back. None where the points were read in windows, and only their number is known.
+            a file is changed and its time set back. None where the points were read in windows.
+        blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
     """
 
     path: Place
@@ -116,6 +167,7 @@ class Handle:
     bounds: Bounds | None
     identity: Identity
     checksum: int | None
+    blocks: Any = None
 
     @property
     def table(self) -> Path:
@@ -305,6 +357,15 @@ def _sync(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+def remove(path: Path) -> None:
+    """Remove whatever has this name, if anything has. Raises: OutputError."""
+    with told_of(path):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 # Unfinished files lie in a folder of their own, because some libraries remove and recreate what they write: a lock on

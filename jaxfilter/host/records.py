@@ -59,16 +59,23 @@ def reading(path: Place) -> Iterator[None]:
         raise
 
 
-def read_records(header: Header, bounds: Bounds | None = None, every_field: bool = True) -> Iterator[np.ndarray]:
-    """The point records, u8[k, record_length] with k <= CHUNK, in file order; only those inside ``bounds`` if given.
+def read_records(
+    header: Header, bounds: Bounds | None = None, every_field: bool = True, blocks: Blocks | None = None
+) -> Iterator[np.ndarray]:
+    """The point records, u8[k, record_length] with k about CHUNK, in file order; only those inside ``bounds`` if given.
 
     A COPC file with bounds is read through its octree, everything else from end to end. With ``every_field=False``,
-    fields other than coordinates, echoes, class and flags may be zero, which is faster for LAZ.
+    fields other than coordinates, echoes, class and flags may be zero, which is faster for LAZ. ``blocks``: all runs of the
+    file, without ``bounds``; those that have a checksum must still have it.
 
     Raises: InputError if the points are damaged.
     """
     wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else NEEDED
-    if header.is_copc and bounds is not None:
+    if blocks is not None:
+        with reading(header.path), header.open() as file:
+            for group in blocks.groups():
+                yield read_blocks(header, file, group, wanted)
+    elif header.is_copc and bounds is not None:
         with reading(header.path), header.open() as file:
             found = copc.nodes(header, file)
         yield from (chunk for chunk, _ in within(header, found, bounds, wanted))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -15,13 +16,13 @@ from ..core.cloud import PointCloud
 from ..core.errors import InputError, warn
 from ..core.units import Reference
 from . import copc
-from .blocks import Blocks, measured
+from .blocks import Blocks, measured, summed
 from .files import Bounds, Identity, check_bounds
 from .header import Header
 from .las import las_cloud, open_las
 from .records import reading, within
 from .sources import Source
-from .storage import Place
+from .storage import Place, Remote
 
 _FILES = 64  # whose headers and blocks a process keeps
 
@@ -49,8 +50,10 @@ def read_window(source: Source, box: Bounds, index: Path | None = None, **chosen
     Args:
         source: the file. If it has an ``identity``, the file must still be the same.
         box: (xmin, ymin, xmax, ymax), file coordinates.
-        index: folder in which the areas of runs and chunks are kept, one small file for each LAS or LAZ file, for other
-            processes and later runs. It is made if missing. By default only this process keeps them.
+        index: folder in which the areas of runs and chunks are kept, one small file for each file, for other processes and
+            later runs. It is made if missing. By default only this process keeps them. Checksums are kept along, of COPC
+            only here and for files on a disk: the points of a file that is changed meanwhile are refused, even if its size
+            and time are what they were.
         chosen: ``returns``, ``ignore_classes``, ``keep_withheld``, ``drop_invalid`` and ``anchor`` of
             :func:`jaxfilter.read`; ``units`` are those of the source.
 
@@ -88,17 +91,15 @@ def _opened(place: Place, identity: Identity) -> _Opened:
     return _Opened(*open_las(place, tables=False))
 
 
-@functools.lru_cache(_FILES)
 def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
     header = _opened(place, identity).header
-    if header.is_copc:
-        with header.open() as file:
-            return copc.nodes(header, file)
-    if index is None:
-        return _measured(place)
+    if index is None or (header.is_copc and isinstance(place, Remote)):
+        return _unchecked(place, identity)
     name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
     path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
-    kept = Blocks.load(path, header.fingerprint)
+    kept = None
+    with contextlib.suppress(OSError):  # there is none yet
+        kept = _loaded(path, Identity.of(path), header.fingerprint)
     if kept is None:
         kept = _measured(place)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -106,9 +107,29 @@ def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
     return kept
 
 
+@functools.lru_cache(_FILES)
+def _loaded(path: Path, identity: Identity, fingerprint: str) -> Blocks | None:
+    """``identity`` is that of the index now: a run that is begun anew makes another."""
+    return Blocks.load(path, fingerprint)
+
+
+@functools.lru_cache(_FILES)
+def _unchecked(place: Place, identity: Identity) -> Blocks:
+    """Without checksums: only this process knows of them, and has no other way to begin anew."""
+    header = _opened(place, identity).header
+    if header.is_copc:
+        with header.open() as file:
+            return copc.nodes(header, file)
+    found = _measured(place)
+    return dataclasses.replace(found, checksum=np.full_like(found.checksum, -1))
+
+
 def _measured(place: Place) -> Blocks:
     """By a pass over the file; warns of points that its header denies, since surveys are planned by headers."""
     header = open_las(place)[0]
+    if header.is_copc:
+        with header.open(sequential=True) as file:
+            return summed(header, file, copc.nodes(header, file))
     found = measured(header)
     if len(found):
         (low, high), slack = header.extent, header.scales[:2]

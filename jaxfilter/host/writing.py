@@ -237,7 +237,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if source is not None and from_las:
         with reading(source.path):
             header = read_header(source.path)
-        chunks = _replayed(read_records(header, source.bounds), replay)
+        chunks = _replayed(read_records(header, source.bounds, blocks=source.blocks), replay)
     else:
         header = _fresh_header(path, cloud)
         chunks = _fresh_records(path, header, cloud, replay)

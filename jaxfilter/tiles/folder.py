@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..core.errors import JaxfilterError, OutputError, ParameterError
-from ..host.files import remove_dead
+from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
+from ..host.files import existing, remove, remove_dead
 from ..host.storage import Place, Remote, place_of
 from ..host.text import SUFFIXES
 from ..host.writing import LAS_SUFFIXES
 from .collection import Collection
 from .dask import Cluster
-from .journal import NAME, Journal
+from .journal import NAME, Journal, discard
 from .layout import Layout
 from .options import RunOptions
 from .outputs import target_names
@@ -87,7 +87,8 @@ class Folder:
         if resume:
             if there:
                 raise OutputError(
-                    f"{self.out / there[0]}: exists, and no run was begun in {self.work}: name another folder"
+                    f"{self.out / there[0]}: exists, and no run was begun in {self.work}: name another folder, or pass "
+                    "overwrite=True to begin anew"
                 )
             return
         if not overwrite:
@@ -97,13 +98,14 @@ class Folder:
                 f"{where}: is not empty, it holds {held[0]}{more}: name another folder, pass resume=True to go on with a "
                 "run, or pass overwrite=True to begin anew"
             )
-        with Journal(self.work / NAME):  # nobody else is at it
-            pass
-        (self.work / NAME).unlink()
-        shutil.rmtree(self.scratch, ignore_errors=True)
-        for name in (*self.names, REPORT, MAP):
+        ours = [*self.names, REPORT, MAP]
+        if isinstance(self.out, Path):  # what cannot be replaced is told before anything is removed
+            ours = [name for name in ours if existing(self.out / name) is not None]
+        discard(self.work / NAME)
+        remove(self.scratch)
+        for name in ours:
             if isinstance(self.out, Path):
-                (self.out / name).unlink(missing_ok=True)
+                remove(self.out / name)
             elif name in held:
                 (self.out / name).remove()
 
@@ -150,8 +152,12 @@ def run_in(
 
     Raises: OutputError, ParameterError, InputError.
     """
+    if not folder.scratch.is_dir():
+        remove(folder.scratch)
     with Journal(folder.work / NAME) as journal:
         with _taken_back(folder.scratch, journal):
+            if journal.fact("version") is None:
+                _refuse_outputs(folder)
             most = (journal.fact("tiles") or {}).get("most_points")  # what is free changes, the tiles of a run do not
             job, cut, plan, more = prepared(most)
             executor = executor_of(run, cut)
@@ -184,6 +190,16 @@ def run_in(
     write_report(report.as_dict(), folder.out / REPORT)
     report.draw(folder.out / MAP)
     return report
+
+
+def _refuse_outputs(folder: Folder) -> None:
+    """Raises: InputError if there are outputs and the journal knows of none."""
+    held = _held(folder.out)
+    if there := [name for name in folder.names if name in held]:
+        raise InputError(
+            f"{folder.work / NAME}: the journal holds no run, and {folder.out / there[0]} exists: pass overwrite=True to begin "
+            "anew, or name another folder"
+        )
 
 
 def executor_of(run: RunOptions, cut: Layout) -> Executor:

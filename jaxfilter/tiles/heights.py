@@ -14,6 +14,7 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.result import Status
+from ..host.files import Seal
 from ..host.writing import HEIGHT, class_changes, write
 from ..terrain import heights_of
 from .folder import Folder, run_in
@@ -60,7 +61,7 @@ def height_tile(job: HeightJob, tile: Tile) -> TileReport:
                 "ground with a filter"
             )
         result = found.result
-        store(job, tile.number, around, found.ground, {HEIGHT: heights})
+        seal = store(job, tile.number, around, found.ground, {HEIGHT: heights})
         cloud = part_of(around.cloud, own)
         changes = {} if result is None else class_changes(cloud, found.ground[own], **job.classes)
         cut = [] if result is None else cut_at_border(around.cloud, result, found.tile)
@@ -73,6 +74,7 @@ def height_tile(job: HeightJob, tile: Tile) -> TileReport:
         time.perf_counter() - start,
         changes,
         Status.CONVERGED.name if result is None else Status(result.status).name,
+        seal,
         tuple(remarks),
         around.left_out,
         tuple(cut),
@@ -89,7 +91,7 @@ def write_heights(job: HeightJob, task: FileTask) -> FileReport:
     label, quantities = collected(job, task, {HEIGHT: np.float64})
     ground = (label & GROUND) > 0
     with heard() as remarks:
-        cloud = handle_of(task.source, (label & CANDIDATE) > 0)
+        cloud = handle_of(job, task.source, (label & CANDIDATE) > 0)
         result = ground if job.ground_classes is None else None
         write(
             task.target,
@@ -100,7 +102,7 @@ def write_heights(job: HeightJob, task: FileTask) -> FileReport:
             replace_z=job.replace_z,
             **job.classes,
         )
-    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks))
+    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks), Seal.of(task.target))
 
 
 HEIGHTS = Step(height_tile, labels_path, write_heights)

@@ -1,6 +1,6 @@
 """The journal of a run: which tiles and files are done, for which inputs and parameters. SQLite, beside the output.
 
-It is written in steps that hold or do not; a run that was killed goes on from the last of them.
+It is written in steps that hold or do not; a run that was killed goes on from the last of them. Every row has a checksum.
 """
 
 from __future__ import annotations
@@ -9,44 +9,49 @@ import contextlib
 import json
 import sqlite3
 import time
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
-from ..core.errors import InputError, OutputError
+from ..core.errors import InputError, JaxfilterError, OutputError
+from ..host.files import remove
 
 NAME = "jaxfilter-run.sqlite"
 _EVERY = 0.5  # seconds between commits
 _TABLES = """
-create table if not exists facts (name text primary key, value text not null) without rowid;
-create table if not exists tiles (number integer primary key, done integer not null, report text not null);
-create table if not exists files (number integer primary key, done integer not null, report text not null);
+create table if not exists facts (name text primary key, value text not null, checksum integer) without rowid;
+create table if not exists tiles (number integer primary key, done integer not null, report text not null, checksum integer);
+create table if not exists files (number integer primary key, done integer not null, report text not null, checksum integer);
 """
+_COLUMNS = {"facts": "name, value", "tiles": "number, done, report", "files": "number, done, report"}
+_NO_ACCESS = {
+    sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_PERM, sqlite3.SQLITE_READONLY
+}  # fmt: skip
 
 
 class Journal:
     """An open journal; one process at a time has it."""
 
     def __init__(self, path: Path) -> None:
-        """Open or make it. Raises: OutputError if another run has it, or it cannot be written."""
-        self.path = path
-        try:
+        """Open or make it. Raises: OutputError if another run has it, or it cannot be written; InputError if it is damaged."""
+        self.path, self._open, self._since = path, False, time.monotonic()
+        if path.is_dir():
+            raise self._damaged("it is a folder")
+        with self._told():
             self._base = sqlite3.connect(path, timeout=0.2, isolation_level=None, check_same_thread=False)
-            self._base.execute("pragma locking_mode = exclusive")
-            self._base.execute("pragma synchronous = normal")
-            self._base.execute("begin immediate")
-            for statement in filter(str.strip, _TABLES.split(";")):
-                self._base.execute(statement)
-            self._base.execute("commit")
-        except sqlite3.OperationalError as error:
-            busy = "locked" in str(error)
-            reason = "another run is writing into this folder" if busy else f"cannot be written: {error}"
-            raise OutputError(f"{path}: {reason}") from error
-        except sqlite3.DatabaseError as error:
-            raise OutputError(
-                f"{path}: is not a journal of jaxfilter: {error}; begin anew with overwrite=True"
-            ) from error
-        self._open, self._since = False, time.monotonic()
+        try:
+            with self._told():
+                self._base.execute("pragma locking_mode = exclusive")
+                self._base.execute("pragma synchronous = normal")
+                self._base.execute("begin immediate")
+                for statement in filter(str.strip, _TABLES.split(";")):
+                    self._base.execute(statement)
+                self._base.execute("commit")
+                self._check()
+        except BaseException:
+            self._base.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -56,7 +61,7 @@ class Journal:
 
     def close(self) -> None:
         """Commit, and let go."""
-        with contextlib.suppress(OutputError):
+        with contextlib.suppress(JaxfilterError):
             self.commit()
         self._base.close()
         Path(f"{self.path}-journal").unlink(
@@ -67,15 +72,18 @@ class Journal:
         """Start, or go on with, the run that the facts describe. Raises: InputError if another one is recorded."""
         old = dict(self._base.execute("select name, value from facts"))
         new = {name: json.dumps(value, sort_keys=True) for name, value in facts.items()}
-        differ = [name for name in new if name in old and old[name] != new[name]]
+        differ = [name for name in new if old and old.get(name) != new[name]]
         if differ:
             name = differ[0]
-            before, now = (text if len(text) < 200 else f"{text[:200]}..." for text in (old[name], new[name]))
+            before, now = (
+                text if len(text) < 200 else f"{text[:200]}..." for text in (old.get(name, "none"), new[name])
+            )
             raise InputError(
                 f"{self.path}: the run was begun with other {name} ({before}, now {now}), and results are not mixed: repeat "
                 "the first command, or pass overwrite=True to begin anew"
             )
-        self._write("insert or ignore into facts values (?, ?)", *new.items())
+        if not old:
+            self._write("facts", *new.items())
         self.commit()
 
     def fact(self, name: str) -> Any:
@@ -85,22 +93,18 @@ class Journal:
 
     def keep(self, name: str, value: Any) -> None:
         """Record a fact that the run has found."""
-        self._write("insert or replace into facts values (?, ?)", (name, json.dumps(value)))
+        self._write("facts", (name, json.dumps(value)))
         self.commit()
-
-    def done(self, table: str) -> list[int]:
-        """Numbers of the tiles or files that are done, ascending."""
-        return [n for (n,) in self._base.execute(f"select number from {table} where done order by number")]
 
     def record(self, table: str, number: int, done: bool, report: dict[str, Any]) -> None:
         """What became of a tile or a file; on disk within a second, or with the next commit."""
-        self._write(f"insert or replace into {table} values (?, ?, ?)", (number, int(done), json.dumps(report)))
+        self._write(table, (number, int(done), json.dumps(report)))
         if time.monotonic() - self._since > _EVERY:
             self.commit()
 
     def forget(self, table: str, numbers: list[int]) -> None:
         """These tiles or files have to be done again."""
-        self._write(f"delete from {table} where number = ?", *((n,) for n in numbers))
+        self._run(f"delete from {table} where number = ?", *((n,) for n in numbers))
         self.commit()
 
     def reports(self, table: str) -> Iterator[tuple[int, bool, dict[str, Any]]]:
@@ -111,18 +115,60 @@ class Journal:
     def commit(self) -> None:
         """Put what was recorded on disk."""
         if self._open:
-            self._run("commit")
+            with self._told():
+                self._base.execute("commit")
         self._open, self._since = False, time.monotonic()
 
-    def _write(self, statement: str, *rows: tuple[Any, ...]) -> None:
-        if not self._open:
-            self._run("begin")
-            self._open = True
-        for row in rows:
-            self._run(statement, row)
+    def _write(self, table: str, *rows: tuple[Any, ...]) -> None:
+        marks = ", ".join("?" * (len(rows[0]) + 1))
+        self._run(f"insert or replace into {table} values ({marks})", *((*row, _sum(row)) for row in rows))
 
-    def _run(self, statement: str, row: tuple[Any, ...] = ()) -> None:
+    def _run(self, statement: str, *rows: tuple[Any, ...]) -> None:
+        with self._told():
+            if not self._open:
+                self._base.execute("begin")
+                self._open = True
+            self._base.executemany(statement, rows)
+
+    def _check(self) -> None:
+        """Look at all that is there."""
+        (word,) = self._base.execute("pragma quick_check(1)").fetchone()
+        if word != "ok":
+            raise self._damaged(word)
+        for table, columns in _COLUMNS.items():
+            for *row, found in self._base.execute(f"select {columns}, checksum from {table}"):
+                if _sum(tuple(row)) != found:
+                    raise self._damaged(f"row {row[0]!r} of its {table} was changed")
+
+    def _damaged(self, why: object) -> InputError:
+        reason = " ".join(str(why).split())
+        return InputError(
+            f"{self.path}: the journal is damaged, or not one of this version ({reason}): pass overwrite=True to begin the run "
+            "anew"
+        )
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """A block that uses the base. Raises: as ``__init__``."""
         try:
-            self._base.execute(statement, row)
-        except sqlite3.OperationalError as error:
-            raise OutputError(f"{self.path}: cannot be written: {error}") from error
+            yield
+        except sqlite3.Error as error:
+            code = getattr(error, "sqlite_errorcode", 0)
+            if code & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+                raise OutputError(f"{self.path}: another run is writing into this folder") from error
+            if code & 0xFF in _NO_ACCESS and code != sqlite3.SQLITE_IOERR_SHORT_READ:
+                raise OutputError(f"{self.path}: cannot be written: {error}") from error
+            raise self._damaged(error) from error
+
+
+def _sum(row: tuple[Any, ...]) -> int:
+    return zlib.crc32(repr(row).encode("utf-8", "replace"))
+
+
+def discard(path: Path) -> None:
+    """Remove a journal, in whatever state it is. Raises: OutputError if another run has it, or it cannot be removed."""
+    if path.is_file():
+        with contextlib.suppress(InputError), Journal(path):  # nobody else is at it
+            pass
+    for end in ("", "-journal", "-wal", "-shm"):
+        remove(Path(f"{path}{end}"))

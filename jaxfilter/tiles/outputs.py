@@ -9,10 +9,11 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, OutputError
-from ..host.files import Handle, Identity
+from ..host.files import Handle, Identity, Seal
 from ..host.las import open_las
 from ..host.sources import Source
 from ..host.storage import Place, place_of
+from ..host.windows import blocks_of
 from ..host.writing import write
 from .task import CANDIDATE, GROUND, NOISE, Job, heard, labelled, load_labels
 
@@ -32,12 +33,13 @@ class FileTask:
 
 @dataclasses.dataclass(frozen=True)
 class FileReport:
-    """What became of a file: numbers of its points and of those that are ground, and what was warned of."""
+    """What became of a file: numbers of its points and of those that are ground, what was warned of, and what was written."""
 
     number: int
     points: int
     ground: int
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...]
+    seal: Seal
 
 
 def target_names(uris: list[str]) -> list[str]:
@@ -65,11 +67,11 @@ def write_file(job: Job, task: FileTask) -> FileReport:
     """
     label, extra = collected(job, task, dict.fromkeys(job.extra, np.float32))
     with heard() as remarks:
-        cloud = handle_of(task.source, (label & CANDIDATE) > 0)
+        cloud = handle_of(job, task.source, (label & CANDIDATE) > 0)
         ground = (label & GROUND) > 0
         result = labelled(ground, (label & NOISE) > 0, extra)
         write(task.target, cloud, result, overwrite=task.overwrite, extra=job.extra, **job.classes)
-    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks))
+    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks), Seal.of(task.target))
 
 
 def collected(job: Job, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -97,14 +99,14 @@ def collected(job: Job, task: FileTask, kinds: Mapping[str, type]) -> tuple[np.n
     return label, quantities
 
 
-def handle_of(source: Source, candidate: np.ndarray) -> PointCloud:
+def handle_of(job: Job, source: Source, candidate: np.ndarray) -> PointCloud:
     """The cloud of a file, without its coordinates, which stay in the file. Raises: InputError if the file has changed."""
     place = source.place
     identity = Identity.of(place)
     if source.identity and open_las(place, tables=False)[0].fingerprint != source.identity:
         raise InputError(f"{source.uri}: the file has changed since the run began; begin anew")
     n = len(candidate)
-    handle = Handle(place.absolute(), "las", source.format, n, None, identity, None)
+    handle = Handle(place.absolute(), "las", source.format, n, None, identity, None, blocks_of(source, job.index))
     return PointCloud(
         origin=np.zeros(3),
         xyz=np.broadcast_to(np.zeros(3, np.float32), (n, 3)),

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..core.filter import Filter
-from ..host.files import new_file
+from ..host.files import Seal, new_file
 from ..host.storage import Place
 from .collection import Collection
 from .journal import Journal
@@ -36,8 +36,9 @@ class Step:
     """What a run does.
 
     Attributes:
-        tile: with each tile: from job and :class:`Tile` to a dataclass with ``number``, ``points``, ``read`` and ``left_out``.
-        kept: where that puts what it found, by folder and number.
+        tile: with each tile: from job and :class:`Tile` to a dataclass with ``number``, ``points``, ``read``, ``seal`` and
+            ``left_out``.
+        kept: where that puts what it found, by folder and number; ``seal`` is of that.
         file: with each file whose tiles are done: from job and :class:`FileTask` to a FileReport; None = nothing.
     """
 
@@ -81,7 +82,8 @@ class RunReport:
     Attributes:
         tiles: number of them; set_aside: number, core and reason of those that failed.
         files: written; failed: URI and reason of those that were not; left_out: URI and reason of files that could not be
-            read, so that tiles beside them had no halo there.
+            read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
+            when this one went on, which made them again, with what was wrong.
         points, candidates, ground: of all tiles that are done; read: with halos.
         seconds: of this process; tile_seconds: sum over the tiles.
         classes: points by (old class, new class).
@@ -99,6 +101,7 @@ class RunReport:
     files: list[str]
     failed: list[dict[str, str]]
     left_out: list[dict[str, str]]
+    again: list[dict[str, str]]
     points: int
     candidates: int
     ground: int
@@ -175,7 +178,9 @@ class Run:
         self._shown = 0.0
         self._unwritten = np.diff(plan.home.start).astype(np.int32)  # files per tile whose labels are still needed
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
+        self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
+        self.again: list[dict[str, str]] = []
 
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if the journal cannot be written."""
@@ -218,23 +223,18 @@ class Run:
     def _carry_out(self) -> None:
         plan, journal = self.plan, self.journal
         self._try_again()
-        written = journal.done("files")
+        written = self._written()
         for file in written:
             self._needs_no_more(file)
         is_done = np.zeros(len(plan), bool)
-        done = np.array(journal.done("tiles"), np.int64)
-        lost = [int(n) for n in done if self._needed(n) and not self._kept(n).exists()]
-        if lost:
-            journal.forget("tiles", lost)
-        is_done[done] = True
-        is_done[lost] = False
+        for number, done, facts in journal.reports("tiles"):
+            is_done[number] = done and not (self._needed(number) and Seal(**facts["seal"]).broken(self._kept(number)))
         for number in np.flatnonzero(is_done).tolist():
             self._missing[plan.home[number]] -= 1
-        is_written = np.zeros(len(self._missing), bool)
-        is_written[written] = True
+        self._is_written[written] = True
         standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
         writes = self.step.file is not None
-        complete: list[int] = np.flatnonzero((self._missing == 0) & ~is_written).tolist() if writes else []
+        complete: list[int] = np.flatnonzero((self._missing == 0) & ~self._is_written).tolist() if writes else []
         todo = itertools.chain(
             (self._writing(f) for f in complete),
             (Task(self.step.tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
@@ -250,6 +250,19 @@ class Run:
             if new:
                 standing.left = (len(plan) - standing.tiles_done) * (time.perf_counter() - self._start) / new
             self._show(standing)
+
+    def _written(self) -> list[int]:
+        """Numbers of the files that are done and lie there as they were written."""
+        found = []
+        for number, done, facts in self.journal.reports("files"):
+            if not done:
+                continue
+            wrong = Seal(**facts["seal"]).broken(self.targets[number])
+            if wrong is None:
+                found.append(number)
+            else:
+                self.again.append({"file": str(self.targets[number]), "reason": wrong})
+        return found
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Job, Tile]]:
         return lambda last: (self.job, tile_of(self.plan, self.sources, number, patient=last))
@@ -280,7 +293,7 @@ class Run:
         if self.step.file is None:
             return []
         self._missing[homes] -= 1
-        complete = [file for file in homes if self._missing[file] == 0]
+        complete = [file for file in homes if self._missing[file] == 0 and not self._is_written[file]]
         for file in complete:
             if file in self._hopeless:
                 self._failed(file)
@@ -293,7 +306,7 @@ class Run:
             return
         report: FileReport = outcome.value
         standing.files_done += 1
-        self.journal.record("files", number, True, {"ground": report.ground, "remarks": report.remarks})
+        self.journal.record("files", number, True, _facts_of(report))
         self.journal.commit()  # before the labels go
         self._needs_no_more(number)
 
@@ -331,8 +344,8 @@ def report_of(run: Run) -> RunReport:
     """What the journal knows of a run that labels points."""
     plan, sources, journal = run.plan, run.sources, run.journal
     report = RunReport(
-        tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], points=0, candidates=0, ground=0, read=0,
-        seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
+        tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], again=run.again, points=0, candidates=0, ground=0,
+        read=0, seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
         remarks=collections.Counter(), cut_objects=[], heights=None, uncertain=0, cores=plan.cores(),
         state=np.full(len(plan), np.nan),
     )  # fmt: skip

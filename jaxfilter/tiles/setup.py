@@ -14,6 +14,7 @@ from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.points import canonical_points
 from ..filters.default import default_filter
+from ..host.blocks import Changed
 from ..host.windows import read_window
 from .collection import Collection
 from .task import ANCHOR, joined
@@ -44,6 +45,8 @@ def sampled(
 
     A collection of ``most`` points or fewer is its own sample, in one piece. ``reading``: as in
     :class:`jaxfilter.tiles.task.Job`. Files that cannot be read are passed over.
+
+    Raises: InputError if points are not those that were read before.
     """
     entire = collection.count <= most
     total = collection.counts.cumsum()
@@ -63,8 +66,10 @@ def sampled(
         box = (middle[0] - half[0], middle[1] - half[1], middle[0] + half[0] + slack, middle[1] + half[1] + slack)
         try:
             window = read_window(source, box, index, anchor=ANCHOR, **reading)
-        except InputError:  # the run names it
-            continue
+        except InputError as error:
+            if isinstance(error, Changed):
+                raise
+            continue  # the run names it
         points = canonical_points(window.cloud)
         if len(points) > 1:
             clouds.append(dataclasses.replace(window.cloud, source=None))

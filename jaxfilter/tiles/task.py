@@ -23,7 +23,7 @@ from ..core.cloud import QUANTUM, PointCloud, Whole
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
 from ..core.result import Decision, FilterResult, Status
-from ..host.files import Bounds, told_of
+from ..host.files import Bounds, Seal, told_of
 from ..host.sources import Source
 from ..host.windows import read_window
 from ..host.writing import class_changes
@@ -95,6 +95,7 @@ class TileReport:
         cut_objects: what the border of the data cuts, where the core holds the first place that touches it.
         heights: lowest and highest height above ground in the core, units of Z; uncertain: points of the core whose height may
             be another in the whole.
+        seal: of what was kept.
     """
 
     number: int
@@ -105,6 +106,7 @@ class TileReport:
     seconds: float
     classes: dict[tuple[int, int], int]
     status: str
+    seal: Seal
     remarks: tuple[str, ...] = ()
     left_out: tuple[tuple[int, str], ...] = ()
     cut_objects: tuple[CutObject, ...] = ()
@@ -142,7 +144,7 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
         own = np.flatnonzero(around.core)
         cloud, labels, noise = part_of(around.cloud, own), result.ground[own], result.low_noise[own]
         quantities = {name: getattr(result, name)[own] for name in job.extra}
-        store(job, tile.number, around, result.ground, quantities, result.low_noise)
+        seal = store(job, tile.number, around, result.ground, quantities, result.low_noise)
         changes = class_changes(cloud, labelled(labels, noise), **job.classes)
         cut = cut_at_border(around.cloud, result, tile)
     return TileReport(
@@ -154,6 +156,7 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
         time.perf_counter() - start,
         changes,
         Status(result.status).name,
+        seal,
         tuple(remarks),
         around.left_out,
         tuple(cut),
@@ -318,7 +321,7 @@ def store(
     ground: np.ndarray,
     quantities: dict[str, np.ndarray],
     noise: np.ndarray | None = None,
-) -> None:
+) -> Seal:
     """Write what was found of a tile, whole or not at all.
 
     ``ground``, ``noise``: bool[n], of all its points; ``quantities``: f[k], of points of the core.
@@ -334,10 +337,10 @@ def store(
         arrays[f"record_{one}"] = around.record[own[rows]]
         arrays[f"label_{one}"] = label[rows]
         arrays |= {f"{name}_{one}": values[rows] for name, values in quantities.items()}
-    keep(labels_path(job.folder, number), lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+    return keep(labels_path(job.folder, number), lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
 
 
-def keep(path: Path, save: Callable[[Any], None]) -> None:
+def keep(path: Path, save: Callable[[Any], None]) -> Seal:
     """A file of a run that other processes read: whole or not at all, by ``save`` into an open file. Raises: OutputError."""
     with told_of(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -348,6 +351,7 @@ def keep(path: Path, save: Callable[[Any], None]) -> None:
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
+        return Seal.of(path)
 
 
 @contextlib.contextmanager

@@ -15,12 +15,12 @@ import numpy as np
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
-from ..host.files import Bounds, check_bounds, is_there
+from ..host.files import Bounds, Seal, check_bounds, is_there, remove
 from ..host.raster import check_library, check_target, write_mosaic
 from ..host.storage import Place, Remote, check_writable, place_of
 from ..terrain import check_settings, interpolated
 from .folder import executor_of, facts_of, work_of
-from .journal import NAME, Journal
+from .journal import NAME, Journal, discard
 from .options import RunOptions, begun
 from .run import Run, Step
 from .surroundings import Doubt, GroundJob, ground_job, surroundings
@@ -45,8 +45,8 @@ class ModelJob(GroundJob):
 
 @dataclasses.dataclass(frozen=True)
 class ModelReport:
-    """What became of a tile: ground points and points of its core, points that were read, halo in metres, and cells whose
-    triangles reach beyond it."""
+    """What became of a tile: ground points and points of its core, points that were read, halo in metres, cells whose
+    triangles reach beyond it, and the seal of what was kept."""
 
     number: int
     ground: int
@@ -54,6 +54,7 @@ class ModelReport:
     read: int
     halo: float
     uncertain: int
+    seal: Seal
     left_out: tuple[tuple[int, str], ...] = ()
 
 
@@ -120,9 +121,9 @@ def model_tile(job: ModelJob, tile: Tile) -> ModelReport:
         values, doubtful = _heights(job, around.cloud, found.usable, core, found.near)
         if not doubtful:
             break
-    keep(values_path(job.folder, tile.number), lambda file: np.save(file, values))
+    seal = keep(values_path(job.folder, tile.number), lambda file: np.save(file, values))
     ground = int((found.ground & around.core).sum())
-    return ModelReport(tile.number, ground, own, len(around.cloud), found.halo, doubtful, around.left_out)
+    return ModelReport(tile.number, ground, own, len(around.cloud), found.halo, doubtful, seal, around.left_out)
 
 
 def values_path(folder: Path, number: int) -> Path:
@@ -283,9 +284,9 @@ def _prepared(target: Place, run: RunOptions) -> Path:
                 f"{target}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass "
                 "overwrite=True to begin anew"
             )
-        with Journal(work / NAME):  # nobody else is at it
-            pass
-        shutil.rmtree(work)
+        discard(work / NAME)
+    if not (begun and resume):
+        remove(work)
     try:
         work.mkdir(exist_ok=True, parents=run.get("work") is not None)
     except OSError as error:
