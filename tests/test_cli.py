@@ -269,6 +269,35 @@ def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
     assert report["candidates"] == (survey != 26).sum(), "--ignore-class replaces the default"
 
 
+@pytest.mark.parametrize("mark", ["class", "flag"])
+def test_points_of_the_overlap_are_judged_and_named_unless_they_are_set_aside(folder, survey, mark):
+    las = laspy.read(folder / "survey.las")
+    strip = np.abs(las.x - np.mean(las.x)) < 6
+    strip[[pick(axis) for pick in (np.argmin, np.argmax) for axis in (las.x, las.y)]] = False
+    if mark == "class":
+        las.classification[strip] = 12
+    else:
+        las = laspy.convert(las, point_format_id=6)
+        las.overlap = strip
+    las.write(folder / "marked.las")
+    before = np.asarray(las.classification)
+    judged = ground(folder, source="marked.las", target="judged.las", method="smrf")
+    assert judged.exit_code == 0, judged.output
+    after = np.asarray(laspy.read(folder / "judged.las").classification)
+    named = re.search(r"([\d,]+) points are of class 12 or have the overlap flag: ([\d,]+) of them were", judged.stdout)
+    assert int(named[1].replace(",", "")) == strip.sum() >= int(named[2].replace(",", "")) > 100
+    assert (after[strip] == 2).mean() > 0.1 and "--ignore-overlap sets them aside" in " ".join(judged.stdout.split())
+    aside = ground(folder, "--ignore-overlap", "--json", source="marked.las", target="aside.las", method="smrf")
+    counts = json.loads(aside.stdout)["overlap"]
+    assert counts == {"points": strip.sum(), "judged": 0, "ground": 0}
+    found = np.asarray(laspy.read(folder / "aside.las").classification)
+    np.testing.assert_array_equal(found[strip], before[strip])
+    las.points = las.points[~strip]
+    las.write(folder / "rest.las")
+    assert ground(folder, source="rest.las", target="alone.las", method="smrf").exit_code == 0
+    np.testing.assert_array_equal(found[~strip], laspy.read(folder / "alone.las").classification)
+
+
 @pytest.fixture
 def with_low(folder, scene):
     """low.las: the scene with echoes far below the ground, two together and one alone; how many points it has without."""

@@ -83,7 +83,8 @@ def test_only_classes_of_candidates_change(tmp_path, point_format, version, suff
     cloud = read(source)
     local = PointCloud.from_arrays(np.stack([las.x, las.y, las.z], axis=1))
     assert cloud.xyz.tobytes() == local.xyz.tobytes() and cloud.origin.tolist() == local.origin.tolist()
-    for name in ("return_number", "number_of_returns", "classification", "withheld"):
+    flags = ("withheld", "overlap") if point_format > 5 else ("withheld",)
+    for name in ("return_number", "number_of_returns", "classification", *flags):
         np.testing.assert_array_equal(getattr(cloud, name), np.asarray(las[name]), err_msg=name)
     np.testing.assert_array_equal(cloud.candidate, expected_candidates(las))
     np.testing.assert_array_equal(cloud.reference, np.asarray(las.classification) == 2)
@@ -464,13 +465,15 @@ def test_arrays_to_las_and_text(tmp_path):
     number = rng.integers(1, 3, 60).astype(np.uint8)
     cloud = PointCloud.from_arrays(
         xyz, return_number=number, number_of_returns=np.full(60, 2, np.uint8), crs=pyproj.CRS.from_epsg(25832),
-        classification=np.full(60, 5, np.uint8), withheld=rng.random(60) < 0.2)  # fmt: skip
+        classification=np.full(60, 5, np.uint8), withheld=rng.random(60) < 0.2,
+        overlap=rng.random(60) < 0.4)  # fmt: skip
     result = result_of(cloud)
     write(tmp_path / "out.laz", cloud, result, extra=("height",))
     out = laspy.read(tmp_path / "out.laz")
     np.testing.assert_allclose(np.stack([out.x, out.y, out.z], axis=1), xyz, atol=1.0e-3)
     np.testing.assert_array_equal(out.return_number, number)
     np.testing.assert_array_equal(out.withheld, cloud.withheld)
+    np.testing.assert_array_equal(out.overlap, cloud.overlap)
     np.testing.assert_array_equal(out.classification, np.where(result.ground, 2, 5))
     np.testing.assert_array_equal(out.height, result.height)
     assert out.header.parse_crs().to_epsg() == 25832

@@ -19,6 +19,7 @@ from las_files import OFFSETS, make_las, patch
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.cloud import Units
+from jaxfilter.core.inputs import COLUMNS
 from jaxfilter.core.units import not_metric
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers", "ignore:.*metres are assumed")
@@ -426,7 +427,7 @@ def test_las_data_is_its_file(tmp_path, point_format, crs, units):
         for bounds in (None, box):
             expected, cloud = (jf.read(source, units=units, bounds=bounds) for source in (tmp_path / "in.las", data))
             assert cloud.xyz.tobytes() == expected.xyz.tobytes() and cloud.origin.tolist() == expected.origin.tolist()
-            for name in ("return_number", "number_of_returns", "classification", "withheld", "candidate", "reference"):
+            for name in (*COLUMNS, "candidate", "reference"):
                 np.testing.assert_array_equal(getattr(cloud, name), getattr(expected, name), err_msg=name)
             assert (cloud.units, cloud.crs, cloud.source) == (expected.units, expected.crs, None)
     assert data.X.tolist() == las.X.tolist()  # not used up

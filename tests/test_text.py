@@ -236,13 +236,15 @@ def test_isprs_lines(tmp_path):
 
 def test_attributes(tmp_path):
     (tmp_path / "in.csv").write_text(
-        "Return Number,NumberOfReturns,x,y,z,class,withheld,intensity\n"
-        "1,1,0,0,0,1,0,9\n1,2,1,0,0,2,0,9\n2,2,2,0,0,2,1,9\n1,1,3,0,0,18,0,9\n"
+        "Return Number,NumberOfReturns,x,y,z,class,withheld,overlap\n"
+        "1,1,0,0,0,1,0,1\n1,2,1,0,0,2,0,0\n2,2,2,0,0,2,1,1\n1,1,3,0,0,18,0,0\n"
     )
     cloud = read(tmp_path / "in.csv")
     assert cloud.return_number.tolist() == [1, 1, 2, 1] and cloud.number_of_returns.tolist() == [1, 2, 2, 1]
     assert cloud.candidate.tolist() == [True, False, False, False]
     assert read(tmp_path / "in.csv", returns="all", keep_withheld=True, ignore_classes=()).candidate.all()
+    assert cloud.overlap.tolist() == cloud.in_overlap.tolist() == [True, False, True, False]
+    assert not read(tmp_path / "in.csv", ignore_overlap=True).candidate.any()
     assert cloud.reference.tolist() == [False, True, True, False] and cloud.classification.tolist() == [1, 2, 2, 18]
 
 

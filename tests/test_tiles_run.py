@@ -429,6 +429,29 @@ def test_low_outliers_get_the_class_of_noise(tmp_path):
         np.testing.assert_array_equal(classes == 2, whole.ground)
 
 
+def test_points_of_the_overlap_are_counted_and_can_be_set_aside(files, tmp_path):
+    """By class 12 in a file of point format 1, by the flag in one of format 6."""
+    for name in ("01", "11"):
+        las = laspy.read(files / f"{name}.laz")
+        strip = np.abs(las.y - np.mean(las.y)) < 9
+        las["classification" if name == "01" else "overlap"][strip] = 12 if name == "01" else 1
+        las.write(tmp_path / f"{name}.laz")
+    paths = [tmp_path / "01.laz", tmp_path / "11.laz"]
+    clouds = [jf.read(path, anchor=ANCHOR) for path in paths]
+    marked = np.concatenate([laspy.read(paths[0]).classification == 12, laspy.read(paths[1]).overlap == 1])
+    judged, labels = joined(clouds).candidate & marked, PMF(joined(clouds)).ground
+    report = run([str(path) for path in paths], tmp_path / "judged")
+    assert report.overlap == {"points": marked.sum(), "judged": judged.sum(), "ground": (labels & marked).sum()}
+    assert report.overlap["ground"] > 100
+    report = run([str(path) for path in paths], tmp_path / "aside", ignore_overlap=True)
+    rest = PMF(joined([cloud.select(ignore_overlap=True) for cloud in clouds])).ground
+    after = [np.asarray(laspy.read(tmp_path / "aside" / path.name).classification) for path in paths]
+    assert report.overlap == {"points": marked.sum(), "judged": 0, "ground": 0} and (after[0] == 12).any()
+    np.testing.assert_array_equal(np.concatenate(after) == 2, rest)
+    with pytest.raises(jf.InputError, match="begun with other reading"):
+        run([str(path) for path in paths], tmp_path / "aside", resume=True)
+
+
 def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp_path):
     csf = jf.CSF(iterations=60, smooth=False)
     out = tmp_path / "out"

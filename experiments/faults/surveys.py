@@ -205,9 +205,9 @@ def ways() -> list[tuple[str, str, Damage]]:
     """State of the run, what is damaged and how: all that there are."""
     found = []
     for what, damages in WHAT.items():
-        for state in ("stopped", "complete"):
-            if state == "stopped" or what in ("journal", "output", "report"):
-                found += [(state, what, damage) for damage in damages]
+        states = {"journal": ("stopped", "complete"), "output": ("stopped", "complete"), "report": ("complete",)}
+        for state in states.get(what, ("stopped",)):
+            found += [(state, what, damage) for damage in damages]
     return found
 
 

@@ -167,6 +167,11 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
             show_default="7, 9, and all from 17 on",
             help="Points of this class are not judged and keep it; may be repeated. Replaces the default; none judges all.",
         ),
+        click.Option(
+            ["--ignore-overlap"],
+            is_flag=True,
+            help="Points of class 12 or with the overlap flag are not judged either.",
+        ),
         click.Option(["--keep-withheld"], is_flag=True, help="Judge withheld points as well."),
         click.Option(["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."),
         click.Option(["--ground-class"], type=click.IntRange(0, 255), default=2, show_default=True, help="For ground."),
@@ -283,10 +288,11 @@ def _ground(
     **options: Any,
 ) -> None:
     from .. import class_changes, cut_objects, read, write
+    from ..core.cloud import overlap_counts
     from ..host.text import GROUND, OBJECT
     from ..host.writing import holds_classes
 
-    reading = {k: options[k] for k in ("units", "bounds", "returns", "ignore_classes", "keep_withheld", "drop_invalid")}
+    reading = {k: options[k] for k in ("units", "bounds", *runs.READING)}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     how = {k: options[k] for k in ("ground_class", "other_class", "reset", "only_ground", "noise_class")}
     writing = how | {k: options[k] for k in ("overwrite", "in_place", "extra")}
@@ -331,6 +337,7 @@ def _ground(
         "low_noise": int(result.low_noise.sum()),
         "of_ground_class": sum(n for (_, new), n in changed.items() if new == options["ground_class"]),
         "classes": [{"before": old, "after": new, "points": n} for (old, new), n in changed.items()],
+        "overlap": overlap_counts(cloud, result.ground),
         "cut_objects": cut,
     }
     if not named:

@@ -68,8 +68,19 @@ def print_report(report: dict[str, Any]) -> None:
         click.echo(
             "the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in report["labels"])
         )
+    print_overlap(report.get("overlap", {}))
     if report.get("classes"):
         print_classes(report["classes"])
+
+
+def print_overlap(counts: dict[str, int]) -> None:
+    """What became of points in the overlap of flight lines, if there are any."""
+    if not counts.get("points"):
+        return
+    what = "were not judged"
+    if counts["judged"]:
+        what = f"{counts['judged']:,} of them were judged and {counts['ground']:,} are ground; --ignore-overlap sets them aside"
+    click.echo(f"{counts['points']:,} points are of class 12 or have the overlap flag: {what}")
 
 
 def print_classes(changes: list[dict[str, int]]) -> None:

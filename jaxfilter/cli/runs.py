@@ -23,6 +23,8 @@ _CUT_LISTED = 5
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SINGLE = ("bounds", "in_place", "review", "review_area")
 """Options that only a single file takes."""
+READING = ("returns", "ignore_classes", "ignore_overlap", "keep_withheld", "drop_invalid")
+"""Options on which points are judged."""
 
 
 class Bytes(click.ParamType):
@@ -133,7 +135,7 @@ def ground_collection(
             raise BadUsage(f"--{name.replace('_', '-')} is for a single file, and {named(paths)} is a collection")
     *inputs, out = paths
     check_named(inputs, method is None)
-    reading = {k: options[k] for k in ("returns", "keep_withheld", "drop_invalid")}
+    reading = {k: options[k] for k in READING}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
     kept = ("halo", "tile", "memory", "workers", "work", "resume", "overwrite", "ground_class", "other_class", "reset")
     with Session(quiet=quiet, debug=debug) as session:
@@ -238,7 +240,7 @@ def to_be_resumed() -> Iterator[None]:
 
 
 def _print(report: RunReport, facts: dict[str, Any]) -> None:
-    from .output import print_classes
+    from .output import print_classes, print_overlap
 
     share = 100 * report.ground / max(report.points, 1)
     click.echo(
@@ -249,6 +251,7 @@ def _print(report: RunReport, facts: dict[str, Any]) -> None:
         f"{facts['method']}: {count(report.tiles, 'tile')} in {report.seconds:.1f} s; with their halos they hold "
         f"{report.read / max(report.points, 1):.2f} times the points"
     )
+    print_overlap(facts["overlap"])
     if facts["classes"]:
         print_classes(facts["classes"])
 

@@ -26,6 +26,9 @@ from .inputs import GROUND_CLASS as GROUND_CLASS
 from .markup import sheet
 from .units import UNITS, Units, parse_crs, parse_units
 
+OVERLAP_CLASS = 12
+"""ASPRS class of points in the overlap of flight lines, up to LAS 1.3."""
+
 
 class _KeptClasses(tuple[int, ...]):
     """Short where signatures show it as a default."""
@@ -67,7 +70,7 @@ class PointCloud:
         xyz: f32[n, 3], metres in the local frame. Rows of invalid points (see ``valid``) are zero.
         return_number, number_of_returns: u8[n] or None where the format has none.
         classification: u8[n] ASPRS classes as read, or None.
-        withheld: bool[n] or None; the LAS flag.
+        withheld, overlap: bool[n] or None; the LAS flags. Point formats below 6 have class 12 instead of the second.
         candidate: bool[n]; the points that a filter may call ground. Others are non-ground and are written unchanged.
         reference: bool[n] or None; True = ground, from a labelled text file or from class 2 of a classified LAS file.
         valid: bool[n] or None; False where a coordinate was NaN, infinite or far off (only with ``drop_invalid=True``).
@@ -89,6 +92,7 @@ class PointCloud:
     number_of_returns: np.ndarray | None = None
     classification: np.ndarray | None = None
     withheld: np.ndarray | None = None
+    overlap: np.ndarray | None = None
     candidate: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
     reference: np.ndarray | None = None
     valid: np.ndarray | None = None
@@ -132,13 +136,14 @@ class PointCloud:
         name: str = "xyz",
         returns: str = "last,only",
         ignore_classes: Iterable[int] = KEPT_CLASSES,
+        ignore_overlap: bool = False,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
         """Make a cloud from coordinates in file units, f64[n, 3], and attribute arrays named as the class's fields.
 
-        ``returns``, ``ignore_classes`` and ``keep_withheld`` choose the candidates, see :meth:`select`; ``name`` stands
-        in error messages for where the numbers came from.
+        ``returns``, ``ignore_classes``, ``ignore_overlap`` and ``keep_withheld`` choose the candidates, see :meth:`select`;
+        ``name`` stands in error messages for where the numbers came from.
 
         Raises: InputError for a wrong shape or attribute length, and for coordinates so large that float64 does not
         resolve :data:`QUANTUM`; for NaN and infinite coordinates, and for an extent above :data:`LARGEST_SPAN`, unless
@@ -179,7 +184,12 @@ class PointCloud:
             low, high = extremes(xyz)
         check_resolution(low, high, scale, name)
         origin, local = localise(xyz, scale, grid_anchor)
-        chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
+        chosen = {
+            "returns": returns,
+            "ignore_classes": ignore_classes,
+            "ignore_overlap": ignore_overlap,
+            "keep_withheld": keep_withheld,
+        }
         return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
 
     @classmethod
@@ -195,6 +205,7 @@ class PointCloud:
         name: str = "xyz",
         returns: str = "last,only",
         ignore_classes: Iterable[int] = KEPT_CLASSES,
+        ignore_overlap: bool = False,
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
@@ -221,7 +232,12 @@ class PointCloud:
                 low, high = (end * scales + offsets for end in ends(ticks[valid]))
             check_resolution(low, high, scale, name)
         origin, local = localise_integers(ticks, scales, offsets, scale, grid_anchor, valid)
-        chosen = {"returns": returns, "ignore_classes": ignore_classes, "keep_withheld": keep_withheld}
+        chosen = {
+            "returns": returns,
+            "ignore_classes": ignore_classes,
+            "ignore_overlap": ignore_overlap,
+            "keep_withheld": keep_withheld,
+        }
         return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
 
     @classmethod
@@ -293,6 +309,7 @@ class PointCloud:
         *,
         returns: str = "last,only",
         ignore_classes: Iterable[int] = KEPT_CLASSES,
+        ignore_overlap: bool = False,
         keep_withheld: bool = False,
         name: str = "cloud",
     ) -> PointCloud:
@@ -303,6 +320,7 @@ class PointCloud:
                 takes single echoes and the last of several.
             ignore_classes: points of these classes are set aside: they are no seeds, vertices or ground, and keep their class. By
                 default noise, water, bridge decks and all classes from 17 on (:data:`KEPT_CLASSES`).
+            ignore_overlap: set points of the overlap of flight lines aside as well, see :attr:`in_overlap`.
             keep_withheld: take points that carry the withheld flag as well.
 
         >>> everything = cloud.select(returns="all", ignore_classes=())
@@ -314,9 +332,24 @@ class PointCloud:
         ignored = tuple(ignore_classes)
         if self.classification is not None and ignored:
             candidate &= ~np.isin(self.classification, ignored)
+        if ignore_overlap and self.in_overlap is not None:
+            candidate &= ~self.in_overlap
         if self.withheld is not None and not keep_withheld:
             candidate &= ~self.withheld
         return dataclasses.replace(self, candidate=candidate)
+
+    @property
+    def in_overlap(self) -> np.ndarray | None:
+        """bool[n]: points that the producer has marked as overlap of flight lines, by the flag or by class 12, which stood for
+        it before LAS 1.4; None if the cloud has neither flag nor class.
+
+        >>> made = jf.PointCloud.from_arrays(np.zeros((2, 3)), classification=np.array([2, 12]))
+        >>> made.in_overlap.tolist(), made.candidate.tolist(), made.select(ignore_overlap=True).candidate.tolist()
+        ([False, True], [True, True], [True, False])
+        """
+        marks = [] if self.overlap is None else [self.overlap]
+        marks += [] if self.classification is None else [self.classification == OVERLAP_CLASS]
+        return np.logical_or.reduce(marks) if marks else None
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units, rounded to the quantum of the local frame (the file's own integers stay in the file).
@@ -341,6 +374,17 @@ class PointCloud:
             return 0.0, 0.0
         lag = (self.origin[:2] - self.anchor) * self.units.xy
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
+
+
+def overlap_counts(cloud: PointCloud, ground: np.ndarray) -> dict[str, int]:
+    """How many points of a cloud are in the overlap of flight lines (``points``), and how many of these are candidates
+    (``judged``) and ``ground``, bool[n]."""
+    marked = np.zeros(len(cloud), bool) if cloud.in_overlap is None else cloud.in_overlap
+    return {
+        "points": int(marked.sum()),
+        "judged": int((marked & cloud.candidate).sum()),
+        "ground": int((marked & ground).sum()),
+    }
 
 
 _ECHOES = ("first", "intermediate", "last", "only")

@@ -18,7 +18,9 @@ def is_laspy(points: Any) -> bool:
     return any((c.__module__.partition(".")[0], c.__name__) == ("laspy", "LasData") for c in type(points).__mro__)
 
 
-COLUMNS = {"return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool}
+COLUMNS = {
+    "return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool, "overlap": bool
+}  # fmt: skip
 """What is known of points beside their coordinates, and how it is held."""
 
 
@@ -65,7 +67,8 @@ def laspy_parts(las: Any, units: str | Units | None, name: str) -> dict[str, Any
         some = ticks[sampled(len(ticks))] * scales + offsets
         if reason := not_metric(some, len(ticks), reference.units is not None):
             raise InputError(f"{name}: {reason}")
-    columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items()}
+    there = set(las.point_format.dimension_names)
+    columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
     placed = {"ticks": ticks, "scales": scales, "offsets": offsets, "units": scale, "crs": reference.crs}
     return placed | columns | {"reference": _ground_of(columns)}
 

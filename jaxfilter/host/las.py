@@ -48,6 +48,7 @@ def read(
     units: str | Units | None = None,
     returns: str = "last,only",
     ignore_classes: Iterable[int] = KEPT_CLASSES,
+    ignore_overlap: bool = False,
     keep_withheld: bool = False,
     drop_invalid: bool = False,
     anchor: Iterable[float] | None = None,
@@ -57,22 +58,22 @@ def read(
 
     Text has lines of x y z, or x y z label as in the ISPRS samples (0 = ground, 1 = object), separated by white space,
     commas, semicolons or, below a header, tabs; with a header line, columns are found by their names (x, y, z, label,
-    classification, return_number, number_of_returns, withheld) and others are passed over. All lines have the same number
-    of cells, quoted where they hold a delimiter, and ``#`` begins lines of comment. The reference of a LAS file is its
-    class 2.
+    classification, return_number, number_of_returns, withheld, overlap) and others are passed over. All lines have the same
+    number of cells, quoted where they hold a delimiter, and ``#`` begins lines of comment. The reference of a LAS file is
+    its class 2.
 
     Args:
         path: the file; LAS, LAZ and COPC may also lie where fsspec gets at them (``"s3://..."``, ``"https://..."``). It is
             needed again for lossless writing; the cloud keeps a handle, not a copy. A ``laspy.LasData`` is taken as
             the file it would become. What ``write`` makes of such a cloud is a new file, which holds coordinates, echoes,
-            withheld flags and classes only; to keep all else, give the labels to laspy:
+            flags (withheld, overlap) and classes only; to keep all else, give the labels to laspy:
             ``las.classification[result.ground] = 2``.
         bounds: (xmin, ymin, xmax, ymax) in file units; points with xmin <= x < xmax and ymin <= y < ymax are kept, so
             that adjoining bounds share no point. COPC reads only the octree nodes concerned.
         units: ``"m"``, ``"ft"``, ``"us-ft"``, or XY and Z apart (``"us-ft,m"``); by default what the CRS says. Where
             it says nothing of Z, Z has the unit of XY. Text is in metres unless told otherwise. Units that are given
             are believed; without them, coordinates that look like degrees are refused.
-        returns, ignore_classes, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
+        returns, ignore_classes, ignore_overlap, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
         drop_invalid: label points with NaN or infinite coordinates (text only), or far from all others (docs/conventions.md,
             Range), non-ground instead of raising.
         anchor: (x, y) in file units that grids are aligned to; by default the cloud's own corner.
@@ -92,6 +93,7 @@ def read(
     chosen: dict[str, Any] = {
         "returns": returns,
         "ignore_classes": tuple(ignore_classes),
+        "ignore_overlap": ignore_overlap,
         "keep_withheld": keep_withheld,
         "drop_invalid": drop_invalid,
         "anchor": anchor,
@@ -115,8 +117,8 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
 
     Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
     (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``extra_bytes`` (names of extra dimensions), ``classes`` and
-    ``echoes`` (counts), ``withheld``, ``candidates``, and of the candidates ``spacing`` (m) and ``density`` (per m2 of
-    occupied area). None where a file says nothing.
+    ``echoes`` (counts), ``withheld``, ``overlap``, ``candidates``, and of the candidates ``spacing`` (m) and ``density``
+    (per m2 of occupied area). None where a file says nothing.
 
     >>> facts = jf.info("scene.laz", units="m")
     >>> facts["points"] == len(cloud), facts["format"]
@@ -155,6 +157,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
         "classes": _counts(cloud.classification),
         "echoes": _echo_counts(cloud),
         "withheld": None if cloud.withheld is None else int(cloud.withheld.sum()),
+        "overlap": None if cloud.in_overlap is None else int(cloud.in_overlap.sum()),
         "candidates": int(cloud.candidate.sum()),
         "spacing": spacing,
         "density": None if spacing is None else 1 / spacing**2,
@@ -240,6 +243,8 @@ def las_cloud(
     with reading(header.path):
         ticks, n = np.empty((most, 3), np.int32), 0
         columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
+    if number < 6:
+        del columns["overlap"]
     identity, tally = cast(Identity, header.identity), Tally()
     with identity.kept(header.path, CHANGED_IN_READING):
         for chunk in chunks:
@@ -249,6 +254,8 @@ def las_cloud(
             columns["return_number"][rows], columns["number_of_returns"][rows] = records.echoes(chunk, number)
             columns["classification"][rows] = records.classes(chunk, number)
             columns["withheld"][rows] = records.withheld(chunk, number)
+            if number >= 6:
+                columns["overlap"][rows] = records.overlap(chunk)
             n = rows.stop
     if n < most:
         ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}

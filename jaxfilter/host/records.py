@@ -163,6 +163,11 @@ def withheld(records: np.ndarray, point_format: int) -> np.ndarray:
     return ((records[:, 15] >> (7 if point_format < 6 else 2)) & 1).astype(bool)
 
 
+def overlap(records: np.ndarray) -> np.ndarray:
+    """bool[n]; for point formats 6 to 10."""
+    return ((records[:, 15] >> 3) & 1).astype(bool)
+
+
 def channels(records: np.ndarray) -> int:
     """The scanner channels that occur, as bits; for point formats 6 to 10."""
     return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))

@@ -18,6 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.inputs import COLUMNS
 from .delimited import BLANK, blanked, cell_pattern, cells_of, check_line, open_quote, shown, spans_of
 from .files import Bounds, Replay
 from .records import inside, reading
@@ -37,10 +38,12 @@ _NUMBER = re.compile(rb"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|in
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
-    "withheld": "withheld",
+    "withheld": "withheld", "overlap": "overlap",
 }  # fmt: skip
 _UNNAMED = [b"x", b"y", b"z", b"label"]
-_LARGEST = {"classification": 255, "return_number": 15, "number_of_returns": 15, "withheld": 1, "label": 1}
+_LARGEST = {
+    "classification": 255, "return_number": 15, "number_of_returns": 15, "withheld": 1, "overlap": 1, "label": 1
+}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +150,7 @@ def read_text(
                 place, value = run.place(np.flatnonzero(keep)[odd.argmax()]), column[odd.argmax()]
                 hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
                 raise InputError(f"{path}: {place}: {name} {value:g}: whole numbers, {hint}, are needed")
-            key, kind = ("reference", bool) if name == "label" else (name, bool if name == "withheld" else np.uint8)
+            key, kind = ("reference", bool) if name == "label" else (name, COLUMNS[name])
             attributes[key] = (column == GROUND) if name == "label" else column.astype(kind)
         yield xyz[keep], attributes
 

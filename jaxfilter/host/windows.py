@@ -54,7 +54,7 @@ def read_window(source: Source, box: Bounds, index: Path | None = None, **chosen
             later runs. It is made if missing. By default only this process keeps them. Checksums are kept along, of COPC
             only here and for files on a disk: the points of a file that is changed meanwhile are refused, even if its size
             and time are what they were.
-        chosen: ``returns``, ``ignore_classes``, ``keep_withheld``, ``drop_invalid`` and ``anchor`` of
+        chosen: ``returns``, ``ignore_classes``, ``ignore_overlap``, ``keep_withheld``, ``drop_invalid`` and ``anchor`` of
             :func:`jaxfilter.read`; ``units`` are those of the source.
 
     Returns: Window; a cloud of no points where there are none.

@@ -358,7 +358,9 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, replay: Repla
         total = one if cloud.number_of_returns is None else cloud.number_of_returns[rows] & 15
         chunk[:, 14] = number | total << 4
         if cloud.withheld is not None:
-            chunk[:, 15] = cloud.withheld[rows].astype(np.uint8) << 2
+            chunk[:, 15] |= cloud.withheld[rows].astype(np.uint8) << 2
+        if cloud.overlap is not None:
+            chunk[:, 15] |= cloud.overlap[rows].astype(np.uint8) << 3
         if cloud.classification is not None:
             chunk[:, 16] = cloud.classification[rows]
         yield chunk

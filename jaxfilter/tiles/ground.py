@@ -32,6 +32,7 @@ def ground(
     halo: float | None = None,
     returns: str = "last,only",
     ignore_classes: Iterable[int] = KEPT_CLASSES,
+    ignore_overlap: bool = False,
     keep_withheld: bool = False,
     drop_invalid: bool = False,
     ground_class: int = 2,
@@ -54,7 +55,7 @@ def ground(
             write to (``"s3://bucket/prefix"``); every file appears there whole or not at all.
         filter_: by default the default method, set up for the collection.
         halo: metres around each tile that are read as well; by default what the method needs (``Filter.tile_halo``).
-        returns, ignore_classes, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
+        returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
         ground_class, other_class, reset, only_ground, noise_class, extra: as in :func:`jaxfilter.write`.
         setup: in place of ``filter_``: makes filter and whole of the collection, the reading options and the folder for
             what is found out about files.
@@ -74,6 +75,7 @@ def ground(
     reading = {
         "returns": returns,
         "ignore_classes": tuple(ignore_classes),
+        "ignore_overlap": ignore_overlap,
         "keep_withheld": keep_withheld,
         "drop_invalid": drop_invalid,
     }

@@ -87,6 +87,8 @@ class RunReport:
         points, candidates, ground: of all tiles that are done; read: with halos.
         seconds: of this process; tile_seconds: sum over the tiles.
         classes: points by (old class, new class).
+        overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
+            ``ground``.
         statuses: tiles by the filter's status; remarks: what was warned of, with how often.
         cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.stages.border.CutObject` each,
             from south to north.
@@ -109,6 +111,7 @@ class RunReport:
     seconds: float
     tile_seconds: float
     classes: dict[tuple[int, int], int]
+    overlap: dict[str, int]
     statuses: dict[str, int]
     remarks: dict[str, int]
     cut_objects: list[dict[str, Any]]
@@ -345,9 +348,9 @@ def report_of(run: Run) -> RunReport:
     plan, sources, journal = run.plan, run.sources, run.journal
     report = RunReport(
         tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], again=run.again, points=0, candidates=0, ground=0,
-        read=0, seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), statuses=collections.Counter(),
-        remarks=collections.Counter(), cut_objects=[], heights=None, uncertain=0, cores=plan.cores(),
-        state=np.full(len(plan), np.nan),
+        read=0, seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), overlap=collections.Counter(),
+        statuses=collections.Counter(), remarks=collections.Counter(), cut_objects=[], heights=None, uncertain=0,
+        cores=plan.cores(), state=np.full(len(plan), np.nan),
     )  # fmt: skip
     left_out: dict[int, str] = {}
     heights: list[float] = []
@@ -361,6 +364,7 @@ def report_of(run: Run) -> RunReport:
         report.tile_seconds += facts["seconds"]
         for old, new, n in facts["classes"]:
             report.classes[old, new] += n
+        report.overlap.update(facts["overlap"])
         report.statuses[facts["status"]] += 1
         report.remarks.update(facts["remarks"])
         report.cut_objects += facts["cut_objects"]

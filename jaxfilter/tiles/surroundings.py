@@ -24,7 +24,10 @@ from .task import Around, Job, Tile, inside, read_tile
 
 HALOS = (40.0, 80.0, 160.0, 320.0)
 """Metres around a tile whose ground points take part: the first that suffices, by the circles of the triangles."""
-READING = {"returns": "last,only", "ignore_classes": KEPT_CLASSES, "keep_withheld": False, "drop_invalid": False}
+READING = {
+    "returns": "last,only", "ignore_classes": KEPT_CLASSES, "ignore_overlap": False, "keep_withheld": False,
+    "drop_invalid": False,
+}  # fmt: skip
 _EDGE = 20.0
 """Metres along the edge of the data where triangles at the hull of a tile are let stand."""
 

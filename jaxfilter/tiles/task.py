@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.cloud import QUANTUM, PointCloud, Whole
+from ..core.cloud import QUANTUM, PointCloud, Whole, overlap_counts
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
+from ..core.inputs import COLUMNS
 from ..core.result import Decision, FilterResult, Status
 from ..host.files import Bounds, Seal, told_of
 from ..host.sources import Source
@@ -44,7 +45,8 @@ class Job:
 
     Attributes:
         filter: set up for the whole collection.
-        reading: ``returns``, ``ignore_classes``, ``keep_withheld``, ``drop_invalid`` of :func:`jaxfilter.read`.
+        reading: ``returns``, ``ignore_classes``, ``ignore_overlap``, ``keep_withheld``, ``drop_invalid`` of
+            :func:`jaxfilter.read`.
         classes: ``ground_class``, ``other_class``, ``reset``, ``only_ground``, ``noise_class`` of :func:`jaxfilter.write`.
         extra: quantities of the result that are written along.
         whole: of the collection.
@@ -96,6 +98,7 @@ class TileReport:
         heights: lowest and highest height above ground in the core, units of Z; uncertain: points of the core whose height may
             be another in the whole.
         seal: of what was kept.
+        overlap: see :func:`jaxfilter.core.cloud.overlap_counts`.
     """
 
     number: int
@@ -112,6 +115,7 @@ class TileReport:
     cut_objects: tuple[CutObject, ...] = ()
     heights: tuple[float, float] | None = None
     uncertain: int = 0
+    overlap: dict[str, int] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -160,6 +164,7 @@ def filter_tile(job: Job, tile: Tile) -> TileReport:
         tuple(remarks),
         around.left_out,
         tuple(cut),
+        overlap=overlap_counts(cloud, labels),
     )
 
 
@@ -242,7 +247,8 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None) -> PointClo
     shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
     columns: dict[str, Any] = {}
     for name, empty in (
-        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("valid", True)
+        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("overlap", False),
+        ("valid", True),
     ):  # fmt: skip
         parts = [getattr(cloud, name) for cloud in clouds]
         if any(part is not None for part in parts):
@@ -266,17 +272,7 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None) -> PointClo
 
 def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
     """The points of some rows, i64[k] or bool[n], without their file."""
-    names = (
-        "xyz",
-        "return_number",
-        "number_of_returns",
-        "classification",
-        "withheld",
-        "candidate",
-        "reference",
-        "valid",
-    )
-    arrays = {name: getattr(cloud, name) for name in names}
+    arrays = {name: getattr(cloud, name) for name in ("xyz", *COLUMNS, "candidate", "reference", "valid")}
     parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
     return dataclasses.replace(cloud, source=None, **parts)
 
