@@ -376,6 +376,25 @@ def dead(folder, host=None, age=0.0):
     return place
 
 
+@pytest.mark.parametrize("call", ["mkdir", "open", "flock", "fstat", "fsync", "replace", "scandir", "unlink", "rmdir"])
+def test_an_interrupt_at_any_step_leaves_nothing(tmp_path, monkeypatch, call):
+    """It comes as soon as the step is done."""
+    owner = files.fcntl if call == "flock" else os
+    original = getattr(owner, call)
+
+    def interrupted(*arguments, **options):
+        result = original(*arguments, **options)
+        if call not in ("open", "scandir", "unlink") or ".jaxfilter-" in os.fspath(arguments[0]):
+            monkeypatch.undo()
+            raise KeyboardInterrupt
+        return result
+
+    monkeypatch.setattr(owner, call, interrupted)
+    with pytest.raises(KeyboardInterrupt), new_file(tmp_path / "out", overwrite=True) as part:
+        part.write_text("whole")
+    assert names(tmp_path) in ([], ["out"]) and (names(tmp_path) == [] or (tmp_path / "out").read_text() == "whole")
+
+
 def test_dead_folders_are_removed_and_no_others(tmp_path):
     gone = [dead(tmp_path), dead(tmp_path, "00000000", age=100_000), tmp_path / f".jaxfilter-{files._host()}-ffffffff"]
     gone[-1].mkdir()  # killed before it had made its lock

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import shlex
 import shutil
@@ -20,6 +21,7 @@ from typing import Any
 
 import laspy
 import numpy as np
+import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -202,13 +204,13 @@ def again(source: Path, target: Path, ticks: np.ndarray) -> None:
 
 
 def stopped_command(bench: Bench, number: signal.Signals) -> Row:
-    """``jaxfilter ground`` gets a signal: every second time when it has begun to write, else at any moment."""
+    """``jaxfilter ground`` gets a signal: every second time when it has begun to write, else at any moment, by the processor
+    time that it has used. Progress, of which slow machines see more, is off."""
     bench.suffix = SUFFIXES[bench.number % 2]
     source, ticks = bench.cloud("in", 20_000)
     target = bench.folder / f"out{bench.suffix}"
-    started = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "ground", "pmf", str(source), str(target), "--cell", "10", "--units", "m"],
+        [sys.executable, "-c", COMMAND, "ground", "pmf", str(source), str(target), "--cell", "10", "--units", "m", "--quiet"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -217,12 +219,12 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
         if bench.number % 2:
             while process.poll() is None and not list(bench.folder.glob(".jaxfilter-*")):
                 time.sleep(0.0005)
-            time.sleep(bench.rng.uniform(0.0, 0.01))
+            _let_work(process, bench.rng.uniform(0.0, 0.01))
         else:
-            time.sleep(bench.rng.uniform(0.0, 1.2 * (time.monotonic() - started) + 2.0))
+            _let_work(process, bench.rng.uniform(0.0, 1.2 * _worked(process) + 2.0))
         process.send_signal(number)
         sent = time.monotonic()
-        _, messages = process.communicate(timeout=120)
+        _, messages = process.communicate()
     finally:
         process.kill()
         process.wait()
@@ -252,6 +254,22 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
     if target.exists():
         wrong = wrong or _unlike_the_source(target, ticks)
     return {"outcome": outcome, "wrong": wrong, "left_over": bench.left_over(source, target)}
+
+
+def _worked(process: subprocess.Popen[str]) -> float:
+    """Seconds of processor time that a process has used; infinite when it has ended."""
+    try:
+        used = psutil.Process(process.pid).cpu_times()
+    except psutil.Error:
+        return math.inf
+    return math.inf if process.poll() is not None else used.user + used.system
+
+
+def _let_work(process: subprocess.Popen[str], seconds: float) -> None:
+    """Wait until a process has used so much more processor time, or has ended."""
+    until = min(_worked(process) + seconds, 1e9)
+    while _worked(process) < until:
+        time.sleep(0.002)
 
 
 def _catches(process: subprocess.Popen[str], number: int) -> bool:

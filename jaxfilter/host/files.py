@@ -379,24 +379,26 @@ _FOREIGN_AGE = 86_400.0  # seconds
 
 @contextlib.contextmanager
 def workplace(parent: Path) -> Iterator[Path]:
-    """A new folder that is locked as long as this process lives, and removed with all that is in it."""
-    while True:
-        folder = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}"
-        folder.mkdir(mode=0o700)
-        try:
-            lock = os.open(folder / _LOCK, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
-        except FileNotFoundError:
-            continue  # another process took the empty folder for a dead one
-        except OSError:
-            folder.rmdir()
-            raise
-        if _locked(lock) is not False and os.fstat(lock).st_nlink:
-            break
-        os.close(lock)
+    """A new folder that is locked as long as this process lives, and removed with all that is in it.
+
+    A signal may raise at any place, also while the folder is made or removed.
+    """
+    folder, lock = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}", -1
     try:
+        while lock < 0:
+            with contextlib.suppress(FileNotFoundError):  # another process took the empty folder for a dead one
+                folder.mkdir(mode=0o700)
+                lock = os.open(folder / _LOCK, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+                if _locked(lock) is False or not os.fstat(lock).st_nlink:
+                    os.close(lock)
+                    lock = -1
         yield folder
     finally:
-        _remove(folder, lock)
+        try:
+            if lock >= 0:
+                _remove(folder, lock)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def remove_dead(parent: Path) -> None:
