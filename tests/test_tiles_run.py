@@ -331,16 +331,24 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     assert len(kept) > 2 and run(files, out, resume=True).complete and contents(out) == contents(done[0])
 
 
+@pytest.fixture(scope="module")
+def one_tile(files, tmp_path_factory):
+    """The folder of a run over one file."""
+    out = tmp_path_factory.mktemp("one") / "out"
+    assert run(files / "00.laz", out, tile=100.0).complete
+    return out
+
+
 @pytest.mark.parametrize("kind", JOURNALS)
-def test_damaged_journals_are_named_and_begun_anew(files, done, tmp_path, kind):
+def test_damaged_journals_are_named_and_begun_anew(files, one_tile, tmp_path, kind):
     out, executor = tmp_path / "out", Here()
-    shutil.copytree(done[0], out)
+    shutil.copytree(one_tile, out)
     damage_journal(out / "jaxfilter-run.sqlite", kind, np.random.default_rng(0))
     with pytest.raises(jf.InputError, match=r"jaxfilter-run\.sqlite: the journal .* pass overwrite=True to begin"):
-        run(files, out, executor, resume=True)
-    assert executor.calls == [] and contents(out) == contents(done[0])
-    report = run(files, out, overwrite=True)
-    assert report.complete and contents(out) == contents(done[0])
+        run(files / "00.laz", out, executor, tile=100.0, resume=True)
+    assert executor.calls == [] and contents(out) == contents(one_tile)
+    report = run(files / "00.laz", out, tile=100.0, overwrite=True)
+    assert report.complete and contents(out) == contents(one_tile)
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
 
@@ -805,6 +813,12 @@ def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
         jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), **how)
     with pytest.raises(jf.InputError, match="begun with other model"):
         jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), resume=True, fill=True, **how)
+    journal = tmp_path / ".dtm.tif.jaxfilter-run" / "jaxfilter-run.sqlite"
+    sound = journal.read_bytes()
+    damage_journal(journal, "zeros", np.random.default_rng(0))
+    with pytest.raises(jf.InputError, match=r"run\.sqlite: the journal is damaged.*pass overwrite=True"):
+        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), resume=True, **how)
+    journal.write_bytes(sound)
     report = jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=second, resume=True, **how)
     assert len(first.calls) == 5 and len(first.calls) + len(second.calls) == report.tiles
     assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]

@@ -131,8 +131,9 @@ def measured(header: Header) -> Blocks:
         for group in found.groups():
             packed, checksum = _packed(header, file, group)
             records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-            for all_, part in zip((low, high, sums), (*_areas(header, group, records), checksum), strict=True):
-                all_.append(part)
+            sums.append(checksum)
+            for areas, edge in zip((low, high), _areas(header, group, records), strict=True):
+                areas.append(edge)
     return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high), checksum=np.concatenate(sums))
 
 
