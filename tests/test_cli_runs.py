@@ -59,6 +59,19 @@ def test_a_folder_that_holds_something_is_refused_and_resumed(survey, done):
     assert refused.exit_code == 1 and "pass --resume" in refused.stderr and "pass --overwrite" in refused.stderr
     again = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume", "--workers", 1)
     assert again.exit_code == 0 and f"{done[1]['ground']:,} of {done[1]['points']:,} points are ground" in again.stdout
+    assert "again" not in again.stderr
+    written = (done[0] / "east.laz").read_bytes()
+    (done[0] / "east.laz").unlink()
+    again = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume", "--workers", 1)
+    assert again.exit_code == 0 and "east.laz: is missing, so it had to be made again" in " ".join(again.stderr.split())
+    assert (done[0] / "east.laz").read_bytes() == written
+    journal = done[0] / "jaxfilter-run.sqlite"
+    sound = journal.read_bytes()
+    journal.write_bytes(b"no journal")
+    damaged = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume")
+    assert damaged.exit_code == 1 and "run.sqlite: the journal is damaged" in damaged.stderr
+    assert "pass --overwrite to begin the run anew" in damaged.stderr
+    journal.write_bytes(sound)
     other = run("ground", "pmf", survey, done[0], "--max-window", 11, "--resume")
     assert other.exit_code == 1 and "results are not mixed" in other.stderr
 
