@@ -30,8 +30,10 @@ DENSITIES = (0.3, 4.0)
 """Of the scenes that are added to those of the search, pulses per square metre."""
 PER_CLOUD = 4000
 """Points that a cloud has in the training, drawn at random; so each cloud counts the same."""
+NEAR = 0.1
+"""Metres from the triangulation of the labelled ground; what is so near to it lies on the ground."""
 THINNED = 0.5
-"""If more than this share of the ground that is found is none by the labels, these name but some of the ground points."""
+"""If more than this share of the points on the ground are labelled as something else, labels name but some of the ground."""
 RIDGE = 1e-3
 BINS = 15
 MOST = 0.1
@@ -41,7 +43,7 @@ MOST = 0.1
 class Judged:
     """The judged and scored points of a cloud: evidence f32[n, features], labels and errors bool[n], doubt f32[n].
 
-    ``rows``: i64[n], their places in the cloud.
+    ``rows``: i64[n], their places in the cloud. ``unnamed``: see :func:`unnamed`.
     """
 
     known: clouds.Known
@@ -50,11 +52,19 @@ class Judged:
     ground: np.ndarray
     wrong: np.ndarray
     rows: np.ndarray
+    unnamed: float
 
     @property
     def trains(self) -> bool:
         """Whether a model may be fitted to it."""
-        return self.kind != "samples" and float(self.wrong[self.ground].mean()) <= THINNED
+        return self.kind != "samples" and self.unnamed <= THINNED
+
+
+def unnamed(known: clouds.Known) -> float:
+    """Share of the scored points within 0.1 m of the labelled ground, in a triangulation, that are not labelled as ground."""
+    height = jf.height_above_ground(known.cloud, known.ground & known.scored)
+    near = (np.abs(height) <= NEAR) & known.scored
+    return float((~known.ground[near]).mean())
 
 
 def judged(known: clouds.Known) -> Judged:
@@ -74,7 +84,7 @@ def judged(known: clouds.Known) -> Judged:
     rows = np.flatnonzero((row >= 0) & known.scored)
     ground = result.ground[rows]
     kind = {"sit": "samples", "sou": "tiles"}.get(known.group[:3], "scenes")
-    return Judged(known, kind, kept[0][row[rows]], ground, ground != known.ground[rows], rows)
+    return Judged(known, kind, kept[0][row[rows]], ground, ground != known.ground[rows], rows, unnamed(known))
 
 
 def every(folder: Path) -> Iterator[Judged]:
@@ -204,7 +214,7 @@ def main() -> None:
         print(
             one.known.name,
             len(one.rows),
-            f"{100 * one.wrong.mean():.2f} %",
+            f"{100 * one.wrong.mean():.2f} % wrong, {100 * one.unnamed:.1f} % on the ground not named",
             "" if one.trains else "not trained on",
             flush=True,
         )
