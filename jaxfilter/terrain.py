@@ -65,7 +65,7 @@ def dtm(
     Raises: ParameterError for settings out of range; InputError if there are fewer than three distinct ground positions or
     all lie on a line, if there are no points and no ``bounds``, if labels have the wrong length or dtype, if points lie more
     than 131 km from the corner of the cloud, unless ``bounds`` are given, or if more than 400 million cells would be needed;
-    ImportError if a library is missing.
+    ImportError if startinpy is missing.
 
     >>> model = jf.dtm(cloud, result, cell=2.0, max_gap=10.0)
     >>> x, y = model.centres()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -295,15 +294,6 @@ def test_points_on_a_line_and_empty_clouds_are_errors():
     with pytest.warns(jf.JaxfilterWarning, match="no points"):
         raster = jf.dtm(empty, bounds=(0, 0, 4, 3))
     assert raster.values.shape == (3, 4) and np.isnan(raster.values).all()
-
-
-@pytest.mark.parametrize("library, call", [("startinpy", {"method": "natural"}), ("rasterio", None)])
-def test_a_missing_library_is_named_with_its_extra(rng, tmp_path, monkeypatch, library, call):
-    cloud = scattered(rng, n=50)
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(ImportError, match=rf"{library}.*jaxfilter\[dtm\]"):
-        model(cloud, **call) if call else model(cloud).write(tmp_path / "a.tif")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("code", [None, "EPSG:32632", "EPSG:6539", "EPSG:25832+7837"])

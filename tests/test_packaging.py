@@ -26,7 +26,7 @@ PARTS = {"lazrs", "distributed"}
 """What comes with an extra of another package: laspy[lazrs], dask[distributed]."""
 BY_FSSPEC = {"s3fs", "aiohttp"}
 """What fsspec imports for s3:// and https://."""
-PUBLISHED = ("plots", "dtm", "cluster", "review", "remote")
+PUBLISHED = ("natural", "cluster", "remote")
 
 
 def bounds(requirements):
@@ -90,6 +90,15 @@ def test_dependencies_and_extras_are_used():
         name = re.match(r"[\w.-]+", text)[0]
         assert name in used or f"{name}[" in text, f"nothing imports {name}"
     assert set(re.findall(r"\w+", extras["all"][0])) - {"jaxfilter"} == set(PUBLISHED)
+    installed = {re.match(r"\w+", text)[0] for text in PROJECT["dependencies"]}
+    rest = imported() - set(sys.stdlib_module_names) - installed - {"jaxfilter", "lazrs", "mpl_toolkits", "shapely"}
+    assert rest == {"startinpy", "distributed"}, "GeoTIFF, GeoPackage and pictures come with the plain install"
+
+
+def natural():
+    from jaxfilter.host.interpolation import interpolator
+
+    interpolator("natural", np.zeros((3, 3), np.float32))
 
 
 def cluster():
@@ -101,7 +110,7 @@ def cluster():
 @pytest.mark.parametrize(
     "library, extra, error, call",
     [
-        ("matplotlib.figure", "plots", ImportError, lambda: jf.plots.hillshade(np.zeros((3, 3)))),
+        ("startinpy", "natural", ImportError, natural),
         ("distributed", "cluster", ImportError, cluster),
         ("s3fs", "remote", jf.InputError, lambda: jf.read("s3://bucket/in.laz")),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,6 @@ from jaxfilter import plots
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError
 from jaxfilter.core.grid import Grid
-
-pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +88,3 @@ def test_panel_saves(cloud, tmp_path):
     figure.savefig(tmp_path / "panel.png")
     assert (tmp_path / "panel.png").read_bytes().startswith(b"\x89PNG")
     assert len(figure.axes) == 4
-
-
-def test_without_matplotlib_the_extra_is_named(cloud, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
-    with pytest.raises(ImportError, match=r"jaxfilter\[plots\]"):
-        plots.hillshade(cloud.xyz)

@@ -15,14 +15,13 @@ if TYPE_CHECKING:
 
 def check_review(path: Path, overwrite: bool) -> None:
     """Refuse a list of places that cannot be written, before anything is read. Raises BadUsage."""
-    from ..reports.review_list import check_suffix, libraries
+    from ..reports.review_list import check_suffix
 
     try:
         check_suffix(path)
     except JaxfilterError as error:
         raise BadUsage(str(error)) from error
     check_target(path, overwrite)
-    libraries()
 
 
 def checked_target(source: Place, target: Place | None, overwrite: bool, in_place: bool, text: bool = True) -> Place:

@@ -403,4 +403,3 @@ def _check_model(target: Place, overwrite: bool, settings: dict[str, Any]) -> No
     if target.suffix.lower() not in raster.SUFFIXES:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(raster.SUFFIXES)}")
     check_target(target, overwrite)
-    raster.check_library()

@@ -127,7 +127,7 @@ def _natural_neighbour(xyz: np.ndarray) -> Heights:
     try:
         import startinpy
     except ImportError as error:
-        raise ImportError("method='natural' needs startinpy: pip install 'jaxfilter[dtm]'") from error
+        raise ImportError("method='natural' needs startinpy: pip install 'jaxfilter[natural]'") from error
     mesh = startinpy.DT()
     mesh.snap_tolerance = QUANTUM / 8  # its own default would merge points that are one quantum apart
     mesh.insert(xyz.astype(np.float64))

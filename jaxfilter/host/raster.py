@@ -115,7 +115,7 @@ class Raster:
         ``path`` may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``). The file appears whole or not at all.
 
         Returns: the path.
-        Raises: OutputError (suffix, exists and not ``overwrite``, disk); ImportError if rasterio is missing.
+        Raises: OutputError (suffix, exists and not ``overwrite``, disk).
 
         >>> jf.dtm(cloud, result, cell=5.0).write("dtm.tif").name
         'dtm.tif'
@@ -141,7 +141,7 @@ class Raster:
     def read(cls, path: str | Path) -> Raster:
         """The first band of a north-up raster file with square cells, for example what :meth:`write` wrote.
 
-        Raises: InputError if it cannot be read or has another layout; ImportError if rasterio is missing.
+        Raises: InputError if it cannot be read or has another layout.
 
         >>> model = jf.dtm(cloud, result, cell=5.0)
         >>> back = jf.Raster.read(model.write("dtm.tif"))
@@ -182,7 +182,7 @@ def write_mosaic(
         parts: gives, each time it is called, first row, first column and values f32[r, c] of parts that do not overlap. What
             no part covers has no height.
 
-    Raises: OutputError (exists and not ``overwrite``, disk; the file is read back); ImportError if rasterio is missing.
+    Raises: OutputError (exists and not ``overwrite``, disk; the file is read back).
     """
     rasterio = _rasterio()
     from rasterio.shutil import copy
@@ -224,17 +224,11 @@ def check_target(path: Place) -> None:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
 
 
-def check_library() -> None:
-    """Raises ImportError, naming the extra, if GeoTIFF files cannot be written."""
-    _rasterio()
-
-
 def _rasterio() -> Any:
-    try:
-        import rasterio
-        import rasterio.crs
-        import rasterio.errors
-        import rasterio.io
-    except ImportError as error:
-        raise ImportError("GeoTIFF files need rasterio: pip install 'jaxfilter[dtm]'") from error
+    """The library, which takes a while to import."""
+    import rasterio
+    import rasterio.crs
+    import rasterio.errors
+    import rasterio.io
+
     return rasterio

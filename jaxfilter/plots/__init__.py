@@ -1,4 +1,4 @@
-"""Pictures for papers: of clouds, labels and sweeps. Needs matplotlib, the extra ``jaxfilter[plots]``.
+"""Pictures for papers: of clouds, labels and sweeps.
 
 Every function draws into the given Axes, or into a figure of its own, and returns the Axes; ``ax.figure.savefig`` saves
 it. Those that draw several panels return the Figure. No global matplotlib state is touched. Coordinates are local metres,

@@ -69,12 +69,10 @@ def _fill(z: np.ndarray) -> np.ndarray:
 
 
 def new_figure(size: tuple[float, float]) -> Any:
-    """An empty figure of this size in inches, without pyplot. Raises: ImportError naming the extra."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("jaxfilter.plots needs matplotlib: pip install 'jaxfilter[plots]'") from error
+    """An empty figure of this size in inches, without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     return figure

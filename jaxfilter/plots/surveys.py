@@ -28,7 +28,7 @@ def footprints(
         gaps: rectangles that are outlined by dashes.
         ax: matplotlib Axes; by default those of a new figure.
 
-    Returns: the Axes. Raises: ImportError if matplotlib is missing.
+    Returns: the Axes.
 
     >>> bounds = np.array([[0.0, 0.0, 50.0, 50.0], [40.0, 0.0, 90.0, 50.0]])
     >>> ax = jf.plots.footprints(bounds, np.array([4.0, 6.0]), label="points per m2", overlaps=np.array([[0, 1]]))

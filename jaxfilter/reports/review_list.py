@@ -58,7 +58,7 @@ def review(
     (m2), ``points`` (judged), ``expected_errors``, ``mean_doubt``, ``reason`` (the decision to which most of the doubt
     belongs) and ``geometry``. No row if no point was judged.
     Raises: ParameterError; InputError (a result without doubt or of another length, too many squares); OutputError (suffix,
-    exists, disk); ImportError without geopandas and pyogrio. Warns: if a file is written and the cloud has no CRS.
+    exists, disk). Warns: if a file is written and the cloud has no CRS.
 
     >>> places = jf.review(cloud, result, "places.geojson", area=10.0)
     >>> places["rank"].tolist() == list(range(1, len(places) + 1))
@@ -71,7 +71,8 @@ def review(
     target = None if path is None else Path(path)
     if target is not None:
         check_suffix(target)
-    geopandas, _ = libraries()
+    import geopandas
+
     cloud = as_cloud(cloud)
     doubt = doubt_of(result)
     if len(doubt) != len(cloud):
@@ -103,17 +104,6 @@ def check_suffix(path: Path) -> None:
     """Raises OutputError if a list of places cannot be written to a file of this name."""
     if path.suffix.lower() not in DRIVERS:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
-
-
-def libraries() -> tuple[Any, Any]:
-    """geopandas and shapely. Raises ImportError, naming the extra, without them or without pyogrio."""
-    try:
-        import geopandas
-        import pyogrio  # noqa: F401
-        import shapely
-    except ImportError as error:
-        raise ImportError("lists of places need geopandas and pyogrio: pip install 'jaxfilter[review]'") from error
-    return geopandas, shapely
 
 
 def doubt_of(result: FilterResult) -> np.ndarray:
@@ -155,7 +145,8 @@ def _described(found: Squares, label: np.ndarray, doubt: np.ndarray, decision: n
 
 def _shapes(cloud: Any, found: Squares, label: np.ndarray) -> list[Any]:
     """A polygon for each place, in the coordinates of the cloud."""
-    _, shapely = libraries()
+    import shapely
+
     rows = np.flatnonzero(label >= 0)
     rows = rows[np.argsort(label[rows], kind="stable")]
     centre, half = found.centres(rows), found.grid.cell / 2

@@ -133,14 +133,12 @@ class RunReport:
         return found | {"complete": self.complete}
 
     def draw(self, place: Place) -> None:
-        """Write a map, if matplotlib is there: share of ground of each tile, those set aside with dashes, and objects that the
+        """Write a map: share of ground of each tile, those set aside with dashes, and objects that the
         border cuts as dots, large ones for those that are ground. Raises: OutputError."""
         if not 0 < len(self.cores) <= _MOST_DRAWN:
             return
-        try:
-            from ..plots import footprints
-        except ImportError:
-            return
+        from ..plots import footprints
+
         shares = np.where(self.state >= 0, 100 * self.state, np.nan)
         aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
         ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)

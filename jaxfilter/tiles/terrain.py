@@ -16,7 +16,7 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
 from ..host.files import Bounds, Seal, check_bounds, is_there, remove
-from ..host.raster import check_library, check_target, write_mosaic
+from ..host.raster import check_target, write_mosaic
 from ..host.storage import Place, Remote, check_writable, place_of
 from ..terrain import check_settings, interpolated
 from .folder import executor_of, facts_of, work_of
@@ -189,8 +189,7 @@ def terrain_model(
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: TerrainReport; tiles that could not be done are in it.
-    Raises: InputError if no tile has ground; ParameterError; OutputError; JaxfilterError if workers cannot be started;
-    ImportError if rasterio is missing.
+    Raises: InputError if no tile has ground; ParameterError; OutputError; JaxfilterError if workers cannot be started.
 
     >>> report = jf.terrain_model("survey", "dtm.tif", cell=2.0, units="m", workers=1)
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
@@ -200,7 +199,6 @@ def terrain_model(
     settings = {"method": method, "max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
     place = place_of(target)
     check_target(place)
-    check_library()
     collection = begun("terrain_model", what, units, run)
     metre, start = collection.metre, time.perf_counter()
     raster = raster_bounds(collection.bounds if bounds is None else check_bounds(bounds), cell)
