@@ -133,7 +133,9 @@ def page(example: Example) -> str:
 
 
 def run_python(example: Example) -> None:
-    """Run a block; keep what it prints for the block after it."""
+    """Run a block; keep what it prints for the block after it. The README shall warn of nothing."""
+    from jaxfilter.core.errors import JaxfilterWarning
+
     source, names, name = str(example.parsed), example.namespace, page(example)
     code = "\n" * (example.line + 1) + source
     if any(where == name and source.startswith(begin) for where, begin in NOT_RUN):
@@ -148,7 +150,7 @@ def run_python(example: Example) -> None:
         code = code.replace(whole, part)
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("error" if name == "README.md" else "ignore", JaxfilterWarning)
         exec(compile(code, name, "exec"), names)
     names["_said"] = printed.getvalue()
 
@@ -171,7 +173,7 @@ def files_for_commands() -> Path:
     for name in ("reference.laz", "checked.laz"):
         shutil.copy(folder / "site.laz", folder / name)
     town = names["cloud"]
-    east = jf.PointCloud.from_arrays(town.coordinates() + [90.0, 0.0, 0.0], crs=town.crs)
+    east = jf.PointCloud.from_arrays(town.coordinates() + [90.0, 0.0, 0.0], crs=jf.read(folder / "site.laz").crs)
     jf.write(folder / "survey/b.laz", east, names["truth"])
     jf.open(str(folder / "survey")).to_vpc(folder / "survey.vpc")
     (folder / "pipeline.json").write_text('["in.laz", {"type": "filters.smrf", "scalar": 1.2}, "out.laz"]')

@@ -443,6 +443,33 @@ def test_demo_runs_again_from_the_compilation_cache(tmp_path):
     assert first["scores"] == second["scores"] and first["scores"]["kappa"] > 50
     assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(os.path.basename(f) for f in first["files"])
 
+    (folder,) = tmp_path.glob("demo")
+    for name in ("scene.laz", "scene_truth.laz", "scene_ground.laz"):  # a warning on units would be an error
+        assert read(folder / name).crs.to_epsg() == 25832
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+        (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
+        (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
+        (("ground", "in.laz", "out.laz", "--dry-run"), "info IN"),
+        (("compare", "in.laz"), "jf.compare"),
+        (("review", "in.laz"), "ground IN OUT --review places.gpkg"),
+        (("dsm", "in.laz", "out.tif"), "output_type=max"),
+        (("hillshade", "in.laz"), "report IN page.html"),
+        (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+        (("{scene}", "out.laz"), "ground {scene} OUT"),
+    ],
+)
+def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, words):
+    given = [word.format(scene=folder / "scene.laz") for word in arguments]
+    result = run(*given)
+    assert result.exit_code == 2 and words.format(scene=folder / "scene.laz") in result.stderr
+    for command in re.findall(r"jaxfilter ([a-z]+)", result.stderr.partition("Error: ")[2]):
+        assert command in main.commands
+
 
 def test_demo_spares_folders_with_other_files(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")

@@ -100,6 +100,7 @@ def test_public_names_resolve_and_are_the_documented_ones():
     assert typed == set(jaxfilter.__all__)
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = jaxfilter.no_such_name
+    assert dir(jaxfilter) == sorted(jaxfilter.__all__)
 
 
 def test_version_is_said_once_more_in_pyproject_only():

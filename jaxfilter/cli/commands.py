@@ -33,13 +33,53 @@ if TYPE_CHECKING:
     from ..scoring import Scores
 
 
+_INSTEAD = {
+    "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
+    "--resolution": "the side of a grid's cells is --cell, of jaxfilter dtm and of methods on grids, jaxfilter ground smrf "
+    "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
+    "--dry-run": "jaxfilter info IN says what would be read, and nothing is replaced without --overwrite or --in-place",
+    "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
+    "review": "jaxfilter ground IN OUT --review places.gpkg lists the places to look at, jaxfilter report IN page.html shows "
+    "them",
+    "dsm": "jaxfilter dtm makes a model of the ground, jaxfilter height says how high each point lies above it; PDAL's "
+    "writers.gdal with output_type=max makes a model of the highest points",
+    "hillshade": "jaxfilter report IN page.html shows one; or jaxfilter dtm IN dtm.tif, and then GDAL's gdaldem hillshade "
+    "dtm.tif hillshade.tif",
+    "classify": "that is jaxfilter ground IN OUT",
+    "filter": "that is jaxfilter ground IN OUT",
+}
+"""What is typed first elsewhere, and what to type here."""
+
+
 class Program(click.Group):
     """The command as a whole: it can be stopped, see ``stoppable``."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""
         with stoppable():
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except click.NoSuchOption as error:
+                if error.option_name not in _INSTEAD:
+                    raise
+                words = f"No such option {error.option_name!r}: {_INSTEAD[error.option_name]}."
+                raise click.UsageError(words, error.ctx) from error
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Say what to type where the first word is a method, a file, or the command of another program."""
+        word = args[0]
+        if not ctx.resilient_parsing and self.get_command(ctx, word) is None:
+            from ..filters import FILTERS
+
+            if word in FILTERS:
+                ctx.fail(f"No such command {word!r}: it is a method, jaxfilter ground {word} IN OUT.")
+            if Path(word).exists():
+                ctx.fail(f"No such command {word!r}: it is a file or folder, jaxfilter ground {word} OUT.")
+            if word in _INSTEAD:
+                ctx.fail(f"No such command {word!r}: {_INSTEAD[word]}.")
+        return super().resolve_command(ctx, args)
 
 
 @click.group(cls=Program, context_settings={"help_option_names": ["-h", "--help"]})

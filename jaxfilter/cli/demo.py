@@ -64,7 +64,7 @@ def demo(
             scene = scenes.make("mixed", size=size, density=density, seed=seed)
             _write_scene(directory, scene)
         with session.reading(directory / "scene.laz"):
-            cloud = read(directory / "scene.laz", units="m", progress=session.progress)
+            cloud = read(directory / "scene.laz", progress=session.progress)
         filter_ = FILTERS[method].preset("recommended") if method else default_filter(cloud)
         with session.step("filter", len(cloud)):
             result = filter_(cloud, progress=session.progress)
@@ -83,15 +83,16 @@ def demo(
 
 
 def _write_scene(directory: Path, scene: Scene) -> None:
-    """The scene as delivered (never classified), and with its true classes."""
+    """The scene as delivered (never classified), and with its true classes. The CRS is one that its coordinates fit."""
     import numpy as np
 
     from .. import write
 
     directory.mkdir(parents=True, exist_ok=True)
     nothing = np.zeros(len(scene), bool)
-    write(directory / "scene.laz", scene.cloud, nothing, reset="none", overwrite=True)
-    classified = dataclasses.replace(scene.cloud, classification=scene.classes)
+    cloud = dataclasses.replace(scene.cloud, crs="EPSG:25832")
+    write(directory / "scene.laz", cloud, nothing, reset="none", overwrite=True)
+    classified = dataclasses.replace(cloud, classification=scene.classes)
     write(directory / "scene_truth.laz", classified, nothing, reset="none", overwrite=True)
 
 

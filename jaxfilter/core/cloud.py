@@ -425,7 +425,6 @@ def as_cloud(points: Any) -> PointCloud:
     if is_laspy(points):
         return PointCloud.from_laspy(points)
     if isinstance(points, (str, os.PathLike)):
-        raise InputError(
-            f"{os.fspath(points)}: is a name, and points are needed: read the file first, by jaxfilter.read"
-        )
+        name = os.fspath(points)
+        raise InputError(f"{name}: is the name of a file, and points are needed: pass jaxfilter.read({name!r})")
     return PointCloud.from_structured(points) if is_structured(points) else PointCloud.from_arrays(points)

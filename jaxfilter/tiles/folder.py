@@ -52,7 +52,8 @@ class Folder:
         place = place_of(out)
         if place.suffix.lower() in (*LAS_SUFFIXES, *SUFFIXES) and not (isinstance(place, Path) and place.is_dir()):
             raise ParameterError(
-                f"{place}: a collection is written into a folder, and this is the name of a file: name a folder as OUT"
+                f"{place}: a collection is written into a folder, and this is the name of a file: name a folder as OUT; "
+                "what a filter finds in one cloud is written by jaxfilter.write(OUT, cloud, filter(cloud))"
             )
         folder = cls(place, work_of(run, place, place), target_names(list(collection.uris)))
         folder._prepare(collection, run.get("resume", False), run.get("overwrite", False))
