@@ -18,6 +18,8 @@ from experiments import report, report_page  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
+from experiments.default import doubt  # noqa: E402
+from experiments.defaults import clouds  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
@@ -692,3 +694,16 @@ def test_constants_are_replaced_by_clearly_better_ones_only():
     found = ((np.arange(100) >= 10) & truth) | (np.arange(100) >= 95)
     scores = jf.evaluate(found, truth)
     assert sure.loc[0, ["total", "kappa"]].tolist() == pytest.approx([scores.total, scores.kappa])
+
+
+def test_labels_name_but_some_of_the_ground_if_most_points_on_it_have_others():
+    """Of 100 points on a slope every fourth is labelled as ground; 100 points 3 m above it count for nothing."""
+    x, y = (v.ravel() for v in np.mgrid[:10, :10])
+    slope = np.stack([x, y, 0.3 * x], axis=1)
+    cloud = jf.PointCloud.from_arrays(np.concatenate([slope, slope + [0.0, 0.0, 3.0]]).astype(np.float64))
+    corners = ((x == 0) | (x == 9)) & ((y == 0) | (y == 9))
+    ground = np.append(corners | (np.arange(100) % 4 == 1), np.zeros(100, bool))
+    known = clouds.Known("slope", "source", cloud, ground, np.ones(200, bool))
+    assert doubt.unnamed(known) == pytest.approx(1 - ground[:100].mean())
+    judged = doubt.Judged(known, "tiles", *[np.empty(0)] * 4, doubt.unnamed(known))
+    assert not judged.trains and doubt.Judged(known, "tiles", *[np.empty(0)] * 4, 0.4).trains

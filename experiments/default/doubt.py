@@ -225,7 +225,6 @@ def main() -> None:
     pooled = {"ISPRS samples": samples}
     for kind in ("tiles", "scenes"):
         pooled[f"{kind}, left out"] = [(one, p) for one, p in apart if one.kind == kind]
-    pooled["tiles but thinned labels"] = [(one, p) for one, p in pooled["tiles, left out"] if one.trains]
     tests = {
         name: (np.concatenate([p for _, p in some]), np.concatenate([one.wrong for one, _ in some]))
         for name, some in pooled.items()
@@ -234,7 +233,9 @@ def main() -> None:
     for row, some in zip(rows, pooled.values(), strict=True):
         named = np.array([listed(one, p) for one, p in some]).sum(axis=0)
         row["listed"] = 100 * named[0] / max(named[1], 1)
-    each = [{"what": one.known.name, **figures(p, one.wrong)} for one, p in samples + apart]
+    each = [
+        {"what": one.known.name, **figures(p, one.wrong), "unnamed": 100 * one.unnamed} for one, p in samples + apart
+    ]
     for row, (one, p) in zip(each, samples + apart, strict=True):
         named = listed(one, p)
         row["listed"] = 100 * named[0] / max(named[1], 1)
@@ -247,7 +248,12 @@ def main() -> None:
         ("listed", "errors in the first 5 % of the area, %", ".1f"),
     ]  # fmt: skip
     table = tables.markdown(columns, rows)
-    (results / "doubt.md").write_text(table + "\n\n" + tables.markdown(columns, each) + "\n")
+    (results / "doubt.md").write_text(
+        table
+        + "\n\n"
+        + tables.markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
+        + "\n"
+    )
     picture(tests, results / "doubt.png")
     print(table)
     if arguments.write:
