@@ -52,7 +52,7 @@ def knn_outliers(
 ) -> np.ndarray:
     """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024).
 
-    The statistic is the difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
+    The statistic is the absolute difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
     in 3-D, itself excluded. Outliers exceed its mean over the cloud by more than ``deviations`` standard deviations.
     The paper's own formula compares metres with square metres and cannot be applied as printed.
 
