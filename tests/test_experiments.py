@@ -20,7 +20,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
-from experiments.isprs import protocols, samples, search, spaces  # noqa: E402
+from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
@@ -707,3 +707,18 @@ def test_labels_name_but_some_of_the_ground_if_most_points_on_it_have_others():
     assert doubt.unnamed(known) == pytest.approx(1 - ground[:100].mean())
     judged = doubt.Judged(known, "tiles", *[np.empty(0)] * 4, doubt.unnamed(known))
     assert not judged.trains and doubt.Judged(known, "tiles", *[np.empty(0)] * 4, 0.4).trains
+
+
+def test_methods_are_marked_whose_defaults_were_chosen_with_errors_on_the_samples_known():
+    """By the table of origins; the search for low clusters is told of all methods together."""
+    origins = report.read_csv(ROOT / "experiments/defaults/origins.csv")
+    known = {
+        method
+        for row in origins
+        if row["field"] != "low_clusters" and "ISPRS" in str(row["looked_at"])
+        for method in str(row["methods"]).split()
+    }
+    assert set(tables.SHARED) == known
+    lines = (line.split("|") for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("| `"))
+    figures = {line[1].strip(" `"): line[3:5] for line in lines if len(line) == 8}
+    assert known <= set(figures) and all(tables.MARK in cell for name in known for cell in figures[name])

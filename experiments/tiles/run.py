@@ -80,6 +80,7 @@ def report(rows: list[Row], command: str) -> str:
         "# Six labelled tiles, one set per method", "", f"`{command}` on {machine()}.", "",
         "Every method as `for_cloud(cloud)` gives it: defaults, and what follows from the point spacing. OST's defaults "
         "were found on these tiles, twelve others, the ISPRS samples and scenes. Of the others no default was chosen here but "
+        "the limit for large clusters of low points, which all methods but SMRF search for, and "
         f"PPDF's, on {SHARED['ppdf']} (and simulated forests): its figure there is marked {MARK}, and its "
         f"mean stands with and without that tile. All echoes are filtered; only points of classes 7 and 18 are set aside, so "
         "that no method profits from water, bridges or artefacts that a producer has classified. Points are scored as class 2 "
