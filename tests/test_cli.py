@@ -471,6 +471,13 @@ def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, wor
         assert command in main.commands
 
 
+def test_names_of_files_in_python_are_answered_with_the_call_that_takes_them(folder):
+    with pytest.raises(jf.ParameterError, match=r"out.laz: .*jaxfilter\.write\(OUT, cloud, filter\(cloud\)\)"):
+        jf.ground(folder / "scene.laz", folder / "out.laz", units="m")
+    with pytest.raises(jf.InputError, match=r"pass jaxfilter\.read\('in.laz'\)"):
+        jf.SMRF()("in.laz")
+
+
 def test_demo_spares_folders_with_other_files(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     assert_one_line(run("demo", tmp_path), 2, "mine.txt", "--overwrite")
