@@ -57,16 +57,18 @@ def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float |
         for asked in halos:
             halo = filter_.tile_halo() if asked is None else asked
             start = time.process_time()
-            ground, plan = tiled(one, filter_, cuts, halo, folder)
+            ground, seen = tiled(one, filter_, cuts, halo, folder)
             differ = int((ground != whole).sum())
             scores = jf.evaluate(ground, one.truth, ignore=~one.scored)
             row = {
-                "survey": one.name, "method": name, "points": len(whole), "tiles": len(plan), "halo": halo,
+                "survey": one.name, "method": name, "points": len(whole), "tiles": len(seen), "halo": halo,
+                "partial": int((seen < 1).sum()), "seen": float(np.median(seen)),
                 "default": asked is None, "differ": differ, "share": differ / len(whole), "total": total,
                 "moved": scores.total - total, "cpu": time.process_time() - start,
             }  # fmt: skip
             print(
-                f"{one.name:28} {name:6} halo {halo:5.0f} m {len(plan):3} tiles: {differ:6} labels differ, "
+                f"{one.name:28} {name:6} halo {halo:5.0f} m {len(seen):3} tiles, {row['partial']} partial: "
+                f"{differ:6} labels differ, "
                 f"{100 * differ / len(whole):.4f} %, total error {total:.3f} % {scores.total - total:+.3f}",
                 file=sys.stderr,
                 flush=True,
@@ -74,8 +76,11 @@ def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float |
             yield row
 
 
-def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path) -> tuple[np.ndarray, Plan]:
-    """bool[n]: labels of the tiles of a run, and its plan."""
+def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """bool[n]: labels of the tiles of a run; and f64[tiles], the share of all points that each tile with points sees.
+
+    A tile that sees all points tests nothing: it is the whole.
+    """
     files = one.collection
     plan = plan_tiles(
         files.footprints,
@@ -96,7 +101,8 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
         lows = [low for tile in tiles if (low := survey_tile(job, tile)) is not None]
         job = dataclasses.replace(job, whole=dataclasses.replace(whole, lowest=min(lows)))
     ground = np.zeros(len(one.cloud), bool)
-    seen = np.zeros(len(one.cloud), np.int8)
+    times = np.zeros(len(one.cloud), np.int8)
+    seen = []
     for tile in tiles:
         around = read_tile(job, tile)
         if not around.core.any():
@@ -104,10 +110,11 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
         found = filter_(around.cloud, workers=1).ground[around.core]
         at = one.first[around.file[around.core]] + around.record[around.core]
         ground[at] = found
-        seen[at] += 1
-    if not (seen == 1).all():
-        raise AssertionError(f"{int((seen != 1).sum())} points have not exactly one label")
-    return ground, plan
+        times[at] += 1
+        seen.append(len(around.cloud) / len(one.cloud))
+    if not (times == 1).all():
+        raise AssertionError(f"{int((times != 1).sum())} points have not exactly one label")
+    return ground, np.array(seen)
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
