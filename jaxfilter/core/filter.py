@@ -224,8 +224,7 @@ class Filter:
         """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
 
         A method overrides this where sets can share work. Here sets that differ in ``LAST`` only share all but the last step,
-        and several are classified at a time, in threads. Each set has the labels of ``classify``, to the last bit of the
-        arithmetic. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
+        and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
 
         Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
 

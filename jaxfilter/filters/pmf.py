@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import bucket
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
@@ -87,6 +88,7 @@ class PMF(GridFilter):
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2003
     ORDER_FREE: ClassVar[bool] = True
+    AT_ONCE: ClassVar[int] = 16
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: disks, successive surfaces are compared, clusters of low points are barred"
@@ -170,6 +172,12 @@ class PMF(GridFilter):
     def surface(self, prepared: tuple[Cells, jax.Array]) -> Surface:
         """Steps 2 to 4. Pure."""
         return self._open(*prepared, self.thresholds())
+
+    def surfaces(self, prepared: tuple[Cells, jax.Array], sets: Sequence[Self]) -> list[Surface]:
+        """:meth:`surface` of every set; they share the openings. Limits are sums, which no program rounds differently."""
+        padded = [*sets, *sets[-1:] * (bucket(len(sets), 1) - len(sets))]
+        opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
+        return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
 
     @jax.jit
     def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:

@@ -139,18 +139,12 @@ def _swept(
 ) -> tuple[np.ndarray, bool]:
     """Codes u8[n] or u16[n] of sets that are classified anew, and whether they are nested."""
     points = filter_.points_of(cloud)
-    if tested:
-        assert isinstance(filter_, GridFilter)
-        votes = filter_.votes(points, sets, workers=workers)  # type: ignore[arg-type]
-        code = np.full(len(cloud), len(sets), np.uint8)
-        code[points.index] = (len(sets) - votes)[points.member]
-        return code, True
-    bits = np.zeros(len(points), np.uint16)
+    out = np.full(len(cloud), len(sets) if tested else 0, np.uint8 if tested else np.uint16)
+    code = np.zeros(len(points), out.dtype)
     for done, (number, ground) in enumerate(
         filter_.ground_each(points, sets, key=None, workers=workers, memory=_MEMORY), 1
     ):
-        bits |= ground.astype(np.uint16) << np.uint16(number)
+        code += ~ground if tested else ground * np.uint16(1 << number)
         progress(done / len(sets), "slider")
-    out = np.zeros(len(cloud), np.uint16)
-    out[points.index] = bits[points.member]
-    return out, False
+    out[points.index] = code[points.member]
+    return out, tested

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
@@ -11,21 +12,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, in_turn
+from ..core.compilation import in_turn
 from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
 from ..ops.sampling import bilinear
 from .outliers import bar_outliers
-from .surfaces import Cells, cell_values, chunks, hold_against, lowest_cells, steepness
+from .surfaces import Cells, cell_values, hold_against, lowest_cells, steepness
 
-_SURFACES, _SETS = (4, 16), 32
-"""In a sweep: surfaces made at a time, in a short one and in others, and sets held against one of them at a time."""
 _CELL_BYTES, _POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each surface of a sweep."""
-_ROUNDING = 4e-7
-"""Share of the elevations: programs that were compiled for one set and for several round differently by less."""
 
 
 class Surface(NamedTuple):
@@ -106,6 +103,8 @@ class GridFilter(Filter):
 
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
+    AT_ONCE: ClassVar[int] = 1
+    """Surfaces that :meth:`surfaces` makes in one call."""
 
     def lattice(self) -> float:
         """The cells."""
@@ -185,6 +184,17 @@ class GridFilter(Filter):
         """
         return _between(surface, xyz)
 
+    def surfaces(self, prepared: Any, sets: Sequence[Self]) -> list[Surface]:
+        """:meth:`surface` of every set, to the bit; at most ``AT_ONCE``.
+
+        >>> cells = jf.PMF().cells(jf.PMF().points_of(cloud))
+        >>> sets = [jf.PMF(slope=0.2), jf.PMF(slope=0.3)]
+        >>> many = jf.PMF().surfaces(jf.PMF().prepare(cells), sets)
+        >>> bool((many[1].limits[0] == sets[1].model(cells).limits[0]).all())
+        True
+        """
+        return [one.surface(prepared) for one in sets]
+
     def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure.
 
@@ -213,39 +223,24 @@ class GridFilter(Filter):
     def ground_each(
         self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
     ) -> Iterator[tuple[int, np.ndarray]]:
-        """``vmap`` of the model over all sets, which share what ``prepare`` makes; see the class :class:`Filter`."""
+        """All sets share what ``prepare`` makes, and those that :meth:`deciding` calls alike the surface; each is then held
+        against it by the program that ``classify`` runs, since another one would round differently."""
         prepared = self.prepare(self.cells(points, self.barred(points, workers)))
-        keys = self.deciding(prepared, sets)
-        groups = sorted(alike(keys), key=lambda numbers: keys[numbers[0]])  # surfaces made together are alike
-        jobs = sorted((part[k : k + _SETS] for part in groups for k in range(0, len(part), _SETS)), key=len)
-        wide = bucket(min(_SETS, max(map(len, alike(values_but(self.TESTED, sets))), default=1)), 1)
         size = max(a.size for a in jax.tree.leaves(prepared))
         room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
-        most = int(np.clip(room, 1, _SURFACES[len(jobs) > _SURFACES[0]]))
+        threads, most = workers or os.cpu_count() or 1, max(1, min(self.AT_ONCE, room))
+        groups = alike(self.deciding(prepared, sets))
+        batches = [groups[start : start + most] for start in range(0, len(groups), most)]
 
-        def stacked(rows: list[list[int]]) -> GridFilter:
-            """The sets of these numbers, [rows, numbers]."""
-            leaves = (sets[number] for row in rows for number in row)
-            return jax.tree.map(lambda *values: np.asarray(values, np.float32).reshape(len(rows), -1), *leaves)
+        def made(batch: list[list[int]]) -> list[Surface]:
+            return self.surfaces(prepared, [sets[numbers[0]] for numbers in batch])
 
-        def passed(some: list[list[int]]) -> np.ndarray:
-            """bool[jobs, sets, m], of as many sets as the longest job has, and the last of the others over and over."""
-            longest = -(-max(map(len, some)) // wide) * wide
-            padded = [job + job[-1:] * (longest - len(job)) for job in some + some[-1:] * (most - len(some))]
-            parts = [stacked([job[k : k + wide] for job in padded]) for k in range(0, longest, wide)]
-            surfaces = _surfaces(jax.tree.map(lambda leaf: leaf[:, 0], parts[0]), prepared)
-            ground = [
-                np.concatenate([_passed(part, surfaces, chunk) for part in parts], axis=1)[
-                    ..., : rows.stop - rows.start
-                ]
-                for rows, chunk in chunks(points.xyz)
-            ]
-            return np.concatenate(ground, axis=-1)
-
-        batches = [jobs[start : start + most] for start in range(0, len(jobs), most)]
-        threads = max(1, min(workers or os.cpu_count() or 1, room // most, len(batches)))
-        for some, ground in in_turn(passed, batches, threads):
-            yield from ((number, ground[i, k]) for i, job in enumerate(some) for k, number in enumerate(job))
+        for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
+            for numbers, surface in zip(batch, surfaces, strict=True):
+                passed = functools.partial(_passed, surface, points.xyz)
+                some = [sets[number] for number in numbers]
+                for number, (_, ground) in zip(numbers, in_turn(passed, some, threads), strict=True):
+                    yield number, ground
 
     def deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
         """For every set what decides its surface: those with equal values share it.
@@ -256,31 +251,6 @@ class GridFilter(Filter):
         False
         """
         return values_but(self.TESTED, sets)
-
-    def votes(self, points: Points, sets: Sequence[Self], *, workers: int | None = None) -> np.ndarray:
-        """i32[m]: how many sets call each point ground. They differ in the fields in ``TESTED`` only and share the surface.
-
-        The labels are those of ``classify``: points so near to a threshold that rounding may decide are held against the
-        surface once more, in the way it does.
-
-        >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5, 0.7)]
-        >>> votes = sets[0].votes(sets[0].points_of(cloud), sets)
-        >>> int(votes.min()), int(votes.max())
-        (0, 3)
-        """
-        surface = self.model(self.cells(points, self.barred(points, workers)))
-        stacked = jax.tree.map(lambda *leaves: np.asarray(leaves, np.float32), *sets)
-        near = np.float32(_ROUNDING * (1.0 + float(np.abs(points.xyz[:, 2]).max())))
-        counted, doubtful = hold_against(points.xyz, lambda chunk: _votes(stacked, surface, chunk, near))
-        votes, again = counted.astype(np.int32), np.flatnonzero(doubtful)
-        xyz = points.xyz[again]
-        margins = np.asarray(hold_against(xyz, lambda chunk: tuple(_margins(stacked, surface, chunk))), np.float32)
-        for one, margin in zip(sets, margins, strict=False):
-            rows = np.flatnonzero(np.abs(margin) <= near)
-            held = hold_against(xyz[rows], lambda chunk, one=one: one.test(surface, chunk))  # type: ignore[misc]
-            if held:
-                votes[again[rows]] += labels_of(*held).ground.astype(np.int32) - (margin[rows] <= 0)
-        return votes
 
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:
@@ -303,42 +273,10 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
     return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
 
 
-@jax.jit
-def _surfaces(filters: GridFilter, prepared: Any) -> Surface:
-    """The surface of every filter of a stack."""
-    return jax.vmap(lambda one: one.surface(prepared))(filters)
-
-
-@jax.jit
-def _passed(filters: GridFilter, surfaces: Surface, xyz: jax.Array) -> jax.Array:
-    """bool[surfaces, sets, n]: points that are ground by every filter of [surfaces, sets]."""
-
-    def one_surface(row: GridFilter, surface: Surface) -> jax.Array:
-        return jax.vmap(lambda one: one.test(surface, xyz).margin <= 0)(row)
-
-    return jax.vmap(one_surface)(filters, surfaces)
-
-
-@jax.jit
-def _votes(filters: GridFilter, surface: Surface, xyz: jax.Array, near: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """How many filters of a stack call each point ground, i32[n], and points that lie within ``near`` metres of a limit.
-
-    One filter after the other: what they share is computed once, and not once for each as under ``vmap``.
-    """
-
-    def add(counted: tuple[jax.Array, jax.Array], one: GridFilter) -> tuple[tuple[jax.Array, jax.Array], None]:
-        votes, doubtful = counted
-        margin = one.test(surface, xyz).margin
-        return (votes + (margin <= 0), doubtful | (jnp.abs(margin) <= near)), None
-
-    start = jnp.zeros(len(xyz), jnp.int32), jnp.zeros(len(xyz), bool)
-    return jax.lax.scan(add, start, filters)[0]
-
-
-@jax.jit
-def _margins(filters: GridFilter, surface: Surface, xyz: jax.Array) -> jax.Array:
-    """f32[sets, n]: the margins of points for every filter of a stack."""
-    return jax.lax.map(lambda one: one.test(surface, xyz).margin, filters)
+def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
+    """bool[n]: the points f32[n, 3] that are ground, as by :func:`labels_of`."""
+    above, below = hold_against(xyz, lambda chunk: one.test(surface, chunk)[2:])
+    return np.maximum(above, below) <= 0
 
 
 @jax.jit
