@@ -18,6 +18,7 @@ VARIANTS = {
 }
 """Parameters that take other ways through the compiled functions than the defaults do."""
 
+STRICT = {"JAX_NUMPY_RANK_PROMOTION": "raise", "JAX_NUMPY_DTYPE_PROMOTION": "strict"}
 SCRIPT = """
 import sys
 import jax
@@ -52,7 +53,7 @@ def results():
 @pytest.mark.skipif(os.environ.get("JAX_ENABLE_X64") == "1", reason="this process has it")
 def test_all_methods_give_the_same_with_64_bits(tmp_path):
     path = str(tmp_path / "x64.npz")
-    environment = {**os.environ, "JAX_ENABLE_X64": "1"}
+    environment = {**os.environ, "JAX_ENABLE_X64": "1", **STRICT}
     other = subprocess.Popen([sys.executable, "-c", SCRIPT, path], cwd=Path(__file__).parent, env=environment)
     here = results()
     assert other.wait(timeout=300) == 0

@@ -9,11 +9,12 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar, Self
 
+import jax
 import numpy as np
 
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn
-from .errors import ParameterError, warn
+from .errors import InputError, ParameterError, warn
 from .forks import need_threads
 from .markup import table
 from .params import Preset, check_fields, declared, plain_fields
@@ -271,19 +272,35 @@ class Filter:
         >>> jf.SMRF(slope=0.2)(cloud, workers=1).status.message
         'finished'
         """
-        self.check()
+        one = self.replace()  # checked, and with plain numbers, which trees may hold as arrays
+        one._need_values(cloud)
         check_resources(workers)
         cloud, start = as_cloud(cloud), time.perf_counter()
-        points = self.points_of(cloud)
+        points = one.points_of(cloud)
         labels = degenerate(cloud, points)
         if labels is None:
-            labels = self.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
+            labels = one.classify(points, key=key, workers=workers, progress=progress or silent, trace=trace)
         else:
             warn(f"{type(self).__name__}: {labels.status.message}")
             if self.DOUBTS:
                 labels.doubt = np.full(len(labels.ground), np.nan, np.float32)
         result = expand(cloud, points, labels)
-        return dataclasses.replace(result, run=Run(self, cloud, time.perf_counter() - start))
+        return dataclasses.replace(result, run=Run(one, cloud, time.perf_counter() - start))
+
+    def _need_values(self, cloud: Any) -> None:
+        """Raises: InputError for a traced array, ParameterError for a traced field: files, sorting and triangulation need values."""
+        name = type(self).__name__
+        advice = f"{name} cannot be called within jax.jit, vmap or grad, since it works on values; "
+        if hasattr(self, "model"):
+            advice += "trace its model and test: test(model(cells), xyz), with cells = filter.cells(filter.points_of(cloud))"
+        else:
+            advice += "SMRF, PMF and MSF have a model and a test that can be traced"
+        advice += " (docs/arrays.md)"
+        if isinstance(cloud, jax.core.Tracer):
+            raise InputError(f"{name}(...)(cloud): the cloud is a traced array; {advice}")
+        for field in declared(self):
+            if isinstance(getattr(self, field.name), jax.core.Tracer):
+                raise ParameterError(f"{name}({field.name}=...)(cloud): the field is traced; {advice}")
 
     def _repr_html_(self) -> str:
         rows = []

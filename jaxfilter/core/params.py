@@ -172,13 +172,18 @@ def plain_fields(params: Any) -> None:
     """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place; 3.0 by 3
     in fields of whole numbers."""
     for f in dataclasses.fields(params):
-        value = getattr(params, f.name)
-        if isinstance(value, np.generic | np.ndarray | jax.Array) and not _traced(value) and np.ndim(value) == 0:
-            value = value.item()
+        value = _plain(getattr(params, f.name))
         if _is_whole(f) and isinstance(value, float) and value.is_integer():
             value = int(value)
         if value is not getattr(params, f.name):
             object.__setattr__(params, f.name, value)
+
+
+def _plain(value: Any) -> Any:
+    """A concrete scalar of NumPy or JAX, or array without dimensions, as Python's own; all else as it is."""
+    if isinstance(value, np.generic | np.ndarray | jax.Array) and not _traced(value) and np.ndim(value) == 0:
+        return value.item()
+    return value
 
 
 def _is_whole(field: dataclasses.Field[Any]) -> bool:
@@ -197,7 +202,7 @@ def check_fields(params: Any) -> None:
     """
     name = type(params).__name__
     for f in dataclasses.fields(params):
-        value, meta = getattr(params, f.name), f.metadata
+        value, meta = _plain(getattr(params, f.name)), f.metadata
         if _traced(value):
             if meta.get("static"):
                 raise ParameterError(

@@ -235,7 +235,7 @@ def _lowest(points: Points, barred: np.ndarray) -> np.float32:
 @jax.jit
 def _test(xyz: jax.Array, cloth: jax.Array, frame: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Height of points over the cloth (m) and the slope of the cloth there (degrees), f32[n] each."""
-    values, u, v = corners((xyz[:, :2] - frame[:2]) / frame[2], extent, cloth.shape[1])
+    values, u, v = corners((xyz[:, :2] - frame[None, :2]) / frame[2], extent, cloth.shape[1])
     southwest, southeast, northwest, northeast = values(cloth)
     south, north = southwest + u * (southeast - southwest), northwest + u * (northeast - northwest)
     east = (1 - v) * (southeast - southwest) + v * (northeast - northwest)

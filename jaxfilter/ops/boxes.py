@@ -52,7 +52,7 @@ def box_minima(values: jax.Array, bins: Bins, half: jax.Array, shape: tuple[int,
     """
     rows, columns = shape
     xy, frame = bins.xy, bins.frame
-    true = jnp.arange(len(xy)) < bins.starts[-1]
+    true = jnp.arange(len(xy), dtype=jnp.int32) < bins.starts[-1]
 
     def bin_of(v: jax.Array, axis: int) -> jax.Array:
         return jnp.floor((v - frame[axis]) / frame[2]).astype(jnp.int32)
@@ -80,12 +80,12 @@ def box_minima(values: jax.Array, bins: Bins, half: jax.Array, shape: tuple[int,
         lasts = [bins.starts[r * columns + east + 1] for r in (south, north)]
         firsts += [n + bins.starts_across[c * rows + south + 1] for c in (west, east)]
         lasts += [n + bins.starts_across[c * rows + north] for c in (west, east)]
-        first, count = jnp.stack(firsts), jnp.where(known, jnp.stack(lasts) - jnp.stack(firsts), 0)
+        first, count = jnp.stack(firsts), jnp.where(known[None], jnp.stack(lasts) - jnp.stack(firsts), 0)
 
         def look(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             k, low = state
             px, py, value = jnp.moveaxis(both[jnp.where(k < count, first + k, 0)], -1, 0)
-            within = (k < count) & (jnp.abs(px - x) <= half) & (jnp.abs(py - y) <= half)
+            within = (k < count) & (jnp.abs(px - x[None]) <= half) & (jnp.abs(py - y[None]) <= half)
             return k + 1, jnp.minimum(low, jnp.where(within, value, jnp.inf).min(axis=0))
 
         low = lax.while_loop(lambda state: state[0] < count.max(), look, (jnp.int32(0), low))[1]

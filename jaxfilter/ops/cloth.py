@@ -138,12 +138,12 @@ def lowest_below(
 
     Returns: f32[rows, columns], zero where there is no point; bool[rows, columns].
     """
-    at = (xyz[:, :2] - frame[:2]) / frame[2]
+    at = (xyz[:, :2] - frame[None, :2]) / frame[2]
     node = jnp.floor(at + 0.5).astype(jnp.int32)
     column, row = jnp.clip(node[:, 0], 0, extent[1] - 1), jnp.clip(node[:, 1], 0, extent[0] - 1)
     index, cells = row * shape[1] + column, shape[0] * shape[1]
     if nearest:
-        distance = jnp.where(carries, ((at - node) ** 2).sum(axis=1), jnp.inf)
+        distance = jnp.where(carries, ((at - node.astype(at.dtype)) ** 2).sum(axis=1), jnp.inf)
         carries &= distance == jnp.full(cells, jnp.inf, distance.dtype).at[index].min(distance)[index]
     lowest = jnp.full(cells, jnp.inf, xyz.dtype).at[index].min(jnp.where(carries, xyz[:, 2], jnp.inf)).reshape(shape)
     carried = lowest < jnp.inf

@@ -53,7 +53,7 @@ def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Ar
     >>> grid.cell_index(xy, jnp.zeros(2), jnp.float32(1.0), jnp.array([2, 4]), columns=4).tolist()
     [0, 7]
     """
-    step = jnp.floor((xy[:, :2] - corner) / cell).astype(jnp.int32)
+    step = jnp.floor((xy[:, :2] - corner[None]) / cell).astype(jnp.int32)
     column = jnp.clip(step[:, 0], 0, extent[1] - 1)
     row = jnp.clip(step[:, 1], 0, extent[0] - 1)
     return row * columns + column

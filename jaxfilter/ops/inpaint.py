@@ -238,17 +238,20 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         *_, error, rounds = state
         return jnp.any(error > tolerance) & (rounds < max_rounds)
 
+    def each(of_grid: jax.Array) -> jax.Array:
+        return of_grid[None, None] if many else of_grid
+
     def advance(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         x, force, direction, product, before, rounds = state
         open_ = before > tolerance  # a grid that is done stays as it is until the others are
         step = lax.optimization_barrier(_v_cycle(levels, inverses, plan, force))
         new_product = _dot(force, step)
-        direction = lax.optimization_barrier(step + jnp.where(open_, new_product / product, 0) * direction)
+        direction = lax.optimization_barrier(step + each(jnp.where(open_, new_product / product, 0)) * direction)
         pull = lax.optimization_barrier(_forces(levels[0], direction))
         length = new_product / jnp.maximum(_dot(direction, pull), jnp.finfo(z.dtype).tiny)
         length = jnp.where(open_, length, 0)
         error = jnp.where(open_, jnp.abs(step).max(axis=(0, 1)), before)
-        return x + length * direction, force - length * pull, direction, new_product, error, rounds + 1
+        return x + each(length) * direction, force - each(length) * pull, direction, new_product, error, rounds + 1
 
     zero, infinite = jnp.zeros_like(start), jnp.full(start.shape[2:], jnp.inf, start.dtype)
     state: tuple[jax.Array, ...] = (zero, force, zero, infinite, infinite, jnp.int32(0))

@@ -43,6 +43,14 @@ def _ordered(z: jax.Array, dtype: Any = None) -> jax.Array:
     return bits if dtype is None else lax.bitcast_convert_type(bits, dtype)
 
 
+def _check_grid(z: jax.Array, valid: jax.Array | None = None) -> None:
+    """Raises: ValueError, which names the shape."""
+    if jnp.ndim(z) != 2:
+        raise ValueError(f"z of shape {jnp.shape(z)}: a grid [rows, columns] is needed; jax.vmap goes over several grids")
+    if valid is not None and jnp.shape(valid) != jnp.shape(z):
+        raise ValueError(f"valid of shape {jnp.shape(valid)}: the shape of z is needed, {jnp.shape(z)}")
+
+
 def _isqrt(n: jax.Array) -> jax.Array:
     """Integer square root; exact below 2**24, where float32 represents all integers and rounds square roots correctly."""
     return jnp.floor(jnp.sqrt(jnp.maximum(n, 0).astype(jnp.float32))).astype(jnp.int32)
@@ -220,13 +228,14 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
         element: "disk" takes the cells within the Euclidean distance ``radius`` (radius 1 is the cross of five cells),
             "square" those within ``radius`` rows and columns, "diamond" those within ``radius`` steps along rows and columns.
 
-    Returns: f32[rows, columns]. Raises: ValueError for another element.
+    Returns: f32[rows, columns]. Raises: ValueError for another element, and for arrays that are no grid of two dimensions.
 
     >>> from jaxfilter.ops import morphology
     >>> z = jnp.zeros((5, 5)).at[2, 2].set(-3.0)
     >>> morphology.erosion(z, 1, reach=4).astype(int).tolist()[2]
     [0, -3, -3, -3, 0]
     """
+    _check_grid(z)
     return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
@@ -256,7 +265,8 @@ def opening(
     >>> float(morphology.opening(z, 1, reach=4).max())
     0.0
     """
-    there = jnp.ones(z.shape, bool) if valid is None else valid
+    there = jnp.ones(jnp.shape(z), bool) if valid is None else valid
+    _check_grid(z, there)
     return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
 
 
@@ -293,6 +303,7 @@ def progressive_opening(
     """
 
     z, radii = jnp.asarray(z), jnp.asarray(radii, jnp.int32)
+    _check_grid(z, valid)
     if len(radii) == 0:
         return z, found
 

@@ -121,7 +121,7 @@ def consensus_planes(
         return mask & (jnp.abs(residuals(centre, normal)) <= distance)
 
     def hypothesis(best: _Best, draw: jax.Array) -> tuple[_Best, None]:
-        pick = jnp.minimum((draw * points[:, None]).astype(jnp.int32), points[:, None] - 1)
+        pick = jnp.minimum((draw[None] * points[:, None].astype(draw.dtype)).astype(jnp.int32), points[:, None] - 1)
         a, b, c = jnp.moveaxis(xyz[row[:, None] + pick // WIDTH, pick % WIDTH], 1, 0)
         normal = jnp.cross(b - a, c - a)
         length = jnp.linalg.norm(normal, axis=1)
@@ -129,7 +129,7 @@ def consensus_planes(
         usable = (normal[:, 2] > 0) & (normal[:, 2] >= jnp.cos(jnp.deg2rad(max_slope)))
         score = jnp.where(usable, total(near_plane(a, normal).sum(axis=1, dtype=jnp.int32)), -1)
         better = score > best[0]
-        kept = jnp.where(better[:, None], jnp.stack([a, normal]), jnp.stack(best[1:]))
+        kept = jnp.where(better[None, :, None], jnp.stack([a, normal]), jnp.stack(best[1:]))
         return (jnp.maximum(score, best[0]), kept[0], kept[1]), None
 
     up = jnp.zeros((size, 3), jnp.float32).at[:, 2].set(1)
@@ -139,7 +139,7 @@ def consensus_planes(
     near = near_plane(centre, normal)
     inliers = total(near.sum(axis=1, dtype=jnp.int32))
     weight = near.astype(xyz.dtype)[..., None]
-    mean = total((xyz * weight).sum(axis=1)) / jnp.maximum(inliers, 1)[:, None]
+    mean = total((xyz * weight).sum(axis=1)) / jnp.maximum(inliers, 1)[:, None].astype(xyz.dtype)
     x, y, z = jnp.moveaxis((xyz - mean[cell][:, None]) * weight, -1, 0)
     xx, xy, yy, xz, yz = (total((p * q).sum(axis=1)) for p, q in ((x, x), (x, y), (y, y), (x, z), (y, z)))
     gradient, fitted = gradient_of(inliers, xx, xy, yy, xz, yz)

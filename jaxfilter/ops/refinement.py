@@ -58,6 +58,6 @@ def cell_slopes(index: jax.Array, xyz: jax.Array, counted: jax.Array, cells: int
     return CellSlopes(
         number=block_counts(index, counted, cells),
         first=first,
-        mean=total / jnp.maximum(others, 1),
+        mean=total / jnp.maximum(others, 1).astype(total.dtype),
         least=jnp.where(others > 0, least, 0.0),
     )

@@ -26,9 +26,9 @@ def corners(
         northeast, f32[n] each; and how far the places lie east and north of the first, f32[n] each, 0 to 1.
     """
     last = (jnp.asarray(extent) - 1)[::-1]
-    at = jnp.clip(at, 0, last)
-    low = jnp.minimum(jnp.floor(at).astype(jnp.int32), jnp.maximum(last - 1, 0))
-    (u, v), (column, row) = (at - low).T, low.T
+    at = jnp.clip(at, 0, last[None].astype(at.dtype))
+    low = jnp.minimum(jnp.floor(at).astype(jnp.int32), jnp.maximum(last - 1, 0)[None])
+    (u, v), (column, row) = (at - low.astype(at.dtype)).T, low.T
     right, above = jnp.minimum(column + 1, last[0]), jnp.minimum(row + 1, last[1])
 
     def values(grid: jax.Array) -> Corners:

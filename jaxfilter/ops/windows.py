@@ -90,8 +90,8 @@ def _slide(z: jax.Array, index: jax.Array, count: jax.Array, width: int, stride:
     pair = _lower(pair, ahead(pair, width - run))
     begin = jnp.arange(length, dtype=jnp.int32)[:, None]
     in_last = begin >= (count - 1) * stride
-    last_z = jnp.min(jnp.where(in_last, z, jnp.inf), axis=0)
-    last_index = jnp.min(jnp.where(in_last & (z == last_z), index, none), axis=0)
+    last_z = jnp.min(jnp.where(in_last, z, jnp.inf), axis=0, keepdims=True)
+    last_index = jnp.min(jnp.where(in_last & (z == last_z), index, none), axis=0, keepdims=True)
     window = begin[: pair[0][::stride].shape[0]]
     return (
         jnp.where(window < count - 1, pair[0][::stride], jnp.where(window == count - 1, last_z, jnp.inf)),

@@ -51,7 +51,7 @@ class Surface(NamedTuple):
     def at(self, xyz: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
         """Height of points f32[n, 3] above the surface, metres, and its slope, rise over run; bilinear between cell centres."""
         xyz = jnp.asarray(xyz)
-        sample = bilinear((xyz[:, :2] - self.frame[:2]) / self.frame[2] - 0.5, self.extent, self.z.shape[1])
+        sample = bilinear((xyz[:, :2] - self.frame[None, :2]) / self.frame[2] - 0.5, self.extent, self.z.shape[1])
         return xyz[:, 2] - sample(self.z), sample(self.slope)
 
 

@@ -74,7 +74,7 @@ def _slope(
     row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
     valid = (row < blocks[0]) & (column < blocks[1])
     level = fill_membrane(sums(jnp.where(known, z, 0)) / jnp.maximum(count, 1), count > 0, valid).z
-    weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1) * cell * block / sigma) ** 2)
+    weight = jnp.exp(-0.5 * (jnp.arange(-reach, reach + 1, dtype=z.dtype) * cell * block / sigma) ** 2)
 
     def averaged(a: jax.Array) -> jax.Array:
         a = jnp.where(valid, a, 0)
@@ -95,5 +95,5 @@ def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block
 
 @jax.jit
 def _at_points(slope: jax.Array, xyz: jax.Array, extent: jax.Array, frame: jax.Array, block: jax.Array) -> jax.Array:
-    at = (xyz[:, :2] - frame[:2]) / (frame[2] * block) - 0.5
+    at = (xyz[:, :2] - frame[None, :2]) / (frame[2] * jnp.asarray(block, frame.dtype)) - 0.5
     return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope)

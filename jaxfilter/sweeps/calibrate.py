@@ -119,7 +119,7 @@ class Study:
         workers: int | None = None,
         memory: float = 2e9,
     ) -> None:
-        check_filter(filter_)
+        filter_ = check_filter(filter_)
         check_resources(workers, memory)
         _check_whole(folds=folds)
         if score not in SCORES:

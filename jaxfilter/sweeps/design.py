@@ -56,7 +56,7 @@ def make_design(
 
     Raises: ParameterError naming the axis and what is wrong, before anything is computed.
     """
-    check_filter(filter_)
+    filter_ = check_filter(filter_)
     if kind not in DESIGNS:
         raise ParameterError(f"design={kind!r}: choose one of {', '.join(map(repr, DESIGNS))}")
     if not isinstance(axes, Mapping) or not axes:

@@ -87,11 +87,12 @@ SEARCHED: dict[str, tuple[str, ...]] = {
 """The thresholds that decide the accuracy of each method. Of other methods all traced fields with a range are searched."""
 
 
-def check_filter(filter_: Any) -> None:
-    """Raises ParameterError for what is no instance of a filter."""
+def check_filter(filter_: Any) -> Filter:
+    """The filter with plain numbers, which trees may hold as arrays. Raises ParameterError for what is no instance of one."""
     if not isinstance(filter_, Filter):
         shown = filter_.__name__ if isinstance(filter_, type) else repr(filter_)
         raise ParameterError(f"filter_={shown}: an instance of a filter is needed, such as jaxfilter.SMRF()")
+    return filter_.replace()
 
 
 def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:

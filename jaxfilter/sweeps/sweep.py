@@ -25,6 +25,7 @@ from ..host.files import existing, new_file
 from ..scoring import Scores, reference_labels
 from .best import SCORES
 from .design import Design, make_design
+from .ranges import check_filter
 
 if TYPE_CHECKING:
     import xarray
@@ -85,6 +86,7 @@ def sweep(
     """
     import xarray as xr
 
+    filter_ = check_filter(filter_)
     plan = make_design(filter_, axes, design, size, seed)
     check_resources(workers, memory)
     several, named = named_clouds(clouds)

@@ -94,7 +94,7 @@ def ground(
             chosen, whole = setup(collection, reading, index)
         else:
             sample = sampled(collection, reading, index)
-            chosen = filter_ or filter_for(sample, None, {})
+            chosen = filter_.replace() if filter_ else filter_for(sample, None, {})
             whole = whole_for(chosen, sample, collection, reading, index)
         cut = layout(
             collection,
