@@ -86,6 +86,25 @@ def test_a_filter_is_a_pytree_of_its_thresholds(method):
     np.testing.assert_allclose(getattr(doubled, traced[0]), 2 * np.full(3, getattr(f, traced[0])), rtol=1e-6)
 
 
+def test_a_filter_with_arrays_for_numbers_is_called_as_one_with_numbers(method):
+    cloud = np.array([[0, 0, 0], [10, 0, 0.1], [0, 10, 0.2], [9, 9, 0.3]])
+    for number in (jax.numpy.float32, np.asarray):
+        one = jax.tree.map(number, method())
+        one.check()
+        assert (one(cloud).ground == method()(cloud).ground).all()
+        assert all(isinstance(leaf, int | float) for leaf in jax.tree.leaves(one(cloud).run.filter))
+
+
+def test_calls_that_are_traced_say_what_can_be(method):
+    match = "test\\(model" if hasattr(method, "model") else "SMRF, PMF and MSF"
+    name = jax.tree_util.tree_flatten_with_path(method())[0][0][0][0].name
+    for transform in (jax.jit, jax.grad, lambda f: lambda value: jax.vmap(f)(jax.numpy.full(2, value))):
+        with pytest.raises(jf.ParameterError, match=f"{method.__name__}\\({name}=...\\).*{match}"):
+            transform(lambda value: method(**{name: value})(np.zeros((5, 3))).height.sum())(1.0)
+    with pytest.raises(jf.InputError, match=f"{method.__name__}.*the cloud is a traced array.*{match}"):
+        jax.jit(method())(np.zeros((5, 3)))
+
+
 def test_out_of_range_values_are_named(method):
     for field in dataclasses.fields(method):
         low = field.metadata.get("gt") if field.metadata.get("gt") is not None else field.metadata.get("ge")
@@ -125,6 +144,19 @@ def test_feet_and_metres_agree(method, small, unit):
     xy, z = jf.core.cloud.parse_units(unit).xy, jf.core.cloud.parse_units(unit).z
     feet = np.column_stack([xyz[:, :2] / xy, xyz[:, 2] / z]).round(3)
     assert (labels(method, feet, units=unit) == labels(method, xyz)).mean() >= 0.999
+
+
+def test_values_of_points_go_to_rows_and_back(method, small, rng):
+    xyz = rng.permutation(np.concatenate([small[0], small[0][:500]]))
+    cloud = jf.PointCloud.from_arrays(xyz, return_number=np.ones(len(xyz)), number_of_returns=rng.integers(1, 3, len(xyz)))
+    points, value = method().points_of(cloud), cloud.xyz @ [1.0, 7.0, 31.0]
+    assert 0 < cloud.candidate.sum() < len(cloud)
+    rows = points.gather(value)
+    np.testing.assert_array_equal(rows, points.xyz @ [1.0, 7.0, 31.0])
+    np.testing.assert_array_equal(points.spread(rows, np.nan), np.where(cloud.candidate, value, np.nan))
+    first = np.full(len(points), len(cloud))
+    np.minimum.at(first, points.member, points.index)
+    np.testing.assert_array_equal(points.gather(np.arange(len(cloud))), first, err_msg="of equal points the first")
 
 
 def test_points_that_coincide_get_one_label(method, small, rng):

@@ -111,7 +111,7 @@ def test_shapes_that_do_not_fit_are_an_error_that_names_them(small, name, shape)
 @pytest.mark.parametrize(
     "filter_, names",
     [
-        (SMRF, ("threshold", "scaling")),
+        (dataclasses.replace(SMRF, slope=0.16), ("slope", "threshold", "scaling")),
         (dataclasses.replace(PMF, compare="points"), ("slope", "initial_distance", "max_distance")),
         (PMF, ("slope", "initial_distance", "max_distance")),
     ],
@@ -138,17 +138,27 @@ def test_gradients_of_soft_labels_are_those_of_finite_differences(small, filter_
     assert (np.abs(exact) > 1e-3).any()
 
 
-def test_the_gradient_in_the_slope_of_smrf_points_to_fewer_errors(small):
+@pytest.mark.parametrize("filter_", [SMRF, PMF], ids=["smrf", "pmf"])
+def test_soft_labels_have_no_jumps_in_the_slope(small, filter_):
+    """Differences lie between the gradients at both ends, across slopes at which cells become objects."""
     points, truth = small
-    start = dataclasses.replace(SMRF, slope=1.5)
-    prepared = start.prepare(start.cells(points).checked())
+    prepared = filter_.prepare(filter_.cells(points).checked())
 
     def soft_error(slope):
-        soft = dataclasses.replace(start, slope=slope).soft(prepared, points.xyz, 0.1)
-        return jnp.abs(soft - truth).mean()
+        return ((dataclasses.replace(filter_, slope=slope).soft(prepared, points.xyz, 0.1) - truth) ** 2).mean()
 
-    error, gradient = jax.jit(jax.value_and_grad(soft_error))(jnp.float32(1.5))
-    assert gradient > 0 and soft_error(1.5 - 0.02 / gradient) < error
+    slopes = np.linspace(0.1, 0.4, 121, dtype=np.float32)
+    error, gradient = map(np.asarray, jax.lax.map(jax.value_and_grad(soft_error), slopes))
+    ends, spare = np.sort([gradient[1:], gradient[:-1]], axis=0), 0.03 * np.abs(gradient).max()
+    found = np.diff(error) / np.diff(slopes)
+    assert ((found >= ends[0] - spare) & (found <= ends[1] + spare)).all() and np.ptp(error) > 5e-4
+
+
+def test_soft_labels_of_pmf_become_its_labels_where_they_are_sharp(small):
+    xyz, cells = small[0].xyz, PMF.cells(small[0])
+    sharp = jf.soft_labels(PMF, cells, xyz, width=1e-5)
+    margin = np.asarray(PMF.test(PMF.model(cells), xyz).margin)
+    np.testing.assert_array_equal(sharp > 0.5, margin < 0, where=np.abs(margin) > 1e-3)
 
 
 def test_sweeps_of_two_and_three_sets_compile_nothing_on_another_cloud_of_the_bucket(small):

@@ -117,3 +117,15 @@ def test_all_radii_share_one_compilation():
 def test_unknown_element_is_named():
     with pytest.raises(ValueError, match="hexagon"):
         erosion(surface(), 1, 1, "hexagon")
+
+
+@pytest.mark.parametrize("shape", [(5,), (2, 5, 5)])
+def test_arrays_that_are_no_grid_are_refused_by_shape(shape):
+    z = jnp.zeros(shape)
+    for call in (morphology.erosion, morphology.dilation, morphology.opening):
+        with pytest.raises(ValueError, match=rf"z of shape \({shape[0]},.*\[rows, columns\]"):
+            call(z, 1, 2)
+    with pytest.raises(ValueError, match=rf"z of shape \({shape[0]},"):
+        morphology.progressive_opening(z, z == 0, jnp.array([1]), lambda k, before, opened, found: found, z, reach=1)
+    with pytest.raises(ValueError, match=r"valid of shape .*\(4, 6\)"):
+        morphology.opening(jnp.zeros((4, 6)), 1, 2, valid=z == 0)

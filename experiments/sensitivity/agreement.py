@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import shlex
 import sys
 import time
@@ -142,9 +141,9 @@ def compared(sets: list[jf.Filter], cloud: jf.PointCloud) -> tuple[list[int], in
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         swept = dict(sets[0].ground_each(points, sets, key=None, workers=None, memory=2e9))
-        alone = [dataclasses.replace(one)(cloud).ground[points.index] for one in sets]
+        alone = [one(cloud).ground for one in sets]
     assert sorted(swept) == list(range(len(sets)))
-    differ = [int((swept[number][points.member] != ground).sum()) for number, ground in enumerate(alone)]
+    differ = [int((points.spread(swept[number]) != ground).sum()) for number, ground in enumerate(alone)]
     return differ, len({ground.tobytes() for ground in alone})
 
 

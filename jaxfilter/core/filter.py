@@ -201,7 +201,7 @@ class Filter:
         >>> points = jf.SMRF().points_of(cloud)
         >>> quiet = lambda share, step: None
         >>> labels = jf.SMRF().classify(points, key=None, workers=1, progress=quiet, trace=False)
-        >>> bool((labels.ground[points.member] == jf.SMRF()(cloud).ground[points.index]).all())
+        >>> bool((points.spread(labels.ground) == jf.SMRF()(cloud).ground).all())
         True
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")

@@ -49,8 +49,32 @@ class Points:
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def spread(self, values: np.ndarray, empty: Any, dtype: Any) -> np.ndarray:
-        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates."""
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """[m] for the rows out of [n] for the cloud; of equal points, which are one row, the first in the cloud counts.
+
+        ``values[points.index]`` is that for methods on a grid only: the rows of others are sorted and distinct.
+
+        >>> points = jf.PTD().points_of(cloud)
+        >>> bool((points.gather(cloud.xyz) == points.xyz).all())
+        True
+        """
+        values = np.asarray(values)
+        if self.plain:
+            return values[self.index]
+        first = np.empty(len(self), np.int64)
+        first[self.member[::-1]] = self.index[::-1]  # of repeated rows the last one written stays
+        return values[first]
+
+    def spread(self, values: Any, empty: Any = 0, dtype: Any = None) -> np.ndarray:
+        """[n] for the cloud out of [m] for the rows; ``empty`` for points that are no candidates.
+
+        >>> points = jf.PTD().points_of(cloud)
+        >>> height = points.spread(points.xyz[:, 2], np.nan)
+        >>> bool((height[cloud.candidate] == cloud.xyz[cloud.candidate, 2]).all())
+        True
+        """
+        values = np.asarray(values)
+        dtype = dtype or values.dtype
         if not self.plain:
             values = values[self.member]
         if len(self.index) == len(self.cloud):

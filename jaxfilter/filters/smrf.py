@@ -18,6 +18,7 @@ from ..stages.grid_filter import GridFilter, Heights, Surface
 from ..stages.surfaces import Cells, cell_for, cell_values, steepest_drops
 from . import papers
 
+_PER_OCTAVE = 4  # slopes of the series that :meth:`SMRF.soft` interpolates in
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 _OPTIMA = {
     11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
@@ -142,10 +143,14 @@ class SMRF(GridFilter):
         counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
         return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
 
-    def surface(self, prepared: Opened, share: float = 1.0) -> Surface:
-        """Step 5, the provisional terrain, at a share of the slope. Pure."""
+    def surface(self, prepared: Opened) -> Surface:
+        """Step 5, the provisional terrain. Pure."""
+        return self._terrain(prepared, jnp.asarray(self.slope, jnp.float32))
+
+    def _terrain(self, prepared: Opened, slope: jax.Array) -> Surface:
+        """The terrain at a slope f32[]."""
         cells, surface, steepest, bare, counts = prepared
-        known, objects = _kept(steepest, bare, cells.frame[2], jnp.float32(share) * self.slope)
+        known, objects = _kept(steepest, bare, cells.frame[2], slope)
         terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
         return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
 
@@ -165,12 +170,21 @@ class SMRF(GridFilter):
     def soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
-        surface as it is. Differentiable in ``slope``, ``threshold`` and ``scaling``; f32[n], 0 to 1. Pure."""
+        surface as it is. A terrain changes in jumps, so it is made at two neighbours in a series of slopes, each 19 % larger than
+        the one before, and what points are over them is interpolated. Continuous, and differentiable but where the slope is one of
+        the series, in ``slope``, ``threshold`` and ``scaling``; f32[n], 0 to 1. Pure."""
         cells, filled, steepest, *_ = prepared
-        without, kept = self.surface(prepared, share=0.5), Surface.over(cells, filled)
+        step = _PER_OCTAVE * jnp.log2(0.5 * jnp.asarray(self.slope, jnp.float32))
+        first = jax.lax.stop_gradient(jnp.floor(step))
+        ends = jnp.exp2((first + jnp.arange(2, dtype=jnp.float32)) / _PER_OCTAVE)
+
+        def passed(surface: Surface) -> jax.Array:
+            return jax.nn.sigmoid(-self.test(surface, xyz).margin / width)
+
+        below, above = jax.vmap(passed)(jax.vmap(lambda slope: self._terrain(prepared, slope))(ends))
+        as_object, as_terrain = below + (step - first) * (above - below), passed(Surface.over(cells, filled))
         drop = cell_values(xyz, (steepest,), cells.frame, cells.extent)[0]
         is_object = jax.nn.sigmoid((jnp.where(jnp.isfinite(drop), drop, 1e6) - self.slope * cells.frame[2]) / width)
-        as_object, as_terrain = (jax.nn.sigmoid(-self.test(one, xyz).margin / width) for one in (without, kept))
         return is_object * as_object + (1 - is_object) * as_terrain
 
 

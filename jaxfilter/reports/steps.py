@@ -139,12 +139,10 @@ def _swept(
 ) -> tuple[np.ndarray, bool]:
     """Codes u8[n] or u16[n] of sets that are classified anew, and whether they are nested."""
     points = filter_.points_of(cloud)
-    out = np.full(len(cloud), len(sets) if tested else 0, np.uint8 if tested else np.uint16)
-    code = np.zeros(len(points), out.dtype)
+    code = np.zeros(len(points), np.uint8 if tested else np.uint16)
     for done, (number, ground) in enumerate(
         filter_.ground_each(points, sets, key=None, workers=workers, memory=_MEMORY), 1
     ):
         code += ~ground if tested else ground * np.uint16(1 << number)
         progress(done / len(sets), "slider")
-    out[points.index] = code[points.member]
-    return out, tested
+    return points.spread(code, len(sets) if tested else 0), tested

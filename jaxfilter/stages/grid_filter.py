@@ -94,8 +94,7 @@ class GridFilter(Filter):
     >>> points = jf.SMRF().points_of(cloud)
     >>> surface = jf.SMRF().model(jf.SMRF().cells(points))
     >>> ground = jf.SMRF().test(surface, points.xyz).margin <= 0
-    >>> labels = np.asarray(ground)[points.member]
-    >>> bool((labels == jf.SMRF()(cloud).ground[points.index]).all())
+    >>> bool((points.spread(ground) == jf.SMRF()(cloud).ground).all())
     True
     """
 
@@ -262,8 +261,10 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
         xyz: f32[n, 3], local metres.
         width: metres over which a label changes from 0.73 to 0.27 at a threshold.
 
-    Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold; for the slope of SMRF, at which
-        cells become objects, a mixture of both cases (:meth:`jaxfilter.filters.smrf.SMRF.soft`). Pure.
+    Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold. At the slope of SMRF, and at the
+        thresholds of PMF that surfaces are compared by, cells become objects: there it is a mixture of both cases
+        (:meth:`jaxfilter.filters.smrf.SMRF.soft`, :meth:`jaxfilter.filters.pmf.PMF.soft`), which has no jumps, so that the
+        gradient is that of what is returned. It is not the gradient of the labels, which are steps. Pure.
 
     >>> points = jf.SMRF().points_of(cloud)
     >>> soft = jf.soft_labels(jf.SMRF(), jf.SMRF().cells(points), points.xyz, width=0.1)
