@@ -148,7 +148,9 @@ def test_feet_and_metres_agree(method, small, unit):
 
 def test_values_of_points_go_to_rows_and_back(method, small, rng):
     xyz = rng.permutation(np.concatenate([small[0], small[0][:500]]))
-    cloud = jf.PointCloud.from_arrays(xyz, return_number=np.ones(len(xyz)), number_of_returns=rng.integers(1, 3, len(xyz)))
+    cloud = jf.PointCloud.from_arrays(
+        xyz, return_number=np.ones(len(xyz)), number_of_returns=rng.integers(1, 3, len(xyz))
+    )
     points, value = method().points_of(cloud), cloud.xyz @ [1.0, 7.0, 31.0]
     assert 0 < cloud.candidate.sum() < len(cloud)
     rows = points.gather(value)

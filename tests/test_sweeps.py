@@ -90,6 +90,16 @@ def test_points_on_a_limit_have_the_label_of_the_single_run(cloud):
     check_equal(sets, cloud)
 
 
+def test_a_filter_with_arrays_for_numbers_is_swept_and_calibrated_as_one_with_numbers(cloud):
+    plain = jf.SMRF(window=12.0, threshold=0.5, scaling=1.0, slope=0.25)
+    arrays = jax.tree.map(jax.numpy.float32, plain)
+    given = jf.sweep(arrays, cloud, {"slope": [0.1, 0.2]})
+    assert given.identical(jf.sweep(plain, cloud, {"slope": [0.1, 0.2]}))
+    labels = np.where(np.arange(len(cloud)) % 20 == 0, cloud.reference, -1)
+    found, expected = (jf.calibrate(one, cloud, labels, size=2, rounds=1) for one in (arrays, plain))
+    assert (found.filter, found.before, found.score) == (expected.filter, expected.before, expected.score)
+
+
 def test_a_parameter_may_be_left_open_in_some_sets(cloud):
     check_equal(product(jf.SPF(window=30.0), long_edge=(None, 5.0), max_angle=(6.0, 20.0)), cloud)
 

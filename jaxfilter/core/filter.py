@@ -225,7 +225,8 @@ class Filter:
         """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
 
         A method overrides this where sets can share work. Here sets that differ in ``LAST`` only share all but the last step,
-        and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
+        and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that
+        ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
 
         Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
 
@@ -288,11 +289,13 @@ class Filter:
         return dataclasses.replace(result, run=Run(one, cloud, time.perf_counter() - start))
 
     def _need_values(self, cloud: Any) -> None:
-        """Raises: InputError for a traced array, ParameterError for a traced field: files, sorting and triangulation need values."""
+        """Raises: InputError for a traced array, ParameterError for a traced field: sorting and triangulation need values."""
         name = type(self).__name__
         advice = f"{name} cannot be called within jax.jit, vmap or grad, since it works on values; "
         if hasattr(self, "model"):
-            advice += "trace its model and test: test(model(cells), xyz), with cells = filter.cells(filter.points_of(cloud))"
+            advice += (
+                "trace its model and test: test(model(cells), xyz), with cells = filter.cells(filter.points_of(cloud))"
+            )
         else:
             advice += "SMRF, PMF and MSF have a model and a test that can be traced"
         advice += " (docs/arrays.md)"

@@ -170,9 +170,9 @@ class SMRF(GridFilter):
     def soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
-        surface as it is. A terrain changes in jumps, so it is made at two neighbours in a series of slopes, each 19 % larger than
-        the one before, and what points are over them is interpolated. Continuous, and differentiable but where the slope is one of
-        the series, in ``slope``, ``threshold`` and ``scaling``; f32[n], 0 to 1. Pure."""
+        surface as it is. A terrain changes in jumps. So it is made at two neighbours in a series of slopes, each 19 % larger
+        than the one before, and the labels are interpolated. Continuous in ``slope``, ``threshold`` and ``scaling``, and
+        differentiable; where half the slope is one of the series the derivative has a jump. f32[n], 0 to 1. Pure."""
         cells, filled, steepest, *_ = prepared
         step = _PER_OCTAVE * jnp.log2(0.5 * jnp.asarray(self.slope, jnp.float32))
         first = jax.lax.stop_gradient(jnp.floor(step))

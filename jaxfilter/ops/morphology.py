@@ -46,7 +46,9 @@ def _ordered(z: jax.Array, dtype: Any = None) -> jax.Array:
 def _check_grid(z: jax.Array, valid: jax.Array | None = None) -> None:
     """Raises: ValueError, which names the shape."""
     if jnp.ndim(z) != 2:
-        raise ValueError(f"z of shape {jnp.shape(z)}: a grid [rows, columns] is needed; jax.vmap goes over several grids")
+        raise ValueError(
+            f"z of shape {jnp.shape(z)}: a grid [rows, columns] is needed; jax.vmap goes over several grids"
+        )
     if valid is not None and jnp.shape(valid) != jnp.shape(z):
         raise ValueError(f"valid of shape {jnp.shape(valid)}: the shape of z is needed, {jnp.shape(z)}")
 
