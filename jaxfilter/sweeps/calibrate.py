@@ -389,7 +389,7 @@ def calibrate(
         place = low + width * unit
         sets = [{name: r.at(u) for u, (name, r) in zip(row, ranges.items(), strict=True)} for row in place]
         if turn == 0:
-            sets[0] = {name: getattr(filter_, name) for name in ranges}
+            sets[0] = {name: getattr(study.filter, name) for name in ranges}
         study.evaluate(sets, lambda done, step, turn=turn: report((turn + done) / rounds, step))  # type: ignore[misc]
         best = study.sets[study.best(study.expected()[0])]
         centre = np.array([r.position(best[name]) for name, r in ranges.items()])
