@@ -143,6 +143,6 @@ def _swept(
     for done, (number, ground) in enumerate(
         filter_.ground_each(points, sets, key=None, workers=workers, memory=_MEMORY), 1
     ):
-        code += (~ground if tested else ground * (1 << number)).astype(code.dtype)
+        code = code + (~ground if tested else ground * (1 << number)).astype(code.dtype)
         progress(done / len(sets), "slider")
     return points.spread(code, len(sets) if tested else 0), tested
