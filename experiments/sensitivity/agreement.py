@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import shlex
 import sys
 import time
@@ -25,8 +26,8 @@ from jaxfilter.sweeps.ranges import Range, around, search_ranges
 HERE = Path(__file__).parent
 GROUP = 16
 """Sets of one sweep."""
-SLOW = {"ost": 0.2, "ppdf": 0.5}
-"""Share of the sweeps of other methods that methods get that take long."""
+SLOW = {"ost": 4, "ppdf": 8}
+"""Sets of one sweep of methods that take long."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -87,13 +88,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def drawn(seed: int, sizes: dict[str, int]) -> Iterator[tuple[str, str, list[jf.Filter]]]:
-    """Method, sample and sets of one sweep after the other, without end; small samples and quick methods come more often."""
+    """Method, sample and sets of one sweep after the other, without end: all methods in turn, small samples more often."""
     rng = np.random.default_rng(seed)
-    methods = np.array(spaces.method_names())
-    often = np.array([SLOW.get(name, 1.0) for name in methods])
     seldom = 1 / np.array(list(sizes.values()))
-    while True:
-        method = str(rng.choice(methods, p=often / often.sum()))
+    for method in itertools.chain.from_iterable(rng.permutation(spaces.method_names()) for _ in itertools.count()):
         sample = str(rng.choice(list(sizes), p=seldom / seldom.sum()))
         try:
             base = varied(rng, spaces.fixed(method, f"samp{sample}"))
@@ -123,7 +121,10 @@ def thresholds(rng: np.random.Generator, base: jf.Filter) -> list[dict[str, Any]
     ranges = {name: one for name, one in search_ranges(type(base)).items() if name in traced}
     if rng.random() < 1 / 3:
         ranges = {name: around(field) for name, field in traced.items() if around(field)} | ranges
-    return [{name: value(rng, one) for name, one in ranges.items()} for _ in range(GROUP)]
+    return [
+        {name: value(rng, one) for name, one in ranges.items()}
+        for _ in range(SLOW.get(type(base).__name__.lower(), GROUP))
+    ]
 
 
 def value(rng: np.random.Generator, one: Range) -> float:
