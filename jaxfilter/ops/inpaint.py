@@ -154,7 +154,7 @@ def _first_guess(z: jax.Array, known: jax.Array, plan: list[_Factors]) -> jax.Ar
 
 def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
     a, b = lax.optimization_barrier((a, b))  # a reduction fused with stencils would run on one core
-    return jnp.vdot(a, b) if a.ndim == 2 else (a * b).sum(axis=(0, 1))
+    return jnp.vdot(a, b, precision="highest") if a.ndim == 2 else (a * b).sum(axis=(0, 1))
 
 
 @functools.partial(jax.jit, static_argnames="max_rounds")

@@ -54,8 +54,11 @@ def _check_grid(z: jax.Array, valid: jax.Array | None = None) -> None:
 
 
 def _isqrt(n: jax.Array) -> jax.Array:
-    """Integer square root; exact below 2**24, where float32 represents all integers and rounds square roots correctly."""
-    return jnp.floor(jnp.sqrt(jnp.maximum(n, 0).astype(jnp.float32))).astype(jnp.int32)
+    """Integer square root below 2**24, where float32 represents all integers; exact on devices that round roots badly too."""
+    n = jnp.maximum(n, 0)
+    root = jnp.floor(jnp.sqrt(n.astype(jnp.float32))).astype(jnp.int32)
+    root = jnp.where(root * root > n, root - 1, root)
+    return jnp.where((root + 1) * (root + 1) <= n, root + 1, root)
 
 
 def _beyond(z: jax.Array) -> jax.Array:

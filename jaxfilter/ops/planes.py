@@ -87,4 +87,4 @@ def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
     >>> bool(jnp.allclose(planes.plane_residuals(fitted, xyz), 0, atol=1e-6))
     True
     """
-    return jnp.einsum("bni,bi->bn", xyz - planes.centre[:, None], planes.normal)
+    return jnp.einsum("bni,bi->bn", xyz - planes.centre[:, None], planes.normal, precision="highest")

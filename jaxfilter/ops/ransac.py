@@ -115,7 +115,7 @@ def consensus_planes(
         return jax.ops.segment_sum(values, cell, size, indices_are_sorted=True)
 
     def residuals(centre: jax.Array, normal: jax.Array) -> jax.Array:
-        return jnp.einsum("rwi,ri->rw", xyz - centre[cell][:, None], normal[cell])
+        return jnp.einsum("rwi,ri->rw", xyz - centre[cell][:, None], normal[cell], precision="highest")
 
     def near_plane(centre: jax.Array, normal: jax.Array) -> jax.Array:
         return mask & (jnp.abs(residuals(centre, normal)) <= distance)

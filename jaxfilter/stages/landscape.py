@@ -79,7 +79,7 @@ def _slope(
     def averaged(a: jax.Array) -> jax.Array:
         a = jnp.where(valid, a, 0)
         for _ in range(2):
-            a = jax.vmap(lambda line: jnp.convolve(line, weight, mode="full")[reach : reach + line.size])(a).T
+            a = jax.vmap(lambda line: jnp.convolve(line, weight, precision="highest")[reach : reach + line.size])(a).T
         return a
 
     slope = steepness(level, blocks, cell * block)
