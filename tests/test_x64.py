@@ -1,4 +1,4 @@
-"""JAX_ENABLE_X64=1 changes nothing, and strict promotion of ranks and types is no error: all methods in a process that has them."""
+"""JAX_ENABLE_X64=1 changes nothing, nor does strict promotion of ranks and types: all methods in a process that has them."""
 
 import os
 import subprocess
