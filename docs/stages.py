@@ -181,7 +181,7 @@ def sample_report(path: Path) -> None:
     """The report of SMRF on the town."""
     filter_ = jf.SMRF.for_cloud(scene().cloud)
     path.parent.mkdir(parents=True, exist_ok=True)
-    filter_(scene().cloud).report(path, reference=scene().truth, overwrite=True)
+    jf.report(scene().cloud, filter_(scene().cloud), path, reference=scene().truth, overwrite=True)
 
 
 if __name__ == "__main__":

@@ -121,7 +121,7 @@ def test_every_method_has_values_to_slide_over_that_it_takes(name):
 
 def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud, result, tmp_path):
     reference = np.where(np.arange(len(cloud)) % 7 == 0, -1, cloud.reference).astype(np.int8)
-    facts = facts_of(result.report(tmp_path / "page.html", reference=reference))
+    facts = facts_of(jf.report(cloud, result, tmp_path / "page.html", reference=reference))
     for k in (0, facts["step"], len(facts["values"]) - 1):
         ground = jf.SMRF(threshold=facts["values"][k])(cloud).ground
         assert facts["ground"][k] == ground.sum()
@@ -134,7 +134,7 @@ def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud,
 
 
 def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_path):
-    path = result.report(tmp_path / "page.html", max_points=2000)
+    path = jf.report(cloud, result, tmp_path / "page.html", max_points=2000)
     sample, step = facts_of(path)["sample"], np.array(facts_of(path)["sample"]["step"])
     assert (sample["number"], sample["of"]) == (2000, len(cloud))
     xyz = np.column_stack([array_of(path, axis) for axis in "xyz"]) * step + sample["low"]
@@ -253,7 +253,7 @@ def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
 
 
 def test_the_same_result_gives_the_same_bytes(cloud, result, tmp_path):
-    pages = [result.report(tmp_path / f"{i}.html").read_bytes() for i in range(2)]
+    pages = [jf.report(cloud, result, tmp_path / f"{i}.html").read_bytes() for i in range(2)]
     assert pages[0] == pages[1]
 
 
@@ -291,32 +291,30 @@ def test_what_there_is_of_odd_clouds_is_shown(tmp_path, xyz, ground, words):
 def test_heights_that_are_not_known_are_left_out(cloud, result, tmp_path):
     unknown = np.full(len(cloud), np.nan, np.float32)
     blind = dataclasses.replace(result, height=unknown, margin=unknown)
-    path = blind.report(tmp_path / "page.html")
+    path = jf.report(cloud, blind, tmp_path / "page.html")
     assert 'id="data-doubt"' not in path.read_text() and 'id="data-height"' in path.read_text()
 
 
 def test_what_cannot_be_written_is_said_and_leaves_nothing(cloud, result, tmp_path):
     with pytest.raises(jf.OutputError, match=r"page\.pdf: the suffix must be one of \.html, \.htm"):
-        result.report(tmp_path / "page.pdf")
+        jf.report(cloud, result, tmp_path / "page.pdf")
     with pytest.raises(jf.OutputError, match="cannot be written"):
-        result.report(tmp_path / "no" / "page.html")
+        jf.report(cloud, result, tmp_path / "no" / "page.html")
     (tmp_path / "page.html").write_text("mine")
     with pytest.raises(jf.OutputError, match="exists"):
-        result.report(tmp_path / "page.html")
+        jf.report(cloud, result, tmp_path / "page.html")
     with pytest.raises(jf.InputError, match=r"reference has 3 labels"):
-        result.report(tmp_path / "other.html", reference=np.ones(3, bool))
+        jf.report(cloud, result, tmp_path / "other.html", reference=np.ones(3, bool))
     with pytest.raises(jf.InputError, match=r"result: bool\[\d+\]"):
         jf.report(cloud, np.ones(3, bool), tmp_path / "other.html")
     with pytest.raises(jf.ParameterError, match=r"steps=-1"):
-        result.report(tmp_path / "other.html", steps=-1)
-    with pytest.raises(jf.InputError, match=r"jaxfilter\.report\(cloud, result, path\)"):
-        dataclasses.replace(result, run=None).report(tmp_path / "other.html")
+        jf.report(cloud, result, tmp_path / "other.html", steps=-1)
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"page.html": "mine"}
 
 
-def test_progress_goes_from_none_to_all(result, tmp_path):
+def test_progress_goes_from_none_to_all(cloud, result, tmp_path):
     seen = []
-    result.report(tmp_path / "page.html", progress=lambda done, step: seen.append((done, step)))
+    jf.report(cloud, result, tmp_path / "page.html", progress=lambda done, step: seen.append((done, step)))
     shares = [done for done, _ in seen]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
     assert {"slider", "maps", "points", "page"} <= {step for _, step in seen}

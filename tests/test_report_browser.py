@@ -38,7 +38,7 @@ def cloud(town):
 
 @pytest.fixture(scope="module")
 def path(cloud, tmp_path_factory):
-    return jf.CSF()(cloud).report(tmp_path_factory.mktemp("report") / "page.html", reference=cloud)
+    return jf.report(cloud, jf.CSF()(cloud), tmp_path_factory.mktemp("report") / "page.html", reference=cloud)
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def test_a_phone_shows_it_without_scrolling_sideways(browser, path):
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 def test_pages_without_a_map_have_their_tables_and_no_errors(browser, tmp_path):
     empty = jf.PointCloud.from_arrays(np.zeros((0, 3)))
-    path = jf.SMRF()(empty).report(tmp_path / "empty.html")
+    path = jf.report(empty, jf.SMRF()(empty), tmp_path / "empty.html")
     page = browser.new_page()
     faults = []
     page.on("pageerror", lambda error: faults.append(str(error)))

@@ -75,7 +75,7 @@ def _row(name: str, cloud: jf.PointCloud) -> Row:
     result = filter_(cloud)
     with tempfile.TemporaryDirectory() as folder:
         clock, start = time.process_time(), time.perf_counter()
-        path = result.report(Path(folder) / "page.html")
+        path = jf.report(cloud, result, Path(folder) / "page.html")
         row: Row = {
             "method": name,
             "points": len(cloud),

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .errors import InputError
 from .markup import sheet
 
 if TYPE_CHECKING:
@@ -208,25 +205,6 @@ class FilterResult:
         table["decision"] = pandas.Categorical.from_codes(self.decision.astype(int), names)
         table.attrs = dict(data.attrs)
         return table
-
-    def report(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """:func:`jaxfilter.report` of this result: one HTML file with maps, profiles and a slider for the threshold.
-
-        Args:
-            path: the file to write.
-            options: those of :func:`jaxfilter.report`.
-
-        Returns: the path.
-        Raises: InputError if the result does not know its cloud; OutputError as :func:`jaxfilter.report`.
-
-        >>> result.report("result.html", reference=cloud).name
-        'result.html'
-        """
-        import jaxfilter as public
-
-        if self.run is None:
-            raise InputError("this result does not know its cloud: call jaxfilter.report(cloud, result, path)")
-        return public.report(self.run.cloud, self, path, **options)
 
 
 _UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}

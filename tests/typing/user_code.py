@@ -21,7 +21,7 @@ def checked(cloud: jf.PointCloud, result: jf.FilterResult) -> Path:
     table: jf.Comparison = jf.compare(["smrf", jf.CSF(), jf.PMF], {"site": cloud}, repeats=0)
     print(table.markdown(), table.significance("kappa", against="CSF"), result.to_xarray().sizes)
     jf.report(cloud, result.ground, "delivered.html", reference=cloud, steps=0)
-    return result.report("site.html", overwrite=True)
+    return jf.report(cloud, result, "site.html", overwrite=True)
 
 
 def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:

@@ -91,4 +91,5 @@ error = raster.values - scene.terrain(x[None, :], y[:, None])
 print(f"the terrain is off by {np.nanmedian(np.abs(error)):.3f} m in the median")
 
 # %%
-# With data of your own, ``result.report("site.html")`` makes a page to check the labels in: :doc:`/docs/reports`.
+# With data of your own, ``jf.report(cloud, result, "site.html")`` makes a page to check the labels in:
+# :doc:`/docs/reports`.
