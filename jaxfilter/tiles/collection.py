@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import pyproj
 
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.units import Reference, Units, not_metric, parse_units
 from ..host.files import Bounds
 from ..host.footprints import Footprints
@@ -26,7 +26,7 @@ from ..host.las import open_las
 from ..host.sources import Source, described
 from ..host.storage import place_of
 from . import names
-from .findings import OVERLAP, Findings, find, refuse_mixture
+from .findings import OVERLAP, Findings, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -236,7 +236,26 @@ class Collection:
         >>> findings.overlaps, findings.gaps, len(findings.no_crs)
         ((), (), 2)
         """
-        return find(self, self._index)
+        uris, counts, bounds = self.uris, self.counts, self.footprints
+        wkts, units = self._columns["wkt"], self._columns["units"]
+        try:
+            refuse_mixture(uris, wkts, units)
+            mixed = None
+        except InputError as error:
+            mixed = str(error)
+        pairs, share = self._index.overlaps(OVERLAP)
+        same = (counts[pairs[:, 0]] == counts[pairs[:, 1]]) & (bounds[pairs[:, 0]] == bounds[pairs[:, 1]]).all(axis=1)
+        others = zip(pairs[~same].tolist(), share[~same].tolist(), strict=True)
+        return Findings(
+            mixed,
+            self.unreadable,
+            self.repeated,
+            tuple((uris[i], uris[j]) for i, j in pairs[same].tolist()),
+            tuple((uris[i], uris[j], s) for (i, j), s in others),
+            tuple(self._index.holes()),
+            tuple(uris[i] for i in np.flatnonzero(counts == 0).tolist()),
+            tuple(uri for uri, wkt in zip(uris, wkts, strict=True) if wkt is None),
+        )
 
     def table(self) -> pd.DataFrame:
         """A row for each file: uri, format, points, xmin, ymin, xmax, ymax, zmin, zmax (file units), area (m2), density
@@ -273,7 +292,7 @@ class Collection:
     def to_vpc(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write a virtual point cloud, see ``vpc.py``; files without points are left out.
 
-        Returns: the path. Raises: OutputError.
+        Returns: the path. Warns: JaxfilterWarning if files are left out. Raises: OutputError.
 
         >>> path = jf.open("survey", units="m").to_vpc("survey.vpc")
         >>> jf.open(path, units="m").count == len(cloud)
@@ -281,6 +300,9 @@ class Collection:
         """
         from .vpc import write_vpc
 
+        left_out = int((self.counts == 0).sum())
+        if left_out:
+            warn(f"{path}: {left_out} files without points are left out")
         return write_vpc(self, Path(path), overwrite)
 
 

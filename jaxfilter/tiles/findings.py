@@ -5,18 +5,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import pyproj
 
 from ..core.errors import InputError
 from ..core.units import Units, horizontal, same_system
 from ..host.files import Bounds
-from ..host.footprints import Footprints
-
-if TYPE_CHECKING:
-    from .collection import Collection
 
 OVERLAP = 0.001
 """Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""
@@ -69,29 +64,6 @@ class Findings:
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         return dataclasses.asdict(self)
-
-
-def find(collection: Collection, index: Footprints) -> Findings:
-    """See :meth:`Collection.check`."""
-    uris, counts, bounds = collection.uris, collection.counts, collection.footprints
-    wkts, units = collection._columns["wkt"], collection._columns["units"]
-    try:
-        refuse_mixture(uris, wkts, units)
-        mixed = None
-    except InputError as error:
-        mixed = str(error)
-    pairs, share = index.overlaps(OVERLAP)
-    same = (counts[pairs[:, 0]] == counts[pairs[:, 1]]) & (bounds[pairs[:, 0]] == bounds[pairs[:, 1]]).all(axis=1)
-    return Findings(
-        mixed,
-        collection.unreadable,
-        collection.repeated,
-        tuple((uris[i], uris[j]) for i, j in pairs[same].tolist()),
-        tuple((uris[i], uris[j], s) for (i, j), s in zip(pairs[~same].tolist(), share[~same].tolist(), strict=True)),
-        tuple(index.holes()),
-        tuple(uris[i] for i in np.flatnonzero(counts == 0).tolist()),
-        tuple(uri for uri, wkt in zip(uris, wkts, strict=True) if wkt is None),
-    )
 
 
 def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:

@@ -13,21 +13,18 @@ import posixpath
 from collections.abc import Iterable, Iterator
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyproj
 
-from ..core.errors import InputError, warn
+from ..core.errors import InputError
 from ..core.units import WKT, Reference, Units, reference_of
 from ..host.files import new_file
 from ..host.header import opened
 from ..host.records import reading
 from ..host.sources import NO_BOUNDS, Source
 from ..host.storage import Place, Remote
-
-if TYPE_CHECKING:
-    from .collection import Collection
 
 _PIECE = 1 << 22  # characters that are read at a time
 _LONGEST = 1 << 20  # of a text within an item
@@ -162,29 +159,23 @@ def _resolved(href: str, base: str, remote: bool, name: str) -> str:
     return f"{base}/{path}" if remote else os.path.normpath(f"{base}/{path}")
 
 
-def write_vpc(collection: Collection, path: Path, overwrite: bool) -> Path:
-    """Write the members of a collection that have points. Local names are relative to the folder of ``path``.
-
-    Warns: JaxfilterWarning if files are left out. Raises: OutputError.
-    """
-    left_out = int((collection.counts == 0).sum())
-    if left_out:
-        warn(f"{path}: {left_out} files without points are left out")
+def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
+    """Write the files that have points. Local names are relative to the folder of ``path``. Raises: OutputError."""
     folder = os.path.dirname(os.path.abspath(path))
     with new_file(path, overwrite=overwrite) as part, part.open("w", encoding="utf-8", newline="\n") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         mark = "\n"
-        for item in _features(collection, folder):
+        for item in _features(sources, folder):
             file.write(mark + json.dumps(item, ensure_ascii=False))
             mark = ",\n"
         file.write("\n]}\n")
     return path
 
 
-def _features(collection: Collection, folder: str) -> Iterator[dict[str, Any]]:
+def _features(sources: Iterable[Source], folder: str) -> Iterator[dict[str, Any]]:
     used: dict[str, int] = {}
     to_world: dict[str | None, Any] = {}
-    for source in collection:
+    for source in sources:
         if not source.count:
             continue
         (x0, y0, x1, y1), (z0, z1) = source.bounds, source.z
