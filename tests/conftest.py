@@ -9,7 +9,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 import pytest
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(platformdirs.user_cache_dir("jaxfilter"), "numba")))
+"""Tests that move JAXFILTER_CACHE, to see what JAX compiles, need not compile the host loops anew."""
 
 
 def pytest_addoption(parser):

@@ -244,7 +244,6 @@ class Session:
         from ..core import compilation
 
         compilation.watch_compilations()
-        compilation.use_persistent_cache()
         context = click.get_current_context(silent=True)
         self._stack.enter_context(_logged(context))
         if context is not None:
@@ -252,6 +251,7 @@ class Session:
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
         warnings.showwarning = self._warn
+        compilation.use_persistent_cache()
         if not self._bar.disable:  # when it ends, rich before 14.1 prints an empty line even if it is disabled
             self._stack.enter_context(self._bar)
         Session.running, Session.stopped_by = Session.running + 1, None
@@ -349,6 +349,10 @@ class Session:
         self._mark = (step, now)
 
     def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        from ..core.compilation import cache_warning
+
+        if cache_warning(str(message)):
+            return
         text = in_flags(str(message))
         self.warnings.append(text)
         self.warn(text)

@@ -3,35 +3,117 @@
 from __future__ import annotations
 
 import functools
+import os
+import pickle
+import sys
+import threading
 from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
 
-from ..core.errors import warn
+from ..core.compilation import cache_folder, cache_trouble, private_folder
 
 
 def compiled(function: Callable[..., Any] | None = None, *, fused: bool = False) -> Callable[..., Any]:
     """The function, compiled at its first call for the types of its arguments.
 
-    What is compiled is kept beside the module, or in the user's cache folder (``NUMBA_CACHE_DIR`` sets another), and read by
-    the next process. Where neither can be written, each process compiles for itself, and says so once.
+    What is compiled is kept in the user's cache folder (see :func:`jaxfilter.core.compilation.cache_folder`;
+    ``NUMBA_CACHE_DIR`` sets another), and read by the next process. Where that cannot be, each process compiles for itself,
+    and says so once.
 
     ``fused``: a product and the sum it goes into may be one instruction, which rounds once instead of twice, as XLA does.
     """
     if function is None:
         return functools.partial(compiled, fused=fused)
     fastmath: Any = {"contract"} if fused else False
-    try:
-        return numba.njit(nogil=True, cache=True, fastmath=fastmath)(function)
-    except RuntimeError:  # Numba found no folder
-        _say_uncached()
-        return numba.njit(nogil=True, fastmath=fastmath)(function)
+    out = numba.njit(nogil=True, fastmath=fastmath)(function)
+    if isinstance(out, Dispatcher):  # not with NUMBA_DISABLE_JIT
+        out.__class__, out._cache = _Interruptible, _Kept(function)
+    return out
+
+
+class _Interruptible(CPUDispatcher):  # type: ignore[misc]
+    """A signal that comes while machine code runs is handled when that returns its arrays; Numba then gives a SystemError."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        try:
+            return super().__call__(*arguments)
+        except SystemError as error:
+            if error.__cause__ is None:
+                raise
+            raise error.__cause__ from None
+
+
+class _Kept(NullCache):  # type: ignore[misc]
+    """Machine code of a function on disk: a file for the types of its arguments. Damage to it is noticed, whatever it is.
+
+    A file holds the SHA-256 of what follows, the SHA-256 of the sources and versions that it was made with, and the code.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        used = (one._cache for one in function.__globals__.values() if isinstance(one, _Interruptible))
+        self.sources = {function.__code__.co_filename}.union(*(one.sources for one in used))
+
+    @property
+    def cache_path(self) -> str | None:
+        own = os.environ.get("NUMBA_CACHE_DIR")
+        folder = private_folder(Path(own)) if own else cache_folder("numba")
+        return None if folder is None else str(folder)
+
+    @functools.cached_property
+    def stamp(self) -> bytes:
+        versions = (numba.__version__, sys.version)
+        return sha256(repr((versions, [_digest(path) for path in sorted(self.sources)])).encode()).digest()
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        if (folder := self.cache_path) is None:
+            return None
+        name = f"{self.function.__module__}.{self.function.__qualname__}"
+        code = self.function.__code__
+        key = (code.co_filename, code.co_firstlineno, signature, codegen.magic_tuple(), sys.version)
+        return Path(folder, f"{name}-{sha256(repr(key).encode()).hexdigest()[:32]}.nbc")
+
+    def load_overload(self, signature: Any, context: Any) -> CompileResult | None:
+        context.refresh()
+        if (path := self._path(signature, context.codegen())) is None:
+            return None
+        try:
+            content = path.read_bytes()
+            if sha256(content[32:]).digest() != content[:32]:
+                raise ValueError("the file is damaged")
+            if content[32:64] != self.stamp:
+                return None
+            return CompileResult._rebuild(context, *pickle.loads(content[64:]))
+        except FileNotFoundError:
+            return None
+        except Exception as error:
+            cache_trouble(path.parent, error)
+            return None
+
+    def save_overload(self, signature: Any, result: CompileResult) -> None:
+        path = self._path(signature, result.codegen)
+        if path is None or result.library.has_dynamic_globals:
+            return
+        part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
+        try:
+            content = self.stamp + dumps(result._reduce())
+            part.write_bytes(sha256(content).digest() + content)
+            part.replace(path)
+        except OSError as error:
+            cache_trouble(path.parent, error)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 @functools.cache
-def _say_uncached() -> None:
-    warn(
-        "compiled code cannot be kept on disk, since neither the folder of jaxfilter nor the user's cache folder can be "
-        "written: every process compiles for some seconds. Set NUMBA_CACHE_DIR to a folder that can be written"
-    )
+def _digest(path: str) -> bytes:
+    return sha256(Path(path).read_bytes()).digest()

@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
@@ -229,7 +230,9 @@ def _serve(connection: Connection) -> None:
     threading.Thread(target=_die_with_parent, daemon=True).start()
     from ..core.compilation import use_persistent_cache
 
-    use_persistent_cache()
+    with warnings.catch_warnings():  # what is wrong with the cache, the parent has said
+        warnings.simplefilter("ignore")
+        use_persistent_cache()
     while True:
         try:
             function, arguments = connection.recv()

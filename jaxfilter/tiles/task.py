@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import QUANTUM, PointCloud, Whole, overlap_counts
+from ..core.compilation import cache_warning
 from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
 from ..core.inputs import COLUMNS
@@ -357,5 +358,8 @@ def heard() -> Iterator[list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", JaxfilterWarning)
+        warnings.filterwarnings("always", "Error .* persistent compilation cache entry")
         yield remarks
-        remarks += dict.fromkeys(str(w.message) for w in caught)
+        texts = [str(w.message) for w in caught]
+        others = [text for text in texts if not cache_warning(text)]  # where it is one, it warns in its turn
+        remarks += dict.fromkeys(others + [str(w.message) for w in caught[len(texts) :]])
