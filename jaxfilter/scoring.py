@@ -13,7 +13,7 @@ from .core.cloud import QUANTUM, PointCloud
 from .core.compilation import bucket
 from .core.errors import InputError
 from .core.forks import need_threads
-from .core.inputs import is_laspy
+from .core.inputs import class_numbers, is_laspy
 from .core.result import Decision, FilterResult
 from .ops.metrics import confusion_counts
 
@@ -143,6 +143,9 @@ def evaluate(
     >>> jf.evaluate(result, cloud, candidates_only=True).kappa > 80
     True
     """
+    for name, given in {"result": result, "reference": reference, "ignore": ignore, "classes": classes}.items():
+        if np.ma.is_masked(given):
+            raise InputError(f"{name} has masked entries; give them values, and leave their points out by ignore=")
     ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
     if ground.ndim != 1 or ground.dtype != bool:
         raise InputError(f"result must be a FilterResult or bool[n] (True = ground), not {_describe(ground)}")
@@ -157,7 +160,7 @@ def evaluate(
         if ignore.shape != (n,) or ignore.dtype != bool:
             raise InputError(f"ignore must be bool[{n}], not {_describe(ignore)}")
         counted = counted & ~ignore
-    ignored = tuple(ignore_classes)
+    ignored = class_numbers(ignore_classes)
     if ignored:
         if classes is None and isinstance(reference, PointCloud):
             classes = reference.classification

@@ -106,8 +106,9 @@ def test_the_folder_is_private_and_what_other_versions_kept_is_no_matter(kept, m
 def test_a_folder_that_others_may_write_to_is_not_used(place, mode, said, kept, monkeypatch):
     compilation.private_folder.cache_clear()
     if mode is None:
-        monkeypatch.setattr(os, "getuid", lambda owner=os.getuid(): owner + 1)
-        os.chown(kept, os.geteuid() or 4321, -1)
+        owner = os.getuid()
+        monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+        os.chown(kept, owner or 4321, -1)  # what belongs to root is trusted
     else:
         (kept.parent / place).chmod(mode)
     with warnings.catch_warnings(record=True) as caught:

@@ -475,3 +475,116 @@ def test_las_data_is_checked_as_files_are():
         jf.read(las, units="m")
     with pytest.warns(jf.JaxfilterWarning, match="LasData: holds no points"):
         assert len(jf.read(laspy.LasData(laspy.LasHeader()), units="m")) == 0
+
+
+# arrays
+
+
+FLAT = np.column_stack([*(v.ravel() for v in np.meshgrid(np.arange(20.0), np.arange(20.0))), np.zeros(400)])
+
+
+def test_masked_points_are_refused_or_set_aside():
+    masked = np.ma.array(FLAT, mask=False, copy=True)
+    masked[7] = (3.0, 3.0, -9999.0)
+    masked[7, 2] = np.ma.masked
+    with pytest.raises(jf.InputError, match="1 of 400 points have NaN, infinite or masked coordinates"):
+        jf.SMRF()(masked)
+    with pytest.warns(jf.JaxfilterWarning, match="masked"):
+        cloud = jf.PointCloud.from_arrays(masked, drop_invalid=True)
+    assert not cloud.candidate[7] and cloud.candidate.sum() == 399 and cloud.xyz[:, 2].min() == 0
+    structured = np.ma.zeros(4, [("X", "f8"), ("Y", "f8"), ("Z", "f8"), ("Classification", "u1")])
+    for field, words in (("Z", "masked coordinates"), ("Classification", "classification has masked entries")):
+        one = structured.copy()
+        one[field][2] = np.ma.masked
+        with pytest.raises(jf.InputError, match=words):
+            jf.PointCloud.from_structured(one)
+    labels = np.ma.array(np.ones(3, bool), mask=[0, 1, 0])
+    with pytest.raises(jf.InputError, match="reference has masked entries"):
+        jf.evaluate(np.ones(3, bool), labels)
+
+
+def test_every_array_that_the_docstring_allows_is_taken_and_others_are_refused():
+    given = {
+        "return_number": np.full(400, 2), "number_of_returns": np.full(400, 3.0), "classification": [6] * 400,
+        "withheld": np.arange(400) % 2, "reference": np.arange(400) % 3 == 0,
+    }  # fmt: skip
+    cloud = jf.PointCloud.from_arrays(FLAT, **given, crs="EPSG:2154")
+    for name, values in given.items():
+        np.testing.assert_array_equal(getattr(cloud, name), values)
+    assert cloud.crs.to_epsg() == 2154 and cloud.reference.dtype == bool and not cloud.candidate.any()
+    few = np.arange(400) < 200
+    assert jf.PointCloud.from_arrays(FLAT, **given, candidate=few).candidate.tolist() == few.tolist()
+    ticks = FLAT.astype(np.int32)
+    assert jf.PointCloud.from_integers(ticks, np.ones(3), np.zeros(3), candidate=few).candidate.sum() == 200
+    odd = FLAT.copy()
+    odd[3] = np.nan
+    with pytest.warns(jf.JaxfilterWarning):
+        assert jf.PointCloud.from_arrays(odd, candidate=few, drop_invalid=True).candidate.sum() == 199
+    for name in ("origin", "valid", "intensity"):
+        with pytest.raises(jf.InputError, match=f"{name}= is no attribute.*classification.*candidate"):
+            jf.PointCloud.from_arrays(FLAT, **{name: few})
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"return_number": np.full(400, 17)}, "return_number of point 0 is .*17.*from 0 to 15"),
+    ({"number_of_returns": np.full(400, 16.0)}, "number_of_returns of point 0 is .*16.*from 0 to 15"),
+    ({"classification": np.ones((400, 1), np.uint8)}, r"classification has shape \(400, 1\)"),
+    ({"reference": np.ones((400, 1), bool)}, r"reference has shape \(400, 1\)"),
+    ({"classification": 2}, r"classification has shape \(\)"),
+    ({"classification": ["a"] * 400}, "classification is <U1"),
+    ({"withheld": np.ones(400, "m8[s]")}, "withheld is timedelta64"),
+    ({"reference": np.full(400, 2)}, "reference of point 0 is .*2.*True or False"),
+    *[({"ignore_classes": value}, "ignore_classes=.*several whole numbers from 0 to 255")
+      for value in (("a",), (300,), 2, None, "27", (2.5,), (True,), [[7]])],
+    *[({"returns": value}, "returns=.*first, intermediate, last, only") for value in (None, 1, ["last"], b"last", "", "both")],
+    ({"xyz": (1000 * FLAT).astype("m8[ms]")}, r"coordinates must be real numbers, not timedelta64\[ms\]"),
+    ({"xyz": FLAT > 3}, "coordinates must be real numbers, not bool"),
+])  # fmt: skip
+def test_arguments_of_another_kind_are_named(given, words):
+    classes = {"classification": np.zeros(400, np.uint8)}
+    with pytest.raises(jf.InputError, match=words):
+        jf.PointCloud.from_arrays(**{"xyz": FLAT, **classes, **given})
+    if "ignore_classes" in given:
+        with pytest.raises(jf.InputError, match=words):
+            jf.read("no_such_file.las", **given)
+
+
+@pytest.mark.parametrize(("shift", "units", "step"), [
+    ((500_000, 6_050_000, 0), "m", "X, Y came as float32, which at 6050019 has steps of 0.5 m"),
+    ((1000, 200_000, 0), "m", "Y came as float32.*0.0156 m"),
+    ((1000, 200_000, 0), "ft", None), ((10_000, 60_000, 500), "m", None),
+])  # fmt: skip
+def test_coordinates_that_float32_does_not_resolve(shift, units, step):
+    xyz = FLAT + shift
+    fields = xyz.astype(np.float32).view([(axis, "f4") for axis in "XYZ"])[:, 0]
+    for make in (lambda: jf.PointCloud.from_arrays(xyz.astype(np.float32), units=units),
+                 lambda: jf.PointCloud.from_structured(fields, units=units)):  # fmt: skip
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            make()
+        assert len(caught) == (step is not None)
+        assert step is None or caught[0].message.args[0].startswith(("xyz: ", "array: "))
+        if step is not None:
+            with pytest.warns(jf.JaxfilterWarning, match=step):
+                make()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jf.PointCloud.from_arrays(xyz, units=units)
+
+
+@pytest.mark.parametrize("scale", [0.01, 0.0001])
+def test_tables_of_results_have_the_coordinates_of_the_file(tmp_path, scale):
+    las = make_las(tmp_path / "in.laz", 6, "1.4", n=400)
+    las.header.scales = np.full(3, scale)
+    las.write(tmp_path / "in.laz")
+    las = laspy.read(tmp_path / "in.laz")
+    result = jf.SMRF()(jf.read(tmp_path / "in.laz", units="m", ignore_classes=()))
+    table = result.to_pandas()
+    for axis in "xyz":
+        np.testing.assert_array_equal(table[axis], np.asarray(las[axis]))
+    np.savetxt(tmp_path / "in.txt", np.column_stack([las.x, las.y, las.z]), fmt="%.5f")
+    table = jf.SMRF()(jf.read(tmp_path / "in.txt")).to_pandas()
+    np.testing.assert_array_equal(table[["x", "y", "z"]], np.loadtxt(tmp_path / "in.txt"))
+    (tmp_path / "in.laz").unlink()
+    with pytest.warns(jf.JaxfilterWarning, match=r"in.laz.*read it again.*to a millimetre"):
+        np.testing.assert_allclose(result.to_pandas()["x"], np.asarray(las.x), atol=6e-4)

@@ -21,7 +21,7 @@ from .frame import (
     localise_integers,
     near_points,
 )
-from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, structured_parts
+from .inputs import COLUMNS, as_column, class_numbers, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
 from .markup import sheet
 from .units import UNITS, Units, parse_crs, parse_units
@@ -140,41 +140,42 @@ class PointCloud:
         keep_withheld: bool = False,
         **attributes: Any,
     ) -> PointCloud:
-        """Make a cloud from coordinates in file units, f64[n, 3], and attribute arrays named as the class's fields.
+        """Make a cloud from coordinates in file units, f64[n, 3].
 
-        ``returns``, ``ignore_classes``, ``ignore_overlap`` and ``keep_withheld`` choose the candidates, see :meth:`select`;
-        ``name`` stands in error messages for where the numbers came from.
+        ``attributes``, named as the class's fields, are arrays of length n: ``return_number``, ``number_of_returns``,
+        ``classification``, ``withheld``, ``overlap``, ``reference`` and ``candidate``; and ``crs``. ``returns``,
+        ``ignore_classes``, ``ignore_overlap`` and ``keep_withheld`` choose the candidates, see :meth:`select`, unless
+        ``candidate`` is given. ``name`` stands in error messages for where the numbers came from.
 
-        Raises: InputError for a wrong shape or attribute length, and for coordinates so large that float64 does not
-        resolve :data:`QUANTUM`; for NaN and infinite coordinates, and for an extent above :data:`LARGEST_SPAN`, unless
-        ``drop_invalid``: then points that are not numbers, or lie farther than half of that from the median of a
-        coordinate, become non-ground, and a warning gives their number.
+        Raises: InputError for a wrong shape, attribute or attribute length, and for coordinates so large that float64 does
+        not resolve :data:`QUANTUM`; for NaN, infinite and masked coordinates, and for an extent above :data:`LARGEST_SPAN`,
+        unless ``drop_invalid``: then points that are not numbers, or lie farther than half of that from the median of a
+        coordinate, become non-ground, and a warning gives their number. Warns: of coordinates in float32 that are too
+        large for it.
 
         >>> xyz = [[512000.0, 5403000.0, 350.0], [512001.0, 5403002.0, 350.5]]
         >>> made = jf.PointCloud.from_arrays(np.array(xyz), classification=np.array([2, 6], np.uint8))
         >>> made.xyz.tolist()
         [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]
         """
-        try:
-            xyz = np.asarray(xyz)
-        except ValueError as error:
-            raise InputError(f"{name}: coordinates must be an array of shape (n, 3): {error}") from error
-        if xyz.ndim != 2 or xyz.shape[1] != 3:
-            raise InputError(f"{name}: coordinates must have shape (n, 3), not {xyz.shape}")
-        if not np.issubdtype(xyz.dtype, np.number) or np.issubdtype(xyz.dtype, np.complexfloating):
-            raise InputError(f"{name}: coordinates must be real numbers, not {xyz.dtype}")
-        xyz = xyz.astype(np.float64, copy=False)
+        given = numbers(xyz, f"{name}: coordinates")
+        if given.ndim != 2 or given.shape[1] != 3:
+            raise InputError(f"{name}: coordinates must have shape (n, 3), not {given.shape}")
+        xyz = given.astype(np.float64, copy=False)
+        if isinstance(xyz, np.ma.MaskedArray):
+            xyz = xyz.filled(np.nan)
         scale, grid_anchor = parse_units(units), checked_anchor(anchor)
         finite = np.isfinite(xyz).all(axis=1)
         valid = None
         if not finite.all():
             bad = int(len(xyz) - finite.sum())
+            odd = "NaN, infinite or masked" if np.ma.is_masked(given) else "NaN or infinite"
             if not drop_invalid:
                 raise InputError(
-                    f"{name}: {bad} of {len(xyz)} points have NaN or infinite coordinates; remove them, or pass "
+                    f"{name}: {bad} of {len(xyz)} points have {odd} coordinates; remove them, or pass "
                     "drop_invalid=True to label them non-ground"
                 )
-            warn(f"{name}: {bad} points with NaN or infinite coordinates are labelled non-ground")
+            warn(f"{name}: {bad} points with {odd} coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
         low, high = extremes(xyz)
@@ -182,7 +183,7 @@ class PointCloud:
         if near is not None:
             valid, xyz = near, np.where(near[:, None], xyz, np.nan)
             low, high = extremes(xyz)
-        check_resolution(low, high, scale, name)
+        check_resolution(low, high, scale, name, given.dtype)
         origin, local = localise(xyz, scale, grid_anchor)
         chosen = {
             "returns": returns,
@@ -190,7 +191,7 @@ class PointCloud:
             "ignore_overlap": ignore_overlap,
             "keep_withheld": keep_withheld,
         }
-        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
+        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid, attributes)
 
     @classmethod
     def from_integers(
@@ -238,7 +239,7 @@ class PointCloud:
             "ignore_overlap": ignore_overlap,
             "keep_withheld": keep_withheld,
         }
-        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid=valid, **attributes)
+        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid, attributes)
 
     @classmethod
     def from_laspy(
@@ -292,17 +293,20 @@ class PointCloud:
         anchor: np.ndarray | None,
         name: str,
         chosen: dict[str, Any],
-        **attributes: Any,
+        valid: np.ndarray | None,
+        attributes: dict[str, Any],
     ) -> PointCloud:
+        arrays = (*COLUMNS, "reference", "candidate")
         for key, value in attributes.items():
-            if key in ("crs", "source", "whole") or value is None:
-                continue
-            if len(value) != len(local):
-                raise InputError(f"{name}: {key} has {len(value)} entries for {len(local)} points")
-            if key in COLUMNS:
-                attributes[key] = as_column(key, value, name)
-        cloud = cls(origin=origin, xyz=local, units=units, anchor=anchor, **attributes)
-        return cloud.select(name=name, **chosen)
+            if key in arrays and value is not None:
+                attributes[key] = as_column(key, value, name, len(local))
+            elif key not in (*arrays, "crs", "source", "whole"):
+                raise InputError(f"{name}: {key}= is no attribute of points; there are {', '.join(arrays)} and crs")
+        candidate = attributes.pop("candidate", None)
+        cloud = cls(origin=origin, xyz=local, units=units, anchor=anchor, valid=valid, **attributes)
+        if candidate is None:
+            return cloud.select(name=name, **chosen)
+        return dataclasses.replace(cloud, candidate=candidate if valid is None else candidate & valid)
 
     def select(
         self,
@@ -323,13 +327,15 @@ class PointCloud:
             ignore_overlap: set points of the overlap of flight lines aside as well, see :attr:`in_overlap`.
             keep_withheld: take points that carry the withheld flag as well.
 
+        Raises: InputError for returns and classes that there are not.
+
         >>> everything = cloud.select(returns="all", ignore_classes=())
         >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
         (True, False)
         """
         candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()
         candidate &= _echo_mask(self.return_number, self.number_of_returns, returns, len(self), name)
-        ignored = tuple(ignore_classes)
+        ignored = class_numbers(ignore_classes)
         if self.classification is not None and ignored:
             candidate &= ~np.isin(self.classification, ignored)
         if ignore_overlap and self.in_overlap is not None:
@@ -392,9 +398,11 @@ _ECHOES = ("first", "intermediate", "last", "only")
 
 def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str) -> np.ndarray:
     """bool[n]: which points are among the wanted echoes. Damaged echo numbers are treated as last, with a warning."""
-    wanted = {r.strip().lower() for r in returns.split(",") if r.strip()}
+    wanted = {r.strip().lower() for r in returns.split(",") if r.strip()} if isinstance(returns, str) else set()
     if not wanted or wanted - {*_ECHOES, "all"}:
-        raise InputError(f"returns={returns!r}: use a comma-separated list of {', '.join(_ECHOES)}, or all")
+        raise InputError(
+            f"returns={returns!r}: use a text that lists some of {', '.join(_ECHOES)}, with commas, or 'all'"
+        )
     if "all" in wanted or number is None or total is None or n == 0:
         return np.ones(n, bool)
     empty = (number == 0) & (total == 0)

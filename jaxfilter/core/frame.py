@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ lies half-way between two decimal centimetres or millimetres, so clouds that dif
 """
 LARGEST_SPAN = (1e7, 1e7, 1e5)
 """Metres in X, Y and Z that a cloud may extend over; more is a stray point, or a wrong unit or scale."""
+COARSE = 0.005
+"""Metres: steps of float32 coordinates above which a warning is given. Half of it is an error of height that does not count."""
 SCALES = (1e-12, 100.0)
 """Scale factors of LAS files that are believed: above the first, up to the second."""
 
@@ -140,9 +143,22 @@ def near_points(
     return near
 
 
-def check_resolution(low: np.ndarray, high: np.ndarray, units: Units, name: str) -> None:
-    """Raises: InputError for coordinates that float64 holds less exactly than local ones are."""
+def check_resolution(
+    low: np.ndarray, high: np.ndarray, units: Units, name: str, kind: np.dtype[Any] | None = None
+) -> None:
+    """Raises: InputError for coordinates that float64 holds less exactly than local ones are. Warns: where their own type
+    ``kind`` has steps of more than :data:`COARSE`."""
     factor = np.array([units.xy, units.xy, units.z])
+    if kind is not None and kind.kind == "f" and kind.itemsize < 8:
+        ends = np.fmax(abs(low), abs(high))
+        steps = np.spacing(ends.astype(kind)).astype(np.float64) * factor
+        if (coarse := steps > COARSE).any():
+            axis = int(np.nanargmax(steps))
+            warn(
+                f"{name}: {', '.join(np.array(list('XYZ'))[coarse])} came as {kind}, which at {ends[axis]:.10g} has steps of "
+                f"{steps[axis]:.3g} m: points lie on a lattice of that size, and labels suffer; give them as float64, from "
+                "where they were read on"
+            )
     largest = np.fmax(abs(low), abs(high)) * factor
     if (largest >= _RESOLVED).any():
         axis = int(np.argmax(largest >= _RESOLVED))

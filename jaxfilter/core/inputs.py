@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -22,17 +24,55 @@ COLUMNS = {
     "return_number": np.uint8, "number_of_returns": np.uint8, "classification": np.uint8, "withheld": bool, "overlap": bool
 }  # fmt: skip
 """What is known of points beside their coordinates, and how it is held."""
+LARGEST = {"return_number": 15, "number_of_returns": 15, "classification": 255}
+"""The largest values of it that LAS can hold."""
 
 
-def as_column(field: str, values: Any, name: str) -> np.ndarray:
-    """One of :data:`COLUMNS`, [n], as it is held. Raises: InputError for values that it cannot hold."""
-    given, kind = np.asarray(values), COLUMNS[field]
+def numbers(values: Any, what: str) -> np.ndarray:
+    """Real numbers as an array, which may be a masked one. Raises: InputError for others, named ``what``."""
+    try:
+        given = np.ma.asanyarray(values) if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+    except ValueError as error:
+        raise InputError(f"{what} must be an array: {error}") from error
+    if given.dtype.kind not in "iuf":
+        raise InputError(f"{what} must be real numbers, not {given.dtype}")
+    return given
+
+
+def as_column(field: str, values: Any, name: str, n: int) -> np.ndarray:
+    """One of :data:`COLUMNS`, or another of bools, [n], as it is held. Raises: InputError for values that it cannot hold."""
+    given, kind = np.ma.asarray(values), COLUMNS.get(field, bool)
+    if given.ndim == 1 and len(given) != n:
+        raise InputError(f"{name}: {field} has {len(given)} entries for {n} points")
+    if given.ndim != 1:
+        raise InputError(f"{name}: {field} has shape {given.shape}, and a value for each point is needed: shape ({n},)")
+    if np.ma.is_masked(given):
+        raise InputError(f"{name}: {field} has masked entries; give them values, or leave these points out")
+    given = given.data
+    allowed = "True or False" if kind is bool else f"whole numbers from 0 to {LARGEST[field]}"
+    if given.dtype.kind not in "biuf":
+        raise InputError(f"{name}: {field} is {given.dtype}: {allowed} are needed")
     with np.errstate(invalid="ignore"):
-        held = given.astype(kind)
-    if given.dtype != kind and len(wrong := np.flatnonzero(held != given)):
-        allowed = "True or False" if kind is bool else "whole numbers from 0 to 255"
-        raise InputError(f"{name}: {field} of point {wrong[0]} is {given[wrong[0]]!r}: {allowed} are needed")
-    return held if given.dtype != kind else given
+        held = given.astype(kind, copy=False)
+    wrong = (held != given) | (False if kind is bool else held > LARGEST[field])
+    if wrong.any():
+        at = int(wrong.argmax())
+        raise InputError(f"{name}: {field} of point {at} is {given[at]!r}: {allowed} are needed")
+    return held
+
+
+def class_numbers(values: Iterable[int]) -> tuple[int, ...]:
+    """``ignore_classes`` as numbers from 0 to 255. Raises: InputError."""
+    try:
+        given = list(values)
+        out = tuple(operator.index(value) for value in given)
+        if any(isinstance(value, bool | np.bool_) for value in given) or not all(0 <= value <= 255 for value in out):
+            raise ValueError
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"ignore_classes={values!r}: several whole numbers from 0 to 255 are needed, such as (7, 18), or () for none"
+        ) from error
+    return out
 
 
 def _plain(name: str) -> str:
@@ -81,13 +121,16 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
             f"{name}: there is no field {missing[0].upper()}; X, Y and Z are needed, and it has {', '.join(named.values())}"
         )
 
-    def get(field: str) -> np.ndarray:
+    def get(field: str) -> Any:
         key = named[_plain(field)]
-        return np.asarray(getattr(points, key) if hasattr(points, key) else points[key])
+        return getattr(points, key) if hasattr(points, key) else points[key]
 
-    columns = {field: as_column(field, get(field), name) for field in COLUMNS if _plain(field) in named}
-    xyz = np.stack([get(axis).astype(np.float64) for axis in "xyz"], axis=1)
-    return {"xyz": xyz, **columns, "reference": _ground_of(columns)}
+    axes = [numbers(get(axis), f"{name}: {axis.upper()}") for axis in "xyz"]
+    if len(shapes := {axis.shape for axis in axes}) > 1 or axes[0].ndim != 1:
+        raise InputError(f"{name}: X, Y and Z must have one length and one dimension, not shapes {sorted(shapes)}")
+    n = len(axes[0])
+    columns = {field: as_column(field, get(field), name, n) for field in COLUMNS if _plain(field) in named}
+    return {"xyz": np.ma.stack(axes, axis=1), **columns, "reference": _ground_of(columns)}
 
 
 def _ground_of(columns: dict[str, np.ndarray]) -> np.ndarray | None:

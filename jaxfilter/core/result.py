@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from .errors import InputError, warn
 from .markup import sheet
 
 if TYPE_CHECKING:
@@ -162,9 +163,10 @@ class FilterResult:
     def to_xarray(self) -> xarray.Dataset:
         """All quantities over the dimension ``point``, with their units, and what the cloud says of the points.
 
-        Coordinates ``x``, ``y`` and ``z`` are in file units, f64; ``classification`` and ``reference`` are there if the cloud
-        has them. ``decision`` holds numbers; its attributes name them. Attributes of the whole: method, parameters, status.
-        A result that was put together by hand has neither coordinates nor parameters.
+        Coordinates ``x``, ``y`` and ``z`` are in file units, f64: those of the file, which is read again, or, of a cloud that was
+        made of arrays or whose file has changed (which is warned of), rounded to a millimetre; ``classification`` and
+        ``reference`` are there if the cloud has them. ``decision`` holds numbers; its attributes name them. Attributes of the
+        whole: method, parameters, status. A result that was put together by hand has neither coordinates nor parameters.
 
         >>> data = result.to_xarray()
         >>> data.height.attrs["units"], data.sizes["point"] == len(cloud)
@@ -184,7 +186,7 @@ class FilterResult:
         if self.run is None:
             return out
         cloud, filter_ = self.run.cloud, self.run.filter
-        out = out.assign_coords({axis: ("point", v) for axis, v in zip("xyz", cloud.coordinates().T, strict=True)})
+        out = out.assign_coords({axis: ("point", v) for axis, v in zip("xyz", _coordinates(cloud).T, strict=True)})
         for name in ("classification", "reference"):
             if getattr(cloud, name) is not None:
                 out[name] = ("point", getattr(cloud, name))
@@ -205,6 +207,16 @@ class FilterResult:
         table["decision"] = pandas.Categorical.from_codes(self.decision.astype(int), names)
         table.attrs = dict(data.attrs)
         return table
+
+
+def _coordinates(cloud: Any) -> np.ndarray:
+    """f64[n, 3] in file units: those of the file that the cloud was read from, if it is still there."""
+    if cloud.source is not None:
+        try:
+            return np.asarray(cloud.source.coordinates())
+        except InputError as error:
+            warn(f"{error}; until then coordinates are given to a millimetre")
+    return np.asarray(cloud.coordinates())
 
 
 _UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}

@@ -184,6 +184,27 @@ class Handle:
         if found != self.identity:
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
+    def runs(self, replay: Replay) -> Iterator[np.ndarray]:
+        """The coordinates of the points, f64[k, 3] in file units, read once more and added to ``replay``. Raises InputError."""
+        from . import records, text
+        from .header import read_header
+
+        if self.kind == "las":
+            with records.reading(self.path):
+                header = read_header(self.path)
+            for chunk in records.read_records(header, self.bounds, every_field=False):
+                replay.add(records.places(chunk))
+                yield records.coordinates(chunk, header)
+        else:
+            for xyz, _ in text.read_text(self.table, text.layout_of(self.table), self.bounds):
+                replay.add(xyz)
+                yield xyz
+
+    def coordinates(self) -> np.ndarray:
+        """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
+        with self.again() as replay:
+            return np.concatenate([np.zeros((0, 3)), *self.runs(replay)])
+
     @contextlib.contextmanager
     def again(self) -> Iterator[Replay]:
         """A block in which the points are read once more, and added to what it is given.

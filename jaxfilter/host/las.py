@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.errors import InputError, warn
-from ..core.inputs import COLUMNS, is_laspy
+from ..core.inputs import COLUMNS, class_numbers, is_laspy
 from ..core.points import canonical_points
 from ..core.result import Progress, silent
 from ..core.units import (
@@ -92,7 +92,7 @@ def read(
     asked = None if units is None else parse_units(units)
     chosen: dict[str, Any] = {
         "returns": returns,
-        "ignore_classes": tuple(ignore_classes),
+        "ignore_classes": class_numbers(ignore_classes),
         "ignore_overlap": ignore_overlap,
         "keep_withheld": keep_withheld,
         "drop_invalid": drop_invalid,

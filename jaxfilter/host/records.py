@@ -134,6 +134,11 @@ def integers(records: np.ndarray) -> np.ndarray:
     return records[:, :12].view("<i4")
 
 
+def places(records: np.ndarray) -> np.ndarray:
+    """[n] view of X, Y and Z in one piece, which are copied faster."""
+    return records[:, :12].view("V12")
+
+
 def coordinates(records: np.ndarray, header: Header, axes: int = 3) -> np.ndarray:
     """f64[n, axes], file units."""
     return integers(records)[:, :axes] * header.scales[:axes] + header.offsets[:axes]

@@ -18,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.inputs import COLUMNS
+from ..core.inputs import COLUMNS, LARGEST
 from .delimited import BLANK, blanked, cell_pattern, cells_of, check_line, open_quote, shown, spans_of
 from .files import Bounds, Replay
 from .records import inside, reading
@@ -41,9 +41,7 @@ _NAMES = {  # column names, without case and punctuation
     "withheld": "withheld", "overlap": "overlap",
 }  # fmt: skip
 _UNNAMED = [b"x", b"y", b"z", b"label"]
-_LARGEST = {
-    "classification": 255, "return_number": 15, "number_of_returns": 15, "withheld": 1, "overlap": 1, "label": 1
-}  # fmt: skip
+_LARGEST = LARGEST | {"withheld": 1, "overlap": 1, "label": 1}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -292,7 +292,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
 
 def _replayed(chunks: Iterator[np.ndarray], replay: Replay) -> Iterator[np.ndarray]:
     for chunk in chunks:
-        replay.add(chunk[:, :12].view("V12"))  # X, Y, Z in one piece, which are copied faster
+        replay.add(records.places(chunk))
         yield chunk
 
 
@@ -375,15 +375,8 @@ def _coordinates(cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
             valid = None if cloud.valid is None else cloud.valid[rows]
             xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
             yield xyz if valid is None else np.where(valid[:, None], xyz, np.nan)
-    elif source.kind == "las":
-        with reading(source.path):
-            header = read_header(source.path)
-        for chunk in _replayed(read_records(header, source.bounds, every_field=False), replay):
-            yield records.coordinates(chunk, header)
     else:
-        for xyz, _ in text.read_text(source.table, text.layout_of(source.table), source.bounds):
-            replay.add(xyz)
-            yield xyz
+        yield from source.runs(replay)
 
 
 def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:

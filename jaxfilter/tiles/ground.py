@@ -10,6 +10,7 @@ from typing import Any, Unpack
 from ..core.cloud import KEPT_CLASSES, Whole
 from ..core.errors import ParameterError
 from ..core.filter import Filter
+from ..core.inputs import class_numbers
 from .collection import Collection
 from .folder import Folder, run_in
 from .layout import Layout, layout
@@ -74,7 +75,7 @@ def ground(
     collection = begun("ground", what, units, run)
     reading = {
         "returns": returns,
-        "ignore_classes": tuple(ignore_classes),
+        "ignore_classes": class_numbers(ignore_classes),
         "ignore_overlap": ignore_overlap,
         "keep_withheld": keep_withheld,
         "drop_invalid": drop_invalid,
