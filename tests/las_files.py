@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
+import tracemalloc
 from pathlib import Path
 
 import laspy
@@ -12,6 +14,26 @@ import numpy as np
 
 OFFSETS = np.array([440000.0, 4750000.0, 100.0])
 SCALES = np.array([0.01, 0.01, 0.001])
+
+
+class Effort:
+    """A block of work, as far as it does not depend on the speed of the machine: ``calls`` of functions, those written in C
+    among them, and ``peak``, bytes of memory."""
+
+    calls = peak = 0
+
+    def __enter__(self) -> Effort:
+        def count(*_: object) -> None:
+            self.calls += 1
+
+        tracemalloc.start()
+        sys.setprofile(count)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.setprofile(None)
+        self.peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
 
 
 def make_las(path: Path, point_format: int = 6, version: str | None = None, n: int = 200, *, crs: object = 32632,

@@ -1,8 +1,10 @@
 """Densification against a plain loop that triangulates everything anew in every round."""
 
 import dataclasses
+import itertools
 import signal
-import time
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,9 +15,12 @@ from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import Decision
-from jaxfilter.host.tin import Tin, lattice
+from jaxfilter.host import flips, walks
+from jaxfilter.host import tin as tin_module
+from jaxfilter.host.tin import lattice
 from jaxfilter.ops.facets import Rule
-from jaxfilter.stages.densify import Densification, densify
+from jaxfilter.stages import densify as densify_module
+from jaxfilter.stages.densify import densify
 from jaxfilter.stages.growth import Adaptive, Border, Growth, Mirror, Network, Vertices
 from jaxfilter.stages.network import block_networks, border_positions, one_network
 
@@ -429,42 +434,91 @@ def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to
 
 
 @pytest.fixture(scope="module")
-def plain_of_millions():
-    """A network of 1800 x 1800 nodes, one in each square metre, that all pass in the first round: seconds of growth."""
+def lawn():
+    """A network of 240 x 240 nodes, one in each square metre, that all pass in the first round."""
     rng = np.random.default_rng(7)
-    k = 1800 * 1800
-    xy = np.indices((1800, 1800)).reshape(2, -1).T + rng.integers(0, 1000, (k, 2)) / 1024
-    corners = [[-1, -1, 0], [1801, -1, 0], [1801, 1801, 0], [-1, 1801, 0]]
+    k = 240 * 240
+    xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (k, 2)) / 1024
+    corners = [[-1, -1, 0], [241, -1, 0], [241, 241, 0], [-1, 241, 0]]
     xyz = np.concatenate([np.column_stack([xy, rng.normal(0, 0.02, k)]), corners]).astype(np.float32)
     seed = np.arange(k + 4) >= k
-    points = canonical_points(PointCloud.from_arrays(xyz[::100000]))
+    points = canonical_points(PointCloud.from_arrays(xyz[::1000]))
     row, late = np.where(seed, -1, 0), np.zeros(k + 4, bool)
     return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late)
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers that raise signals here")
-@pytest.mark.parametrize("workers", [1, 3])
-@pytest.mark.parametrize("step", ["_test", "insert"])
-def test_an_interrupt_is_obeyed_within_a_second(step, workers, plain_of_millions, monkeypatch):
-    of, due = (Densification if step == "_test" else Tin), []
-    work = getattr(of, step)
+STEPS = {"judge": (densify_module, "judge"), "locate": (walks, "locate"), "insert": (flips, "insert")}
+"""What is called again and again with a bounded number of nodes: nothing can interrupt it."""
 
-    def interrupt(*_):
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signals to threads here")
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("step", STEPS)
+def test_an_interrupt_ends_densification_before_another_step_begins(step, workers, lawn, monkeypatch):
+    """The signal comes in the fifth step. Other threads wait until its handler has run, and then until what raised it has
+    cancelled the steps that wait: each may have one more at most, which it had begun to fetch."""
+    chunk = 1024
+    monkeypatch.setattr(tin_module, "CHUNK", chunk)
+    monkeypatch.setattr(tin_module, "_SHARE", chunk)
+    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)  # compiles
+    place, name = STEPS[step]
+    work, begun, later = getattr(place, name), itertools.count(1), []
+    handled, cancelled = threading.Event(), threading.Event()
+
+    def counted(*arguments, **named):
+        if handled.is_set():
+            later.append(name)
+            cancelled.wait(60)
+        elif next(begun) == 5:
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGUSR1)
+            handled.wait(60)
+        return work(*arguments, **named)
+
+    def handler(*_):
+        handled.set()
         raise KeyboardInterrupt
 
-    def begun(self, nodes):
-        if len(nodes):
-            signal.setitimer(signal.ITIMER_REAL, 0.6)
-            due.append(time.monotonic() + 0.6)
-        return work(self, nodes)
+    def shutdown(pool, *arguments, **named):
+        cancelled.set()
+        return end(pool, *arguments, **named)
 
-    monkeypatch.setattr(of, step, begun)
-    before = signal.signal(signal.SIGALRM, interrupt)
+    end = ThreadPoolExecutor.shutdown
+    monkeypatch.setattr(place, name, counted)
+    monkeypatch.setattr(ThreadPoolExecutor, "shutdown", shutdown)
+    before = signal.signal(signal.SIGUSR1, handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            densify(plain_of_millions, Growth(Rule(max_angle=90.0)), workers=workers)
-        seconds = time.monotonic() - due[-1]
+            densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-    assert seconds < 1.0
+        signal.signal(signal.SIGUSR1, before)
+        cancelled.set()
+    assert handled.is_set() and len(later) <= (workers if workers > 1 else 0)
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
+    """So an interrupt need not wait for long."""
+    monkeypatch.setattr(tin_module, "CHUNK", 1024)
+    monkeypatch.setattr(tin_module, "_SHARE", 1024)
+    sizes = {name: [] for name in STEPS}
+    measured = {
+        "judge": lambda *given: len(given[-1]),
+        "locate": lambda *given: len(given[5]),
+        "insert": lambda *given: len(given[7]) - given[13],
+    }
+
+    def watched(name):
+        place, attribute = STEPS[name]
+        work = getattr(place, attribute)
+
+        def call(*given, **named):
+            sizes[name].append(measured[name](*given))
+            return work(*given, **named)
+
+        monkeypatch.setattr(place, attribute, call)
+
+    for name in STEPS:
+        watched(name)
+    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
+    for name, bound in (("judge", max(densify_module._BATCHES)), ("locate", 1024), ("insert", 1024)):
+        assert 0 < max(sizes[name]) <= bound and sum(sizes[name]) >= 50_000, name

@@ -108,6 +108,16 @@ def test_sets_of_a_sweep_that_grow_downward_differently_are_those_of_calls_alone
     assert all((alone[0] != ground).any() for ground in alone[1:])
 
 
+@pytest.mark.parametrize("spacing", [5e-4, 2e-3, 0.007])
+def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
+    xyz = surface(500, 20)
+    with pytest.raises(jf.InputError, match=rf"IPTD\(border_spacing\)={spacing:g} m: puts .* simulated points.*larger"):
+        jf.IPTD(border_spacing=spacing)(xyz)
+    assert jf.IPTD(border_spacing=0.008)(xyz).ground.any()
+    with pytest.raises(jf.InputError, match=r"SPF\(border_spacing\)=0.05 m: puts 3.99e.05 .*200,000 are possible"):
+        jf.SPF(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
+
+
 def test_presets_hold_the_printed_parameters():
     f = jf.IPTD.preset("samp23")
     assert (f.window, f.k, f.plane_error, f.max_angle, f.max_distance) == (40.0, 600, 0.8, 45.0, 1.5)

@@ -11,6 +11,7 @@ from scipy.spatial.distance import cdist
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
+from jaxfilter.host import neighbours
 from jaxfilter.host.cells import Cells
 from jaxfilter.host.depressions import Basins, _ascending
 from jaxfilter.host.trend import low_trend
@@ -38,6 +39,29 @@ def test_radius_outliers_equal_all_pairs(crowd, radius, least, include_self, pla
     out = radius_outliers(crowd.xyz, crowd.weight, radius, least, include_self=include_self, planar=planar)
     assert crowd.weight.max() > 1 and 0 < out.sum() < len(out)
     np.testing.assert_array_equal(np.repeat(out, crowd.weight), count < least)
+
+
+def test_many_neighbours_take_no_more_memory_than_points(rng):
+    """More than there are points no point can have; others are looked for part by part."""
+    xyz, weight = points_of(rng.uniform(0, 30, (800, 3))).xyz, np.ones(800, np.int32)
+    every = cdist(xyz.astype(np.float64), xyz.astype(np.float64))
+    for least in (799, 800, 100_000, 10**9):
+        tracemalloc.start()
+        few = radius_outliers(xyz, weight, 40.0, least)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        np.testing.assert_array_equal(few, (every <= 40.0).sum(axis=1) - 1 < least)
+        assert peak < 30e6 and (least > 799 or 0 < few.sum() < 800)
+    with pytest.raises(jf.ParameterError, match=r"PTD\(min_neighbours=100000\): must be >= 1 and <= 4096"):
+        jf.PTD(radius=1, min_neighbours=100_000)
+
+
+def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):
+    whole = [radius_outliers(crowd.xyz, crowd.weight, 5.0, 40), knn_outliers(crowd.xyz, crowd.weight, 30)]
+    monkeypatch.setattr(neighbours, "_ENTRIES", 500)
+    parts = [radius_outliers(crowd.xyz, crowd.weight, 5.0, 40), knn_outliers(crowd.xyz, crowd.weight, 30)]
+    assert all(one.any() for one in whole)
+    np.testing.assert_array_equal(parts, whole)
 
 
 def test_knn_outliers_equal_all_pairs(rng):

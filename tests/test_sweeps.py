@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -206,7 +205,7 @@ def test_any_method_sweeps_any_traced_field(filter_, hills):
 @pytest.mark.parametrize("workers", [1, 3])
 def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(workers, hills, monkeypatch):
     sets = [jf.CSF(max_step=step) for step in (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)]
-    begun, classify = [], jf.CSF.classify
+    begun, classify, handed, submit = [], jf.CSF.classify, [], ThreadPoolExecutor.submit
 
     def counted(self, points, **options):
         if self.max_step == 0.45:
@@ -214,11 +213,17 @@ def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(work
         begun.append((self.max_step, options["workers"]))
         return classify(self, points, **options)
 
+    def submitted(pool, function, *arguments):
+        if isinstance(arguments[0], list):  # numbers of sets, no rows of a cloth
+            handed.append(arguments)
+        return submit(pool, function, *arguments)
+
     monkeypatch.setattr(jf.CSF, "classify", counted)
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", submitted)
     points = canonical_points(hills)
     reader = sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9)
     assert [next(reader)[0] for _ in range(3)] == [0, 1, 2]
-    time.sleep(0.5)  # time in which all would be done, if nothing waited for the reader
+    assert len(handed) == 3 + workers, "no more are begun until the reader takes another"
     reader.close()
     assert 3 <= len(begun) <= 3 + workers and {w for _, w in begun} == {1}
     with pytest.raises(RuntimeError, match="fails"):

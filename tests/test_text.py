@@ -7,7 +7,6 @@ import dataclasses
 import math
 import re
 import time
-import tracemalloc
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from las_files import Effort
 
 from jaxfilter.core.errors import InputError, JaxfilterWarning
 from jaxfilter.host import text
@@ -354,16 +354,10 @@ NAMED = "x,y,z,label\n1,2,3,0\n"
 def test_refused(tmp_path, content, message):
     path = tmp_path / "in.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    tracemalloc.start()
-    began = time.process_time()
-    try:
-        with pytest.raises(InputError, match=message) as caught:
-            read(path)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+    with Effort() as effort, pytest.raises(InputError, match=message) as caught:
+        read(path)
     assert str(path) in str(caught.value) and len(str(caught.value)) < 500
-    assert time.process_time() - began < 2 and peak < 20e6
+    assert effort.calls < 100_000 and effort.peak < 20e6
     with pytest.raises(InputError):
         info(path)
 
@@ -373,11 +367,12 @@ def test_refused(tmp_path, content, message):
     "x y z " + '" ' * 40_000, "1;2;3;" + " \t" * 40_000 + '"',
 ])  # fmt: skip
 def test_long_lines_take_no_longer(tmp_path, line):
-    (tmp_path / "in.txt").write_text(line + "\n1,2,3,4\n" + line + "\n")
+    """A search that went back and forth in such a line would take hundreds of seconds, and there is nothing to count."""
+    (tmp_path / "in.txt").write_text(4 * line + "\n1,2,3,4\n" + 4 * line + "\n")
     began = time.process_time()
     with pytest.raises(InputError):
         read(tmp_path / "in.txt")
-    assert time.process_time() - began < 2
+    assert time.process_time() - began < 60
 
 
 # nothing in it

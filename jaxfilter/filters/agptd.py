@@ -83,7 +83,7 @@ class AGPTD(Mirroring):
     )
     refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
     neighbours: int = static(
-        default=0, symbol="k", ge=0, doc="neighbours in the test that bars points of odd elevation; 0 = off"
+        default=0, symbol="k", ge=0, le=4096, doc="neighbours in the test that bars points of odd elevation; 0 = off"
     )
     deviations: float = param(
         default=3.0, unit="sigma", gt=0, doc="standard deviations at which the elevation of a point is odd"
@@ -91,7 +91,7 @@ class AGPTD(Mirroring):
     _: dataclasses.KW_ONLY
     radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(
-        default=4, symbol="num", ge=1, doc="a point with fewer neighbours within the radius is no seed"
+        default=4, symbol="num", ge=1, le=4096, doc="a point with fewer neighbours within the radius is no seed"
     )
 
     BIBTEX: ClassVar[str] = papers.ZHENG_2024

@@ -85,7 +85,7 @@ class CSF(Filter):
     )
     radius: float = static(default=0.0, doc="radius of the outlier test; 0 = off", symbol="r", unit="m", ge=0)
     min_neighbours: int = static(
-        default=1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1
+        default=1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1, le=4096
     )
     low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth")
 

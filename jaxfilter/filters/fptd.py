@@ -115,7 +115,7 @@ class FPTD(TinFilter):
         progress(0.0, "seeds")
         seeds = lowest_per_window(points, self.window, self.stride, barred)
         if self.blocks == "independent":
-            border = border_positions(*points.extent, self.window, points.anchored())
+            border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             return block_networks(
                 points, seeds, border, barred, late, size=self.window, overlap=self.overlap, reach=self.halo()
             )

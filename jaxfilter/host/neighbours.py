@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 _NEAR = 48
-_BATCH = 1 << 18
+_BATCH, _ENTRIES = 1 << 18, 1 << 22
+"""Points that ask a KD-tree at a time, and neighbours that they get together."""
 
 
 def perturbed(xy: np.ndarray) -> np.ndarray:
@@ -50,6 +51,11 @@ def nearest(
     return distance, index
 
 
+def batches(rows: np.ndarray, neighbours: int) -> list[np.ndarray]:
+    """Parts of rows that ask for so many neighbours at a time as there is room for."""
+    return np.array_split(rows, len(rows) // max(1, min(_BATCH, _ENTRIES // neighbours)) + 1)
+
+
 def few_neighbours(
     xyz: np.ndarray, weight: np.ndarray, radius: float, least: int, workers: int | None = None
 ) -> np.ndarray:
@@ -60,6 +66,8 @@ def few_neighbours(
     their ``least`` nearest.
     """
     m = len(xyz)
+    if least >= weight.sum(dtype=np.int64):
+        return np.ones(m, bool)
     found = weight.astype(np.int32) - 1
     columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
     limit = np.float32((radius * (1 - 1e-6)) ** 2)  # what rounding could carry in is left to the KD-tree
@@ -77,8 +85,8 @@ def few_neighbours(
     if len(rows) == 0:
         return few
     tree = tree_of(xyz)
-    for part in np.array_split(rows, len(rows) // _BATCH + 1):
-        distance, index = nearest(tree, xyz[part], least + 1, radius, workers)
+    for part in batches(rows, least + 1):
+        distance, index = nearest(tree, xyz[part], min(least + 1, m), radius, workers)
         counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
         few[part] = counted - 1 < least
     return few

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from ..core.errors import InputError
 from ..core.filter import Labels
+from ..core.frame import QUANTUM
 from ..core.points import Points
 from ..core.result import Decision, Status
 from ..host.neighbours import perturbed
@@ -18,6 +20,8 @@ from .growth import Network
 PAD = 0.25
 """Metres between the extent of the points and the simulated border points around it."""
 _BULGE = 0.05
+_MOST = 200_000
+"""Simulated border points, at most: those every 10 m around 500 km."""
 CORNER_GAP = 10.0
 """Metres between the extent of the points and four simulated corner points (Uray & Varlik 2024)."""
 
@@ -27,14 +31,25 @@ def block_count(extent: np.ndarray, size: float) -> tuple[int, int]:
     return max(1, int(extent[0] // size)), max(1, int(extent[1] // size))
 
 
-def border_positions(low: np.ndarray, high: np.ndarray, size: float, corner: np.ndarray | None = None) -> np.ndarray:
+def border_positions(
+    low: np.ndarray, high: np.ndarray, size: float, corner: np.ndarray | None = None, name: str = "size"
+) -> np.ndarray:
     """f32[2 (nx + ny), 2]: the nodes of the block grid on the perimeter of the extent (Li et al. 2021, Sec. II-D).
 
     They stand :data:`PAD` outside the extent, and the sides bulge by a few centimetres, so that no three are collinear
     and every point lies inside their hull. Blocks begin at the lower corner of the extent, or at multiples of their size
     from the anchor, when ``corner``, f64[2], metres, says how far the zero of local coordinates is from it.
+
+    Raises: InputError, which calls the size ``name``, where nodes would be more than :data:`_MOST`, or fall together.
     """
     nx, ny = block_count(high - low, size)
+    apart = max(8 * QUANTUM, 4 * float(np.spacing(np.float32(high.max()))))
+    if nx + ny > _MOST // 2 or (nx + ny > 2 and size < apart):
+        width, height = high - low
+        raise InputError(
+            f"{name}={size:g} m: puts {2 * (nx + ny):.3g} simulated points around an extent of {width:.6g} x {height:.6g} m, "
+            f"{size:g} m apart; {_MOST:,} are possible, {apart:g} m apart: use a larger one"
+        )
     sides = []
     for axis, n in ((0, nx), (1, ny)):
         if corner is None:

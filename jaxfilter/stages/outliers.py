@@ -13,7 +13,7 @@ from ..core.grid import lattice_over
 from ..core.points import Points, pieces
 from ..host.cells import Cells
 from ..host.depressions import Basins
-from ..host.neighbours import few_neighbours, groups, nearest, tree_of
+from ..host.neighbours import batches, few_neighbours, groups, nearest, tree_of
 from ..host.trend import low_trend
 from ..ops.morphology import ring_minimum
 from .surfaces import Cells as GridCells
@@ -64,14 +64,15 @@ def knn_outliers(
     if m < 2:
         return np.zeros(m, bool)
     k = min(k, m - 1)
-    _, index = nearest(tree_of(xyz), xyz, k + 1, np.inf, workers)
-    order = np.argsort(index != np.arange(m)[:, None], axis=1, kind="stable")  # the point itself first
-    index = np.take_along_axis(index, order, axis=1)
-    copies = weight[index].astype(np.int64)
-    copies[:, 0] -= 1
-    taken = np.diff(np.minimum(np.cumsum(copies, axis=1), k), axis=1, prepend=0)
-    z = xyz[:, 2].astype(np.float64)
-    difference = np.abs(z - (taken * z[index]).sum(axis=1) / k)
+    z, difference, tree = xyz[:, 2].astype(np.float64), np.empty(m), tree_of(xyz)
+    for part in batches(np.arange(m), k + 1):
+        _, index = nearest(tree, xyz[part], k + 1, np.inf, workers)
+        order = np.argsort(index != part[:, None], axis=1, kind="stable")  # the point itself first
+        index = np.take_along_axis(index, order, axis=1)
+        copies = weight[index].astype(np.int64)
+        copies[:, 0] -= 1
+        taken = np.diff(np.minimum(np.cumsum(copies, axis=1), k), axis=1, prepend=0)
+        difference[part] = np.abs(z[part] - (taken * z[index]).sum(axis=1) / k)
     mean = np.average(difference, weights=weight)
     deviation = np.sqrt(np.average((difference - mean) ** 2, weights=weight))
     return difference > mean + deviations * deviation

@@ -32,10 +32,13 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
         corner = np.floor((corner - offset) / stride + 1e-9) * stride + offset
     layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride)
     if layout.blocks[0] * layout.blocks[1] > most_cells(len(points)):
+        rows, columns = layout.blocks
+        sizes = f"window={window:g} and stride={stride:g} m divide into {layout.block:g} m, which makes"
+        hint = "let the stride divide the window"
+        if window == stride:
+            sizes, hint = f"cells of {window:g} m for the seeds make", "use larger ones"
         raise InputError(
-            f"window={window:g} and stride={stride:g} m divide into {layout.block:g} m, which makes "
-            f"{layout.blocks[0]} x {layout.blocks[1]} cells over this extent: let the stride divide the window, or remove "
-            "stray points far from the rest"
+            f"{sizes} {rows} x {columns} cells over this extent: {hint}, or remove stray points far from the rest"
         )
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
     frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)

@@ -47,7 +47,7 @@ class TinFilter(Filter):
 
     radius: float = static(default=0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(
-        default=10, symbol="n", ge=1, doc="a point with fewer neighbours within the radius is no seed"
+        default=10, symbol="n", ge=1, le=4096, doc="a point with fewer neighbours within the radius is no seed"
     )
     low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
     outlier_fate: str = static(default="barred", choices=FATES, doc="outliers are no seeds, or never ground")
@@ -175,7 +175,8 @@ class TinFilter(Filter):
 
         ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
         """
-        border = border_positions(*points.extent, spacing, points.anchored())
+        name = "border_spacing" if hasattr(self, "border_spacing") else self.WINDOW
+        border = border_positions(*points.extent, spacing, points.anchored(), f"{type(self).__name__}({name})")
         return one_network(points, seeds, border, barred, late, **more)
 
     def rule(self, **limits: float) -> Rule:
