@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import selectors
 import subprocess
 import sys
@@ -150,6 +149,39 @@ def missed(row: dict[str, Any]) -> bool:
     return "seconds" not in row or row["seconds"] > SECONDS or row["megabytes"] > MEGABYTES
 
 
+def write(rows: list[dict[str, Any]], methods: list[str], out: Path) -> None:
+    """The tables of what was tried so far."""
+    out.mkdir(parents=True, exist_ok=True)
+    report.write_csv(out / "parameters.csv", rows)
+    table = []
+    for method in sorted(methods):
+        own = [row for row in rows if row["method"] == method]
+        done = [row["outcome"] for row in own if "seconds" in row]
+        table.append(
+            {
+                "method": method,
+                "sets": len(own),
+                "labels": sum(text.endswith(" ground") for text in done),
+                "refused": sum("Error: " in text for text in done),
+                "missed": sum(map(missed, own)),
+                "seconds": max((row.get("seconds", np.inf) for row in own), default=0.0),
+                "megabytes": max((row.get("megabytes", np.inf) for row in own), default=0.0),
+            }
+        )
+    bad = [row for row in rows if missed(row)]
+    lines = [
+        "# Random parameters",
+        "",
+        f"Bounds: labels or a clear error within {SECONDS:g} s of processor time and {MEGABYTES:g} MB, {POINTS} points each.",
+        f"{len(bad)} of {len(rows)} sets missed them.",
+        "",
+        report.markdown(COLUMNS, table),
+        "",
+        *(f"- set {row['set']}, {row['method']}, {row['outcome']}: `{row['fields']}`" for row in bad),
+    ]
+    (out / "parameters.md").write_text("\n".join(lines).rstrip() + "\n")
+
+
 def main() -> int:
     """Try all sets and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -166,20 +198,19 @@ def main() -> int:
 
     import jaxfilter as jf
 
-    methods = arguments.methods.split(",") if arguments.methods else sorted(jf.FILTERS)
+    every = sorted(jf.FILTERS)
+    methods = arguments.methods.split(",") if arguments.methods else every
     named = {int(number) for number in arguments.only.split(",")} if arguments.only else None
     rows: list[dict[str, Any]] = []
     for k, method in enumerate(methods):
-        numbers = [n for n in range(k, arguments.sets, len(methods)) if named is None or n in named]
+        numbers = [n for n in range(every.index(method), arguments.sets, len(every)) if named is None or n in named]
         process, left = None, 0
         for number in numbers:
             if process is None or process.poll() is not None or left == 0:
                 if process is not None:
                     process.kill()
                 command = [sys.executable, __file__, "--serve", "--seed", str(arguments.seed)]
-                process = subprocess.Popen(
-                    command, stdin=-1, stdout=-1, stderr=subprocess.DEVNULL, text=True, env=os.environ
-                )
+                process = subprocess.Popen(command, stdin=-1, stdout=-1, stderr=subprocess.DEVNULL, text=True)
                 left = _TOGETHER
             found = ask(process, method, number, left == _TOGETHER)
             left -= 1
@@ -189,40 +220,10 @@ def main() -> int:
                 print(rows[-1], flush=True)
         if process is not None:
             process.kill()
-        print(
-            f"{method}: {len(numbers)} sets, {sum(missed(row) for row in rows if row['method'] == method)} missed",
-            flush=True,
-        )
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    report.write_csv(arguments.out / "parameters.csv", rows)
-    table = []
-    for method in methods:
-        own = [row for row in rows if row["method"] == method]
-        clear = [row for row in own if "Error: " in row["outcome"] and "seconds" in row]
-        table.append(
-            {
-                "method": method,
-                "sets": len(own),
-                "labels": sum("ground" in row["outcome"] and "seconds" in row for row in own),
-                "refused": len(clear),
-                "missed": sum(map(missed, own)),
-                "seconds": max((row.get("seconds", float("inf")) for row in own), default=0.0),
-                "megabytes": max((row.get("megabytes", float("inf")) for row in own), default=0.0),
-            }
-        )
-    bad = [row for row in rows if missed(row)]
-    lines = [
-        "# Random parameters",
-        "",
-        f"Bounds: labels or a clear error within {SECONDS:g} s of processor time and {MEGABYTES:g} MB, {POINTS} points each.",
-        f"{len(bad)} of {len(rows)} sets missed them.",
-        "",
-        report.markdown(COLUMNS, table),
-        "",
-        *(f"- set {row['set']}, {row['method']}, {row['outcome']}: `{row['fields']}`" for row in bad),
-    ]
-    (arguments.out / "parameters.md").write_text("\n".join(lines).rstrip() + "\n")
-    return 1 if bad else 0
+        bad = sum(missed(row) for row in rows if row["method"] == method)
+        print(f"{method}: {len(numbers)} sets, {bad} missed", flush=True)
+        write(rows, methods[: k + 1], arguments.out)
+    return 1 if any(map(missed, rows)) else 0
 
 
 if __name__ == "__main__":

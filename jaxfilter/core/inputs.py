@@ -41,14 +41,14 @@ def numbers(values: Any, what: str) -> np.ndarray:
 
 def as_column(field: str, values: Any, name: str, n: int) -> np.ndarray:
     """One of :data:`COLUMNS`, or another of bools, [n], as it is held. Raises: InputError for values that it cannot hold."""
-    given, kind = np.ma.asarray(values), COLUMNS.get(field, bool)
+    given, kind = np.asanyarray(values), COLUMNS.get(field, bool)
     if given.ndim == 1 and len(given) != n:
         raise InputError(f"{name}: {field} has {len(given)} entries for {n} points")
     if given.ndim != 1:
         raise InputError(f"{name}: {field} has shape {given.shape}, and a value for each point is needed: shape ({n},)")
     if np.ma.is_masked(given):
         raise InputError(f"{name}: {field} has masked entries; give them values, or leave these points out")
-    given = given.data
+    given = np.asarray(given)
     allowed = "True or False" if kind is bool else f"whole numbers from 0 to {LARGEST[field]}"
     if given.dtype.kind not in "biuf":
         raise InputError(f"{name}: {field} is {given.dtype}: {allowed} are needed")
