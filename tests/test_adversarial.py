@@ -6,6 +6,7 @@
 import time
 import warnings
 
+import numpy as np
 import pytest
 
 import jaxfilter as jf
@@ -36,3 +37,26 @@ def test_labels_or_a_clear_error(method, name):
             assert not name.startswith("far")
             assert len(result) == len(xyz) and result.ground.any()
     assert time.process_time() - start < SECONDS
+
+
+SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0, 1000]
+"""300 points on level ground at 1,000 m, in every 30th cell of a metre."""
+
+
+@pytest.mark.parametrize(("filter_", "words"), [
+    (lambda: jf.SPF(cell=1.0, fill="zero"), None),  # cells at elevation 0 all round raise every other: no seed is left
+    (lambda: jf.SPF(initial_window=10**9), "must be >= 1 and <= 1000 cells"),
+    (lambda: jf.CSF(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
+    (lambda: jf.AGPTD(neighbours=10**6), "must be >= 0 and <= 4096"),
+    (lambda: jf.PTD(seed_cell=0.001), "cells of 0.001 m for the seeds make .* use larger ones"),
+    (lambda: jf.SMRF(cell=0.5, window=300.0), "600 openings of .* cells for 300 points: use larger cells or a smaller"),
+], ids=["no seed", "initial_window", "min_neighbours", "neighbours", "seed_cell", "openings"])  # fmt: skip
+def test_odd_parameters_give_labels_or_a_clear_error(filter_, words):
+    """``experiments/faults/parameters.py`` tries a thousand sets."""
+    if words is None:
+        with pytest.warns(jf.JaxfilterWarning, match="no point is left as a seed of the ground"):
+            ground = filter_()(SPARSE).ground
+        assert ground[SPARSE[:, 2].argmin()]
+    else:
+        with pytest.raises((jf.ParameterError, jf.InputError), match=words):
+            filter_()(SPARSE)

@@ -11,6 +11,7 @@ only). Ends with 1 if a set crashed, gave an unclear error, or missed a bound.
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import selectors
 import subprocess
@@ -30,7 +31,7 @@ SECONDS, MEGABYTES = 10.0, 1024.0
 """What a set may take: processor time of the call, peak memory of the process."""
 POINTS = 300
 _PATIENCE = 240.0  # seconds on the clock, then the process is killed
-_TOGETHER = 100  # sets of one process
+_TOGETHER = 20  # sets of one process
 COLUMNS = (
     ("method", "method", ""),
     ("sets", "sets", ",.0f"),
@@ -149,12 +150,25 @@ def missed(row: dict[str, Any]) -> bool:
     return "seconds" not in row or row["seconds"] > SECONDS or row["megabytes"] > MEGABYTES
 
 
-def write(rows: list[dict[str, Any]], methods: list[str], out: Path) -> None:
+def typed(row: dict[str, str]) -> dict[str, Any]:
+    """A row of the table as it was before it was written."""
+    numbers = {key: float(row[key]) for key in ("seconds", "megabytes") if row[key]}
+    return {
+        "set": int(row["set"]),
+        "method": row["method"],
+        **numbers,
+        "outcome": row["outcome"],
+        "fields": row["fields"],
+    }
+
+
+def write(rows: list[dict[str, Any]], out: Path) -> None:
     """The tables of what was tried so far."""
+    rows = sorted(rows, key=lambda row: row["set"])
     out.mkdir(parents=True, exist_ok=True)
     report.write_csv(out / "parameters.csv", rows)
     table = []
-    for method in sorted(methods):
+    for method in sorted({row["method"] for row in rows}):
         own = [row for row in rows if row["method"] == method]
         done = [row["outcome"] for row in own if "seconds" in row]
         table.append(
@@ -188,7 +202,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--sets", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--methods")
+    parser.add_argument("--methods", help="these only; what the tables hold of others stays")
     parser.add_argument("--only", help="numbers of sets, separated by commas")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -202,7 +216,10 @@ def main() -> int:
     methods = arguments.methods.split(",") if arguments.methods else every
     named = {int(number) for number in arguments.only.split(",")} if arguments.only else None
     rows: list[dict[str, Any]] = []
-    for k, method in enumerate(methods):
+    if arguments.methods and (known := arguments.out / "parameters.csv").exists():  # which others were tried before
+        with open(known, newline="") as file:
+            rows = [typed(row) for row in csv.DictReader(file) if row["method"] not in methods]
+    for method in methods:
         numbers = [n for n in range(every.index(method), arguments.sets, len(every)) if named is None or n in named]
         process, left = None, 0
         for number in numbers:
@@ -222,7 +239,7 @@ def main() -> int:
             process.kill()
         bad = sum(missed(row) for row in rows if row["method"] == method)
         print(f"{method}: {len(numbers)} sets, {bad} missed", flush=True)
-        write(rows, methods[: k + 1], arguments.out)
+        write(rows, arguments.out)
     return 1 if any(map(missed, rows)) else 0
 
 

@@ -56,7 +56,7 @@ class SPF(Mirroring):
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
     initial_window: int = static(
-        default=1, symbol="w0", unit="cells", ge=1, doc="half the growth of the linear windows"
+        default=1, symbol="w0", unit="cells", ge=1, le=1000, doc="half the growth of the linear windows"
     )
     window: float = static(default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="size of the largest building")
     growth: str = static(

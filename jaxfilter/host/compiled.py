@@ -15,7 +15,6 @@ from typing import Any
 import numba
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
-from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 
@@ -34,8 +33,8 @@ def compiled(function: Callable[..., Any] | None = None, *, fused: bool = False)
     if function is None:
         return functools.partial(compiled, fused=fused)
     fastmath: Any = {"contract"} if fused else False
-    out = numba.njit(nogil=True, fastmath=fastmath)(function)
-    if isinstance(out, Dispatcher):  # not with NUMBA_DISABLE_JIT
+    out: Any = numba.njit(nogil=True, fastmath=fastmath)(function)
+    if type(out) is CPUDispatcher:  # not with NUMBA_DISABLE_JIT
         out.__class__, out._cache = _Interruptible, _Kept(function)
     return out
 
@@ -60,7 +59,7 @@ class _Kept(NullCache):  # type: ignore[misc]
 
     def __init__(self, function: Any) -> None:
         self.function = function
-        used = (one._cache for one in function.__globals__.values() if isinstance(one, _Interruptible))
+        used: Any = (one._cache for one in function.__globals__.values() if isinstance(one, _Interruptible))  # type: ignore[attr-defined]
         self.sources = {function.__code__.co_filename}.union(*(one.sources for one in used))
 
     @property
@@ -99,7 +98,7 @@ class _Kept(NullCache):  # type: ignore[misc]
             cache_trouble(path.parent, error)
             return None
 
-    def save_overload(self, signature: Any, result: CompileResult) -> None:
+    def save_overload(self, signature: Any, result: Any) -> None:
         path = self._path(signature, result.codegen)
         if path is None or result.library.has_dynamic_globals:
             return

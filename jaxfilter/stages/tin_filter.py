@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..core.compilation import in_turn
+from ..core.errors import warn
 from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import param, static
 from ..core.points import Points
@@ -173,8 +174,12 @@ class TinFilter(Filter):
     ) -> Network:
         """All points in one triangulation of the seeds (i64[s]), with border points every ``spacing`` metres.
 
+        Without seeds the lowest point is one, with a warning.
         ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
         """
+        if len(seeds) == 0:
+            warn(f"{type(self).__name__}: no point is left as a seed of the ground, and the lowest one is taken")
+            seeds = np.array([np.argmin(points.xyz[:, 2])])
         name = "border_spacing" if hasattr(self, "border_spacing") else self.WINDOW
         border = border_positions(*points.extent, spacing, points.anchored(), f"{type(self).__name__}({name})")
         return one_network(points, seeds, border, barred, late, **more)
