@@ -138,6 +138,7 @@ def ask(process: subprocess.Popen[str], method: str, number: int, first: bool) -
         patience = (3 if first else 1) * _PATIENCE
         if not waiting.select(patience):
             process.kill()
+            process.wait()
             return {"outcome": f"killed after {patience:g} s"}
         line = process.stdout.readline()
     if not line:

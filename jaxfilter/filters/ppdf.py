@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
@@ -20,7 +21,7 @@ from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references
 from ..stages.seeds import lowest_seeds, under_canopy
-from ..stages.surfaces import MAX_CELLS, look_up, lowest_cells
+from ..stages.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
 from . import papers
 
 
@@ -62,7 +63,7 @@ class PPDF(Filter):
     cell: float = static(default=10.0, unit="m", gt=0, doc="initial size of the planes")
     min_points: int = static(default=20, symbol="N_i", ge=3, doc="interior points that make a plane")
     inlier_distance: float = param(default=0.5, unit="m", gt=0, doc="distance of interior points from their plane")
-    hypotheses: int = static(default=128, ge=1, doc="planes tried per cell")
+    hypotheses: int = static(default=128, ge=1, le=4096, doc="planes tried per cell")
     max_slope: float = param(default=75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
     division_distance: float = param(
         default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
@@ -128,6 +129,13 @@ class PPDF(Filter):
             "min_points": 20 if spacing <= 0.75 else 10,
             "reference_cell": max(1.0, spacing),
         }
+
+    def check(self) -> None:
+        super().check()
+        if self.window > 1000 * self.canopy_cell:
+            raise ParameterError(
+                f"PPDF(window={self.window!r}): more than 1000 cells of canopy_cell={self.canopy_cell:g} m; use larger cells"
+            )
 
     def halo(self) -> float:
         """Reach of a cell, of all openings one after the other, and of a reference, metres.
@@ -264,6 +272,7 @@ class PPDF(Filter):
         """
         cell, radii = self.canopy_cell, np.arange(1, self._disks + 1)
         cells = lowest_cells(points, cell, "PPDF(canopy_cell)", barred=~lowest)
+        check_openings(cells, len(radii), points, f"PPDF(canopy_cell={cell:g}, window={self.window:g})")
         surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
         rises = np.minimum(np.float32(self.slope * cell) * radii.astype(np.float32), np.float32(self.max_step))
         raised = raised_cells(surface, cells.valid, radii, rises, reach=len(radii))

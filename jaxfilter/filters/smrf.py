@@ -10,18 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.errors import InputError
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..ops.inpaint import fill_membrane
 from ..ops.morphology import opening
 from ..stages.grid_filter import GridFilter, Heights, Surface
-from ..stages.surfaces import Cells, cell_for, cell_values, steepest_drops
+from ..stages.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
 from . import papers
 
 _PER_OCTAVE = 4  # slopes of the series that :meth:`SMRF.soft` interpolates in
-_WORK, _WORK_PER_POINT = 250_000_000, 64_000
-"""Cells times openings that are done for few points, and for each point of many: some seconds of a processor."""
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 _OPTIMA = {
     11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
@@ -130,12 +127,7 @@ class SMRF(GridFilter):
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
         """As in the other methods on grids. Raises: InputError also where few points take many openings of many cells."""
         cells = super().cells(points, barred)
-        rows, columns = np.asarray(cells.extent).tolist()
-        if rows * columns * self.reach > max(_WORK, _WORK_PER_POINT * len(points)):
-            raise InputError(
-                f"SMRF(cell={self.cell:g}, window={self.window:g}): {self.reach} openings of {rows:,} x {columns:,} cells for "
-                f"{len(points):,} points: use larger cells or a smaller window, or remove stray points far from the rest"
-            )
+        check_openings(cells, self.reach, points, f"SMRF(cell={self.cell:g}, window={self.window:g})")
         return cells
 
     def prepare(self, cells: Cells) -> Opened:

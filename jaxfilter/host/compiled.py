@@ -34,7 +34,7 @@ def compiled(function: Callable[..., Any] | None = None, *, fused: bool = False)
         return functools.partial(compiled, fused=fused)
     fastmath: Any = {"contract"} if fused else False
     out: Any = numba.njit(nogil=True, fastmath=fastmath)(function)
-    if type(out) is CPUDispatcher:  # not with NUMBA_DISABLE_JIT
+    if out is not function:  # as with NUMBA_DISABLE_JIT
         out.__class__, out._cache = _Interruptible, _Kept(function)
     return out
 

@@ -21,6 +21,8 @@ from ..ops.grid import cell_index, inside, padded_shape
 from ..ops.morphology import progressive_opening
 
 MAX_CELLS = 100_000_000  # about 10 GB
+_WORK, _WORK_PER_POINT = 250_000_000, 64_000
+"""Cells times openings that are done for few points, and for each point of many: some seconds of a processor."""
 _CHUNK = 2**18  # points that are handed to the device at a time
 _IN_FLIGHT = 8  # chunks that may be computed at once
 
@@ -101,6 +103,16 @@ def lowest_cells(
         z = np.where(barred, np.float32(np.inf), z)
     z, seen, valid = _occupied(cell_minima(xyz, z, frame, extent, shape).reshape(shape), extent)
     return Cells(z, seen, valid, extent, frame)
+
+
+def check_openings(cells: Cells, openings: int, points: Points, name: str) -> None:
+    """Raises: InputError, which begins with ``name``, for more openings of all cells than :data:`_WORK` allows."""
+    rows, columns = np.asarray(cells.extent).tolist()
+    if rows * columns * openings > max(_WORK, _WORK_PER_POINT * len(points)):
+        raise InputError(
+            f"{name}: {openings:,} openings of {rows:,} x {columns:,} cells for {len(points):,} points: use larger cells or "
+            "a smaller window, or remove stray points far from the rest"
+        )
 
 
 def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray | None) -> np.ndarray:
