@@ -4,8 +4,8 @@
 
 About half of the fields of a set are drawn: choices at random, numbers at an end of their range, or up to 10,000 times larger
 or smaller than the default. Processor seconds are those of the call, compilations included, in a process that has called the
-method before; memory is the peak of that process in the call (Linux
-only). Ends with 1 if a set crashed, gave an unclear error, or missed a bound.
+method before; memory is the peak of that process in the call (Linux only). A process tries several sets; one that misses is
+tried again in a process of its own, which counts. Ends with 1 if a set crashed, gave an unclear error, or missed a bound.
 """
 
 from __future__ import annotations
@@ -224,17 +224,20 @@ def main() -> int:
         numbers = [n for n in range(every.index(method), arguments.sets, len(every)) if named is None or n in named]
         process, left = None, 0
         for number in numbers:
-            if process is None or process.poll() is not None or left == 0:
-                if process is not None:
-                    process.kill()
-                command = [sys.executable, __file__, "--serve", "--seed", str(arguments.seed)]
-                process = subprocess.Popen(command, stdin=-1, stdout=-1, stderr=subprocess.DEVNULL, text=True)
-                left = _TOGETHER
-            found = ask(process, method, number, left == _TOGETHER)
-            left -= 1
             fields, _ = drawn(method, number, arguments.seed)
-            rows.append({"set": number, "method": method, **found, "fields": json.dumps(fields)})
-            if missed(rows[-1]) or named:
+            for alone in (False, True):
+                if process is None or process.poll() is not None or left == 0 or alone:
+                    if process is not None:
+                        process.kill()
+                    command = [sys.executable, __file__, "--serve", "--seed", str(arguments.seed)]
+                    process = subprocess.Popen(command, stdin=-1, stdout=-1, stderr=subprocess.DEVNULL, text=True)
+                    left = _TOGETHER
+                row = {"set": number, "method": method, **ask(process, method, number, left == _TOGETHER)}
+                left -= 1
+                if not missed(row) or left == _TOGETHER - 1:
+                    break
+            rows.append(row | {"fields": json.dumps(fields)})
+            if missed(row) or named:
                 print(rows[-1], flush=True)
         if process is not None:
             process.kill()
