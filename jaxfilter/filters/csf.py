@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.cloud import QUANTUM
 from ..core.compilation import bucket
+from ..core.errors import InputError
 from ..core.filter import Filter, Labels
 from ..core.grid import grid_over
 from ..core.params import Preset, filter_params, param, static
@@ -30,6 +31,8 @@ START = 0.05  # metres between the lowest point and the cloth at the start
 REST = 0.005  # metres per step; at rest when no particle moves as far
 MARGIN = 2  # nodes beyond the points on every side
 MAX_NODES = 100_000_000  # about 6 GB
+_WORK, _WORK_PER_POINT = 2_500_000_000, 640_000
+"""Particles times steps for few points, some seconds of a processor, and for each point of many."""
 _HOLE = 60  # nodes across a hole that a cloth of rigidness 2 or 3 bridges with a sag of less than 2 m
 _HARD = {"rigidness": 3, "surface": "nearest", "low_clusters": False}
 
@@ -67,9 +70,13 @@ class CSF(Filter):
         default=2, doc="1 for steep, 2 for gently sloped, 3 for flat terrain", symbol="RI", choices=(1, 2, 3)
     )
     threshold: float = param(default=0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
-    iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1)
+    iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1, le=10_000)
     time_step: float = param(
-        default=0.65, doc="time between steps; it has no unit, since gravity is 0.2 m per its square", symbol="dT", gt=0
+        default=0.65,
+        doc="time between steps; it has no unit, since gravity is 0.2 m per its square",
+        symbol="dT",
+        gt=0,
+        le=10,
     )
     gravity: str = static(
         default="equation",
@@ -186,6 +193,11 @@ class CSF(Filter):
         first = (grid.x0 - MARGIN * cell, grid.y0 - MARGIN * cell)
         high = points.xyz[:, :2].max(axis=0)
         columns, rows = (int((float(h) - o) / cell + 1e-6) + MARGIN for h, o in zip(high, first, strict=True))
+        if rows * columns * self.iterations > max(_WORK, _WORK_PER_POINT * len(points)):
+            raise InputError(
+                f"CSF(resolution={cell:g}, iterations={self.iterations}): so many steps of {rows:,} x {columns:,} particles for "
+                f"{len(points):,} points: use a coarser cloth or fewer steps"
+            )
         extent, shape = (rows, columns), padded_shape((rows, columns), points.least_shape(cell, 2 * MARGIN))
 
         progress(0.0, "outliers")
