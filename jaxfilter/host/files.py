@@ -16,7 +16,6 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -144,98 +143,23 @@ class Tally:
         self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
 
 
-@dataclasses.dataclass(frozen=True)
-class Handle:
-    """The file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
-
-    Attributes:
-        path: absolute, or remote.
-        kind: ``"las"`` (LAS, LAZ and COPC) or ``"text"``.
-        format: in words, for messages.
-        points: number of points taken from the file, the length of the cloud.
-        bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
-        identity: of the file when it was read.
-        checksum: of the coordinates of the points, see :class:`Tally`: labels can so never get to other points, even if
-            a file is changed and its time set back. None where the points were read in windows.
-        blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
-    """
-
-    path: Place
-    kind: str
-    format: str
-    points: int
-    bounds: Bounds | None
-    identity: Identity
-    checksum: int | None
-    blocks: Any = None
-
-    @property
-    def table(self) -> Path:
-        """The path of a text file, which is on a local disk."""
-        assert isinstance(self.path, Path)
-        return self.path
-
-    def check_unchanged(self) -> None:
-        """Raises InputError when the file is gone, or is not the one that was read."""
-        try:
-            found = Identity.of(self.path)
-        except OSError as error:
-            raise InputError(f"{self.path}: the source of the cloud cannot be read again: {error.strerror}") from error
-        if found != self.identity:
-            raise InputError(f"{self.path}: {CHANGED_SINCE}")
-
-    def runs(self, replay: Replay) -> Iterator[np.ndarray]:
-        """The coordinates of the points, f64[k, 3] in file units, read once more and added to ``replay``. Raises InputError."""
-        from . import records, text
-        from .header import read_header
-
-        if self.kind == "las":
-            with records.reading(self.path):
-                header = read_header(self.path)
-            for chunk in records.read_records(header, self.bounds, every_field=False):
-                replay.add(records.places(chunk))
-                yield records.coordinates(chunk, header)
-        else:
-            for xyz, _ in text.read_text(self.table, text.layout_of(self.table), self.bounds):
-                replay.add(xyz)
-                yield xyz
-
-    def coordinates(self) -> np.ndarray:
-        """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
-        with self.again() as replay:
-            return np.concatenate([np.zeros((0, 3)), *self.runs(replay)])
-
-    @contextlib.contextmanager
-    def again(self) -> Iterator[Replay]:
-        """A block in which the points are read once more, and added to what it is given.
-
-        Raises: InputError when it ends, if the file or its points are not those that were read.
-        """
-        replay = Replay(self)
-        with self.identity.kept(self.path, CHANGED_SINCE):
-            yield replay
-            replay.finish()
-
-
 class Replay(Tally):
-    """The points of a source that are read again. Raises InputError where they are not those of the first time."""
+    """So many points with this checksum, or whatever there is, are read again from a file. Raises InputError where others are."""
 
-    def __init__(self, source: Handle | None) -> None:
+    def __init__(self, path: Place | None = None, most: int = sys.maxsize, expected: int | None = None) -> None:
         super().__init__()
-        self.source = source
+        self.path, self.most, self.expected = path, most, expected
 
     def add(self, coordinates: np.ndarray) -> None:
         """Append a run, before anything is done with it."""
         super().add(coordinates)
-        if self.source is not None and self.points > self.source.points:
-            raise InputError(f"{self.source.path}: {CHANGED_SINCE}")
+        if self.points > self.most:
+            raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
     def finish(self) -> None:
         """All points were added."""
-        if self.source is None:
-            return
-        if self.points != self.source.points or self.source.checksum not in (None, self.checksum):
-            raise InputError(f"{self.source.path}: {CHANGED_SINCE}")
+        if self.path is not None and (self.points != self.most or self.expected not in (None, self.checksum)):
+            raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
 
 def check_bounds(bounds: object) -> Bounds:

@@ -27,7 +27,8 @@ from ..core.units import (
     sampled,
 )
 from . import records, text
-from .files import CHANGED_IN_READING, Bounds, Handle, Identity, Tally, check_bounds
+from .files import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
+from .handles import Handle
 from .header import Header, opened, read_header
 from .records import inside, read_records, reading
 from .storage import Place, Remote, place_of

@@ -17,7 +17,8 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
-from .files import Handle, Replay, new_file
+from .files import Replay, new_file
+from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading
 from .storage import Place, Remote, place_of
@@ -115,7 +116,7 @@ def write(
             f"{path}: this text holds labels only; noise_class={noise_class!r} needs classes, .las or .laz"
         )
     origin = None if source is None else source.path
-    again = contextlib.nullcontext(Replay(None)) if source is None else source.again()
+    again = contextlib.nullcontext(Replay()) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as replay:
         if kind in text.SUFFIXES:
             _write_text(path, temporary, cloud, labels, replay)

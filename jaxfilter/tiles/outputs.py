@@ -9,7 +9,8 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, OutputError
-from ..host.files import Handle, Identity, Seal
+from ..host.files import Identity, Seal
+from ..host.handles import Handle
 from ..host.las import open_las
 from ..host.sources import Source
 from ..host.storage import Place, place_of

@@ -1,0 +1,87 @@
+"""The file that a cloud was read from, by which its points are read again."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import InputError
+from . import records, text
+from .files import CHANGED_SINCE, Bounds, Identity, Replay
+from .header import read_header
+from .storage import Place
+
+
+@dataclasses.dataclass(frozen=True)
+class Handle:
+    """The file that a cloud was read from: lossless writing streams it again instead of keeping a second copy.
+
+    Attributes:
+        path: absolute, or remote.
+        kind: ``"las"`` (LAS, LAZ and COPC) or ``"text"``.
+        format: in words, for messages.
+        points: number of points taken from the file, the length of the cloud.
+        bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
+        identity: of the file when it was read.
+        checksum: of the coordinates of the points, see :class:`jaxfilter.host.files.Tally`: labels can so never get to
+            other points, even if a file is changed and its time set back. None where the points were read in windows.
+        blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
+    """
+
+    path: Place
+    kind: str
+    format: str
+    points: int
+    bounds: Bounds | None
+    identity: Identity
+    checksum: int | None
+    blocks: Any = None
+
+    @property
+    def table(self) -> Path:
+        """The path of a text file, which is on a local disk."""
+        assert isinstance(self.path, Path)
+        return self.path
+
+    def check_unchanged(self) -> None:
+        """Raises InputError when the file is gone, or is not the one that was read."""
+        try:
+            found = Identity.of(self.path)
+        except OSError as error:
+            raise InputError(f"{self.path}: the source of the cloud cannot be read again: {error.strerror}") from error
+        if found != self.identity:
+            raise InputError(f"{self.path}: {CHANGED_SINCE}")
+
+    def runs(self, replay: Replay) -> Iterator[np.ndarray]:
+        """The coordinates of the points, f64[k, 3] in file units, read once more and added to ``replay``. Raises InputError."""
+        if self.kind == "las":
+            with records.reading(self.path):
+                header = read_header(self.path)
+            for chunk in records.read_records(header, self.bounds, every_field=False):
+                replay.add(records.places(chunk))
+                yield records.coordinates(chunk, header)
+        else:
+            for xyz, _ in text.read_text(self.table, text.layout_of(self.table), self.bounds):
+                replay.add(xyz)
+                yield xyz
+
+    def coordinates(self) -> np.ndarray:
+        """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
+        with self.again() as replay:
+            return np.concatenate([np.zeros((0, 3)), *self.runs(replay)])
+
+    @contextlib.contextmanager
+    def again(self) -> Iterator[Replay]:
+        """A block in which the points are read once more, and added to what it is given.
+
+        Raises: InputError when it ends, if the file or its points are not those that were read.
+        """
+        replay = Replay(self.path, self.points, self.checksum)
+        with self.identity.kept(self.path, CHANGED_SINCE):
+            yield replay
+            replay.finish()
