@@ -209,7 +209,8 @@ class OST(Filter):
         """
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
-        steepest = steepest_drops(jnp.asarray(z), cells.valid, math.ceil(self.window / self.cell - 1e-6))
+        reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
+        steepest = steepest_drops(jnp.asarray(z), cells.valid, reach)
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
         segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
         objects = np.asarray(steepest > self.first_slope * self.cell)
