@@ -47,6 +47,7 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
     (lambda: jf.SPF(cell=1.0, fill="zero"), None),  # cells at elevation 0 all round raise every other: no seed is left
     (lambda: jf.SPF(initial_window=10**9), "must be >= 1 and <= 1000 cells"),
     (lambda: jf.CSF(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
+    (lambda: jf.OST(landscape=1e9, window=1000.0), ""),
     (lambda: jf.CSF(resolution=0.3, iterations=10_000), "so many steps of .* particles for 300 points"),
     (lambda: jf.CSF(time_step=1e9), "must be > 0 and <= 10"),
     (lambda: jf.AGPTD(neighbours=10**6), "must be >= 0 and <= 4096"),
@@ -57,7 +58,9 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
 ])  # fmt: skip
 def test_odd_parameters_give_labels_or_a_clear_error(filter_, words):
     """``experiments/faults/parameters.py`` tries a thousand sets."""
-    if words is None:
+    if words == "":
+        assert filter_()(SPARSE * [0.1, 0.1, 1.0]).ground.any()
+    elif words is None:
         with pytest.warns(jf.JaxfilterWarning, match="no point is left as a seed of the ground"):
             ground = filter_()(SPARSE).ground
         assert ground[SPARSE[:, 2].argmin()]

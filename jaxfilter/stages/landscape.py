@@ -39,7 +39,7 @@ class Landscape:
         """
         cell = float(cells.frame[2])
         block = max(1, round(_BLOCK / cell))
-        reach = math.ceil(3 * sigma / (block * cell))
+        reach = min(math.ceil(3 * sigma / (block * cell)), -(-max(z.shape) // block))  # nothing lies beyond the array
         known = cells.seen & cells.valid & ~jnp.asarray(objects)
         slope = _slope(jnp.asarray(z), known, cells.extent, np.float32(cell), np.float32(sigma), block, reach)
         return cls(slope, cells, block)
