@@ -67,7 +67,7 @@ def test_signature_alone(tmp_path):
 
 
 def test_missing_file_folder_and_unknown_suffix(tmp_path):
-    with pytest.raises(InputError, match=r"absent\.laz: is a name.*jaxfilter\.read"):
+    with pytest.raises(InputError, match=r"absent\.laz: is the name of a file.*jaxfilter\.read"):
         as_cloud(tmp_path / "absent.laz")
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "none.las")

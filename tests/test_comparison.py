@@ -149,7 +149,7 @@ def test_results_become_tables_with_coordinates_and_units(town):
 def test_results_know_their_filter_cloud_and_seconds(town):
     filter_ = jf.SMRF(threshold=0.4)
     result = filter_(town.cloud)
-    assert result.run.filter is filter_ and result.run.cloud is town.cloud and result.run.seconds > 0
+    assert result.run.filter == filter_ and result.run.cloud is town.cloud and result.run.seconds > 0
     assert "run" not in repr(result)
 
 
