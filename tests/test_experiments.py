@@ -22,6 +22,7 @@ from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
+from experiments.mutations import kinds as mutations  # noqa: E402
 from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin2024  # noqa: E402
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
@@ -722,3 +723,29 @@ def test_methods_are_marked_whose_defaults_were_chosen_with_errors_on_the_sample
     lines = (line.split("|") for line in (ROOT / "README.md").read_text().splitlines() if line.startswith("| `"))
     figures = {line[1].strip(" `"): line[3:5] for line in lines if len(line) == 8}
     assert known <= set(figures) and all(tables.MARK in cell for name in known for cell in figures[name])
+
+
+def test_mutations_change_code_and_leave_messages_and_annotations_alone():
+    source = """
+def f(é: int | None, limit: float = 1.5) -> int | None:
+    \"\"\"Not 2.\"\"\"
+    if é is None or limit < 2:
+        raise ValueError(f"{é + 1} below {limit}")
+    return np.where(é >= 0, abs(é) - 1, -é)
+"""
+    found = [some for place in mutations.places(source, "f.py") for some in place]
+    changed = {(some.kind, some.before, some.after) for some in found}
+    assert {
+        ("constant", "1.5", "3.0"),
+        ("and, or", "é is None or limit < 2", "(é is None and limit < 2)"),
+        ("comparison", "limit < 2", "(limit >= 2)"),
+        ("statement removed", 'raise ValueError(f"{é + 1} below {limit}")', "pass"),
+        ("arguments swapped", "np.where(é >= 0, abs(é) - 1, -é)", "(np.where(é >= 0, -é, abs(é) - 1))"),
+        ("call dropped", "abs(é)", "(é)"),
+        ("operator", "abs(é) - 1", "(abs(é) + 1)"),
+    } <= changed
+    for some in found:
+        code = some.apply(source.encode()).decode()
+        assert compile(code, "f.py", "exec") and code != source
+        assert "Not 2." in code and "é: int | None" in code and some.first <= some.line <= 6
+    assert not any(some.before == "é + 1" for some in found)
