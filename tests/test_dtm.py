@@ -288,6 +288,9 @@ def test_points_on_a_line_and_empty_clouds_are_errors():
     line = jf.PointCloud.from_arrays(np.column_stack([np.arange(9.0), 2 * np.arange(9.0), np.zeros(9)]))
     with pytest.raises(jf.InputError, match="9 distinct ground points; three that do not lie on one line"):
         model(line)
+    mast = jf.PointCloud.from_arrays(np.column_stack([np.zeros(9), np.zeros(9), np.arange(9.0)]))
+    with pytest.raises(jf.InputError, match="9 distinct ground points; three"):
+        model(mast)
     empty = jf.PointCloud.from_arrays(np.zeros((0, 3)), reference=np.zeros(0, bool))
     with pytest.raises(jf.InputError, match=r"no points.*pass bounds="):
         jf.dtm(empty)
@@ -426,11 +429,12 @@ def test_the_command_writes_what_the_library_makes(files, rasterio):
     assert [report["rows"], report["columns"]] == list(expected.values.shape)
     assert tuple(report["transform"]) == expected.transform
     assert set(report["seconds"]) == {"read", "interpolate", "write"}
-    plain = run(files / "scene.laz", files / "found.tif", "--filter", "ptd", "--method", "idw", "--power", 3)
+    again = files / "scene.laz", files / "out.tif", "--overwrite"
+    plain = run(*again, "--filter", "ptd", "--method", "idw", "--power", 3)
     assert plain.exit_code == 0 and "ground points" in plain.stdout
     scene = jf.read(files / "scene.laz", units="m")
     found = jf.dtm(scene, jf.PTD()(scene), method="idw", power=3.0)
-    np.testing.assert_array_equal(jf.Raster.read(files / "found.tif").values, found.values)
+    np.testing.assert_array_equal(jf.Raster.read(files / "out.tif").values, found.values)
 
 
 @pytest.mark.parametrize(

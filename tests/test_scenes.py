@@ -50,6 +50,29 @@ def test_every_name_makes_a_scene_with_ground_and_objects(ready):
     assert set(np.unique(ready["mixed"].kind)) == {k.value for k in Kind}
 
 
+def test_scenes_are_the_same_in_every_version(ready):
+    """Figures in the documents rest on them: points by kind, and means of x, y and z from the scene's corner."""
+    figures = {
+        "flat": ([310066, 6186, 0, 552, 20107, 55110, 23, 2, 692], [223.108, 198.743, 2.297]),
+        "town": ([274380, 35987, 1242, 2874, 12565, 77051, 22, 3, 1950], [216.5, 194.618, 3.742]),
+        "city": ([229479, 83408, 1443, 6311, 2112, 36410, 136, 4, 1712], [212.416, 200.819, 5.232]),
+        "hills": ([249728, 4488, 1398, 808, 15319, 215817, 22, 1, 466], [216.16, 194.053, 22.822]),
+        "mountain": ([263065, 0, 0, 0, 12897, 193830, 23, 3, 0], [218.971, 196.663, 18.602]),
+        "forest": ([125629, 0, 0, 0, 30856, 427545, 13, 3, 0], [221.255, 199.449, 12.86]),
+        "quarry": ([280073, 0, 0, 0, 18636, 150836, 23, 2, 0], [217.764, 193.556, 5.35]),
+        "terraces": ([292636, 1080, 0, 159, 18804, 115355, 22, 3, 95], [218.893, 198.049, 39.306]),
+        "mixed": ([267314, 13285, 2281, 1576, 15697, 110808, 22, 4, 1125], [204.514, 189.676, 1.38]),
+        "benchmark": ([275434, 7425, 2194, 1011, 12211, 119685, 2, 0, 873], [209.507, 192.091, -0.514]),
+    }
+    assert set(figures) == set(ready)
+    for name, (points, middle) in figures.items():
+        found = np.bincount(ready[name].kind, minlength=len(Kind))
+        np.testing.assert_allclose(found, points, atol=2, err_msg=name)  # one system's sines may differ from another's
+        np.testing.assert_allclose(
+            (ready[name].xyz - ready[name].origin).mean(axis=0), middle, atol=0.002, err_msg=name
+        )
+
+
 @pytest.mark.parametrize("name", ["mixed", "forest"])
 def test_the_same_arguments_give_the_same_bytes(name):
     def bytes_of(seed):

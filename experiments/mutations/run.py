@@ -33,6 +33,8 @@ CONSTANTS = 1 / 3
 """Share of the constants among which is drawn: they are more than a third of all places."""
 KINDS = [("kind", "change", ""), *((name, name, "d") for name in ("killed", "survived", "not run"))]
 LISTED = [("number", "number", "d"), *((name, name, "") for name in ("place", "change", "note"))]
+WHOLE = ".whole"
+"""Ends the name of a module while it is changed."""
 LOAD = 60
 """Seconds for the imports of a changed program, and for compiling its loops."""
 
@@ -64,12 +66,21 @@ def main(arguments: list[str] | None = None) -> None:
         numbers = [
             n for n in range(len(drawn)) if n not in done or (options.again and done[n]["outcome"] == "survived")
         ]
+
     with Trial(work, options.seconds) as trial:
-        for number in numbers:
+
+        def try_one(number: int) -> None:
             row = {"number": number, **trial(drawn[number])}
-            work.keep(row)
+            if row["tests"] or not options.as_recorded:
+                work.keep(row)
             said = (drawn[number].file, drawn[number].line, row["outcome"], f"{row['seconds']} s", row["test"])
             print(number, *said, file=sys.stderr, flush=True)
+
+        for number in numbers:
+            try_one(number)
+        while numbers := trial.doubted(work.done()):
+            for number in numbers:
+                try_one(number)
     write(options.out, drawn, work.done(), shlex.join(["python", "experiments/mutations/run.py", *given]))
 
 
@@ -90,6 +101,10 @@ class Work:
     def __init__(self, folder: Path) -> None:
         self.folder, self.tree, self.map = folder, folder / "tree", folder / "map"
         self.log = folder / "tried.jsonl"
+        for whole in list(self.tree.rglob(f"*{WHOLE}")):  # the run was killed
+            whole.replace(whole.with_suffix(""))
+            for compiled in self.tree.rglob("*.nb?"):
+                compiled.unlink()
         names = subprocess.run(
             ["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, check=True
         )
@@ -146,19 +161,25 @@ class Trial:
     def __call__(self, mutation: Mutation) -> Row:
         """Outcome, the test that noticed it, how many were run, and seconds."""
         began = time.perf_counter()
-        while True:
-            tests, left = self.chosen(mutation)
-            outcome, test = "survived", "" if tests else "no test reaches it"
-            if tests:
-                with self.changed(mutation) as compiled:
-                    limit = 2 * LOAD + 4 * sum(self.reached.time(one) for one in tests) + 5 * LOAD * compiled
-                    code = self.pytest(tests, limit)
-                if code:
-                    outcome, test = "killed", self.killer(code)
-                    if not self.confirmed(test, tests):
-                        continue
-            seconds = round(time.perf_counter() - began, 1)
-            return {"outcome": outcome, "test": test, "tests": len(tests), "left": left, "seconds": seconds}
+        tests, left = self.chosen(mutation)
+        outcome, test = "survived", "" if tests else "no test reaches it"
+        if tests:
+            with self.changed(mutation) as compiled:
+                limit = 2 * LOAD + 4 * sum(self.reached.time(one) for one in tests) + 5 * LOAD * compiled
+                code = self.pytest(tests, limit, "-x")
+            if code:
+                outcome, test = "killed", self.killer(code)
+        seconds = round(time.perf_counter() - began, 1)
+        return {"outcome": outcome, "test": test, "tests": len(tests), "left": left, "seconds": seconds}
+
+    def doubted(self, done: dict[int, Row]) -> list[int]:
+        """Numbers whose killers fail without a change too, all run together; those are used no more."""
+        killers = {row["number"]: self.reached.unit(row["test"]) for row in done.values() if "::" in row["test"]}
+        names = sorted(set(killers.values()) - self.sound)
+        if names and self.pytest(names, 10 * LOAD + 4 * sum(map(self.reached.time, names))):
+            self.unsound |= {self.reached.unit(name) for name in self.failed()}
+        self.sound |= set(names) - self.unsound
+        return [number for number, name in killers.items() if name in self.unsound]
 
     def chosen(self, mutation: Mutation) -> tuple[list[str], int]:
         """Tests that reach a line, near and fast ones first; then others of their files, which may use what they compiled."""
@@ -185,18 +206,18 @@ class Trial:
     def changed(self, mutation: Mutation) -> Iterator[bool]:
         """The copy with a change; whether loops are compiled anew, since Numba does not see changes of what they call."""
         path, away = self.work.tree / mutation.file, self.work.folder / "numba"
-        before, times = path.read_bytes(), path.stat()
+        whole = path.with_name(path.name + WHOLE)
         modules = [self.work.tree / name for name in self.felt.compiled_with(mutation.file)]
         kept = [file for one in modules for file in (one.parent / "__pycache__").glob(f"{one.stem}.*.nb?")]
         away.mkdir(exist_ok=True)
         for file in kept:
             file.rename(away / file.name)
-        path.write_bytes(mutation.apply(before))
+        path.rename(whole)
+        path.write_bytes(mutation.apply(whole.read_bytes()))
         try:
             yield bool(modules)
         finally:
-            path.write_bytes(before)
-            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+            whole.replace(path)
             for one in modules:
                 for file in (one.parent / "__pycache__").glob(f"{one.stem}.*.nb?"):
                     file.unlink()
@@ -220,29 +241,14 @@ class Trial:
         self.server.stdin.flush()
         return int(self.server.stdout.readline())
 
-    def killer(self, code: int) -> str:
-        """The test that failed."""
+    def failed(self) -> list[str]:
+        """Tests that failed in the last run."""
         said = (self.work.folder / "said.txt").read_text(errors="replace")
-        failed = re.search(r"^(?:FAILED|ERROR) (\S+::.*?)(?: - |$)", said, re.MULTILINE)
-        return failed[1] if failed else {-14: "(time limit)"}.get(code, f"(exit code {code})")
+        return [found[1] for found in re.finditer(r"^(?:FAILED|ERROR) (\S+::.*?)(?: - .*)?$", said, re.MULTILINE)]
 
-    def confirmed(self, test: str, tests: list[str]) -> bool:
-        """Whether the test passes without the change; one that does not is used no more."""
-        if test.startswith("("):
-            return not self.pytest(tests, 10 * LOAD + 4 * self.seconds, "--collect-only") or bool(self.drop(tests))
-        name = self.reached.unit(test)
-        if name not in self.sound:
-            if self.pytest([name], 10 * LOAD):
-                self.unsound.add(name)
-                return False
-            self.sound.add(name)
-        return True
-
-    def drop(self, tests: list[str]) -> None:
-        """Tests that are not collected here are used no more."""
-        for name in {test.split("::")[0] for test in tests}:
-            own = [test for test in tests if test.split("::")[0] == name]
-            self.unsound |= set(own) if self.pytest(own, 10 * LOAD, "--collect-only") else set()
+    def killer(self, code: int) -> str:
+        """The test that failed, or how the run ended."""
+        return (self.failed() or [{-14: "(time limit)"}.get(code, f"(exit code {code})")])[0]
 
 
 def write(out: Path, drawn: list[Mutation], done: dict[int, Row], command: str) -> None:
