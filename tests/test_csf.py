@@ -279,6 +279,8 @@ def test_gravity_of_the_program_is_weaker_than_that_of_the_equation():
     scene = jf.scenes.make("town", size=(80, 80), density=1.0, seed=2)
     steps = [jf.CSF(gravity=gravity)(scene.cloud) for gravity in ("equation", "program")]
     assert steps[0].height[scene.cloud.candidate].mean() > 0
+    side = 80 / jf.CSF().resolution
+    assert side**2 < steps[0].info["particles"] < (side + 6) ** 2
     same = jf.CSF(gravity="equation", time_step=0.65**2)(scene.cloud)
     assert (same.ground == jf.CSF(gravity="program", time_step=0.65)(scene.cloud).ground).all()
     assert steps[0].ground.sum() > steps[1].ground.sum()

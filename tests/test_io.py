@@ -544,6 +544,10 @@ def test_linear_unit_key_against_the_crs(tmp_path):
     set_geokeys(tmp_path / "in.las", {3072: 32632, 3076: 9002})
     with pytest.warns(JaxfilterWarning, match="in metre, but its key of linear units says foot"):
         assert read(tmp_path / "in.las").units.xy == FOOT
+    set_geokeys(tmp_path / "in.las", {3072: 32632, 3076: 9001})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read(tmp_path / "in.las").units.xy == 1
 
 
 def set_geokeys(path, keys):

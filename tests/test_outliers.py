@@ -64,6 +64,12 @@ def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):
     np.testing.assert_array_equal(parts, whole)
 
 
+def test_a_point_just_beyond_the_radius_is_no_neighbour():
+    xyz = np.array([[0, 0, 0], [1 + 2**-21, 0, 0]], np.float32)
+    for radius, few in ((1.0, True), (1 + 2**-20, False)):
+        assert (radius_outliers(xyz, np.ones(2, np.int32), radius, 1) == few).all()
+
+
 def test_knn_outliers_equal_all_pairs(rng):
     xyz = points_of(np.column_stack([rng.uniform(0, 30, (300, 2)), rng.normal(0, 1, 300)])).xyz
     xyz[::50, 2] += 25

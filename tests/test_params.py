@@ -174,6 +174,39 @@ def test_presets_are_valid_and_changes_go_on_top(method):
 
 
 @METHODS
+def test_notes_of_presets_say_their_values(method):
+    symbols = {f.metadata["symbol"]: f.name for f in dataclasses.fields(method)}
+    for name, preset in method.PRESETS.items():
+        for symbol, value in re.findall(r"(\w+) = ([\d.]*\d)", preset.note):
+            if symbol in symbols:
+                assert getattr(method.preset(name), symbols[symbol]) == float(value), (name, symbol)
+
+
+def test_parameters_from_spacing_and_largest_building():
+    tin = {"noise_floor": 0.0, "vertex_spacing": 0.0}
+    ptd = tin | {"seed_cell": 80.0}
+    expected = {
+        "agptd": ptd | {"radius": 13.2},
+        "atin": ptd,
+        "csf": {"resolution": 1.4},
+        "fptd": tin | {"window": 80.4, "stride": 13.4},
+        "iptd": tin | {"window": 80.0, "cell": 1.5},
+        "ost": {"window": 40.0, "spacing": 2.2, "cell": 1.0},
+        "ppdf": {"window": 40.0, "reach": 40.0, "canopy_cell": 3.3, "cell": 15.4, "min_points": 10, "reference_cell": 2.2},
+        "ptd": ptd,
+        "ptdf": ptd,
+        "spf": tin | {"window": 80.0, "cell": 1.5},
+        "stin": ptd | {"final_cell": 2.0},
+    }  # fmt: skip
+    for name, fields in expected.items():
+        assert FILTERS[name].from_spacing(2.2, 80.0) == pytest.approx(fields), name
+    assert FILTERS["ptd"].from_spacing(0.4, None) == pytest.approx({"noise_floor": 0.1, "vertex_spacing": 0.7})
+    dense = {"canopy_cell": 2.0, "cell": 10.0, "min_points": 20, "reference_cell": 1.0}
+    assert FILTERS["ppdf"].from_spacing(0.4, None) == FILTERS["ppdf"].from_spacing(0.75, None) | dense == dense
+    assert FILTERS["ppdf"].from_spacing(0.4, 40.0)["reach"] == 30.0
+
+
+@METHODS
 def test_parameters_from_the_cloud_are_valid(method):
     for spacing in (0.05, 0.5, 5.0):
         for building in (5.0, 60.0, 300.0, None):

@@ -241,7 +241,12 @@ def test_seeds_lie_near_planes_and_every_quantity_is_told(forest):
     assert (result.ground[judged] == (result.margin[judged] <= 0)).all()
     assert result.info["references"] >= seeds.sum()
     assert result.info["seeds"] >= seeds.sum()
-    traced = jf.PPDF()(forest.cloud, trace=True).trace
+    again = jf.PPDF(max_rounds=200)(forest.cloud, trace=True)
+    traced = again.trace
+    assert (
+        again.status is jf.Status.CONVERGED
+        and [bool(step["accepted"]) for step in traced].index(False) == len(traced) - 1
+    )
     assert all((a["ground"] <= b["ground"]).all() for a, b in itertools.pairwise(traced))
 
 

@@ -341,6 +341,7 @@ def test_designs(cloud):
         ({"slope": [0.1, 0.2]}, {"design": "sobol"}, "size=None"),
         ({"slope": [0.1, 0.2]}, {"size": 8}, "size=8"),
         ({"slope": (0.2, 0.1)}, {"design": "random", "size": 8}, "from low to high"),
+        ({"slope": (0.2, 0.2)}, {"design": "random", "size": 8}, "from low to high"),
         ({"slope": [0.1, 0.2], "threshold": [0.5]}, {"design": "list"}, "as many values"),
     ],
 )

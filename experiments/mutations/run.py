@@ -165,7 +165,7 @@ class Trial:
         outcome, test = "survived", "" if tests else "no test reaches it"
         if tests:
             with self.changed(mutation) as compiled:
-                limit = 2 * LOAD + 4 * sum(self.reached.time(one) for one in tests) + 5 * LOAD * compiled
+                limit = LOAD + 4 * sum(self.reached.time(one) for one in tests) + 5 * LOAD * compiled
                 code = self.pytest(tests, limit, "-x")
             if code:
                 outcome, test = "killed", self.killer(code)

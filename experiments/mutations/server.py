@@ -17,7 +17,7 @@ BEFORE = (
     "jax jax.numpy jax.scipy numba scipy.spatial scipy.sparse scipy.ndimage scipy.optimize scipy.stats laspy lazrs pyproj pandas "
     "xarray matplotlib.pyplot rasterio geopandas click.testing rich.console rich.table sybil hypothesis fsspec psutil"
 )
-MEMORY = 6 * 2**30
+MEMORY = 4 * 2**30
 """Bytes that a changed program may take."""
 
 
