@@ -72,6 +72,8 @@ def test_voids_are_no_border_but_the_outside_is():
     x, y = xyz.T[:2]
     lake = (x >= 10) & (x < 20) & (y >= 15) & (y < 35)
     assert found(xyz[~lake]) == []
+    channel = (x < 20) & (y >= 23) & (y < 27)
+    assert found(xyz[~channel]) == [], "narrow"
     bay = (x < 20) & (y >= 15) & (y < 35)
     assert len(found(xyz[~bay])) == 1
     classes = np.where(bay, 9, 0).astype(np.uint8)

@@ -149,6 +149,7 @@ def test_a_given_filter_without_limit_is_searched(scene, patches):
     assert np.isinf(found.trials.max_below.values[0]) and found.trials.sizes["set"] == 40
 
 
+@pytest.mark.filterwarnings("error::UserWarning")
 def test_trials_are_tabled_and_stored(scene, patches, tmp_path):
     found = jf.calibrate(jf.SMRF(), scene.cloud, scene.truth, labelled=patches, size=24, rounds=1, score="kappa")
     table = best_sets(found.trials, "expected", None)

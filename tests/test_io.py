@@ -22,7 +22,7 @@ from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, Par
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
 from jaxfilter.host import records
-from jaxfilter.host.las import class_changes, info, read, write
+from jaxfilter.host.las import class_changes, info, open_las, read, write
 from jaxfilter.tiles.task import labelled
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
@@ -681,6 +681,32 @@ def test_info(tmp_path):
     area = np.ptp(las.x) * np.ptp(las.y) * SURVEY_FOOT**2  # points all over it
     assert found["density"] == pytest.approx(found["candidates"] / area, rel=0.1)
     assert found["spacing"] == pytest.approx(found["density"] ** -0.5)
+
+
+def test_an_interrupt_is_no_damage_of_the_file():
+    with pytest.raises(KeyboardInterrupt), records.reading(Path("in.laz")):
+        raise KeyboardInterrupt
+
+
+def test_the_day_of_a_file(tmp_path):
+    make_las(tmp_path / "in.las", 1)
+    content = bytearray((tmp_path / "in.las").read_bytes())
+    for day, year, said in ((60, 2024, "2024-02-29"), (366, 2024, "2024-12-31"), (0, 2024, None), (1, 0, None)):
+        struct.pack_into("<2H", content, 90, day, year)
+        (tmp_path / "in.las").write_bytes(content)
+        assert open_las(tmp_path / "in.las")[0].date == said
+
+
+@pytest.mark.parametrize(
+    "returns, rows",
+    [("first", [1, 4]), ("last", [2, 3, 6, 7]), ("only", [0]), ("intermediate", [5]), ("only,first", [0, 1, 4])],
+)
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_candidates_by_their_return(returns, rows):
+    number, total = [1, 1, 2, 3, 1, 2, 3, 0], [1, 2, 2, 2, 3, 3, 3, 1]  # the fourth and the last are impossible
+    echoes = {"return_number": np.array(number), "number_of_returns": np.array(total)}
+    xyz = np.arange(24.0).reshape(8, 3)
+    assert PointCloud.from_arrays(xyz, returns=returns, **echoes).candidate.nonzero()[0].tolist() == rows
 
 
 def test_info_of_degrees_and_of_text(tmp_path):

@@ -94,6 +94,7 @@ def test_the_same_arguments_give_the_same_bytes(name):
 )
 def test_density_is_as_asked(density, size, options):
     scene = scenes.make("mixed", size=size, density=density, **options)
+    assert scenes.make("flat", density=0.1).size == (400.0, 300.0)
     measured = last_echoes(scene).sum() / (np.prod(scene.size) * land_share(scene))
     assert measured == pytest.approx(density, rel=0.1)
 
