@@ -127,6 +127,9 @@ def test_places_join_squares_that_touch_and_come_most_errors_first():
     assert list(table["area"]) == [300.0, 100.0, 100.0] == [round(g.area, 3) for g in table.geometry]
     assert table.crs.to_epsg() == EPSG and set(table["reason"]) == {"not ground: in a cell that is an object"}
     assert table.geometry[0].bounds == pytest.approx((500_020, 4_800_020, 500_050, 4_800_030), abs=0.01)
+    for place, middle in ((1, 85), (2, 75)):
+        centre = table.geometry[place].centroid
+        assert (centre.x, centre.y) == pytest.approx((500_000 + middle, 4_800_000 + middle), abs=0.01)
     assert len(jf.review(cloud, result, area=1)) == 1 and jf.review(cloud, result, area=100)["area"].sum() == 10_000
 
 

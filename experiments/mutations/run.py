@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=20262)
     parser.add_argument("--seconds", type=float, default=60.0, help="of tests for each, by the times of the recording")
     parser.add_argument("--again", action="store_true", help="try the survivors again, with the tests as they are now")
-    parser.add_argument("--only", type=int, nargs="+", help="these numbers, whether tried before or not")
+    parser.add_argument("--only", type=int, nargs="*", help="these numbers, tried before or not; none: only the tables")
     parser.add_argument("--as-recorded", action="store_true", help="record no more tests")
     parser.add_argument("--fresh", action="store_true", help="forget what was recorded and tried")
     parser.add_argument("--work", type=Path, default=HERE / "out")
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
         record(work.tree, work.tests(), work.map)
     drawn = draw(work.tree, options.number, options.seed)
     done = work.done()
-    if options.only:
+    if options.only is not None:
         numbers = options.only
     else:
         numbers = [
@@ -152,6 +152,10 @@ class Trial:
         path = os.pathsep.join([str(self.work.tree), *filter(None, [os.environ.get("PYTHONPATH")])])
         own = os.environ | {"PYTHONPATH": path, "TMPDIR": str(self.work.folder)}
         self.server = subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=own, cwd="/")
+        names = sorted({self.reached.unit(test) for test in self.reached.seconds})
+        self.pytest(names, 10 * LOAD, "--collect-only", "-q")
+        said = (self.work.folder / "said.txt").read_text(errors="replace")
+        self.unsound |= set(re.findall(rf"^ERROR: not found: {self.work.tree}/(.*)$", said, re.MULTILINE))
         return self
 
     def __exit__(self, *_: object) -> None:
