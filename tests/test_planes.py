@@ -46,10 +46,11 @@ def test_exact_plane_has_no_residuals():
 
 
 def test_collinear_and_short_blocks_determine_no_plane():
-    xyz = np.zeros((3, 5, 3), np.float32)
+    xyz = np.zeros((4, 5, 3), np.float32)
     xyz[0, :, 0] = xyz[0, :, 1] = np.arange(5)
+    xyz[3] = xyz[0] + np.array([0, 2, -2, 2, -2])[:, None] * [0, 0.001, 1]  # nearly on the diagonal
     xyz[1] = np.random.default_rng(0).random((5, 3))
-    mask = np.ones((3, 5), bool)
+    mask = np.ones((4, 5), bool)
     mask[1, 2:] = False
     planes = fit_planes(xyz, mask)
     assert not np.asarray(planes.determined).any() and np.isfinite(planes.gradient).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import warnings
 from pathlib import Path
 
 import laspy
@@ -189,6 +190,9 @@ def test_no_damage_to_an_index_is_an_error(tmp_path):
 def test_points_that_the_header_denies(tmp_path):
     path = tmp_path / "in.laz"
     make_las(path, 6, n=500)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
     patch(path, "2d", 179, X + 50, X)  # largest and smallest x
     with pytest.warns(jf.JaxfilterWarning, match="points lie outside the extent that its header states"):
         window = read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
