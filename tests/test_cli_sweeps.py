@@ -413,3 +413,14 @@ def test_the_time_left_follows_the_mean_rate_of_this_run():
         assert Rate().render(session._bar.tasks[0]).plain == "", "no rate of a millisecond"
         now[0] = 302.0
         assert Rate().render(session._bar.tasks[0]).plain == "100 k points/s"
+
+
+def test_labels_of_their_own_go_before_classes():
+    classes, own = np.array([2, 6, 0], np.uint8), np.array([False, True, True])
+    cloud = jf.PointCloud.from_arrays(np.eye(3), classification=classes)
+    assert point_labels(cloud).tolist() == [1, 0, -1]
+    assert point_labels(jf.PointCloud.from_arrays(np.eye(3), classification=classes, reference=own)).tolist() == [
+        0,
+        1,
+        1,
+    ]

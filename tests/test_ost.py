@@ -284,9 +284,10 @@ def test_points_are_taken_in_by_height_and_by_distance_and_angle():
         assert sorted(xyz[ground.ground, 2].round(2).tolist()) == pytest.approx([0, 0, 0, 0, 0.15, 0.2])
     low = points_of(np.array([*corners, [10, 3, -0.2], [10, 6, -0.6]], float))
     z = low[:, 2] - low[:, 2].max()
-    with GroundTin(low, np.flatnonzero(z > -0.1), 1) as ground:
-        ground.admit(np.full(len(low), 0.3, np.float32), 1.0, but=np.zeros(len(low), bool))
-        assert sorted(z[ground.ground].tolist()) == pytest.approx([-0.2, 0, 0, 0, 0], abs=1e-3)
+    for but, taken in ((z > 0, [-0.2]), (z < -0.1, [])):
+        with GroundTin(low, np.flatnonzero(z > -0.1), 1) as ground:
+            ground.admit(np.full(len(low), 0.3, np.float32), 1.0, but=but)
+            assert sorted(z[ground.ground].tolist()) == pytest.approx([*taken, 0, 0, 0, 0], abs=1e-3)
     angle = [math.degrees(math.atan2(z, min(math.dist((x, y), c[:2]) for c in corners))) for x, y, z in over]
     for noise in (0.0, 0.1, 0.2):
         with GroundTin(xyz, seeds, 1) as ground:
