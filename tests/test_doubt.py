@@ -127,10 +127,16 @@ def test_places_join_squares_that_touch_and_come_most_errors_first():
     assert list(table["area"]) == [300.0, 100.0, 100.0] == [round(g.area, 3) for g in table.geometry]
     assert table.crs.to_epsg() == EPSG and set(table["reason"]) == {"not ground: in a cell that is an object"}
     assert table.geometry[0].bounds == pytest.approx((500_020, 4_800_020, 500_050, 4_800_030), abs=0.01)
-    for place, middle in ((1, 85), (2, 75)):
-        centre = table.geometry[place].centroid
-        assert (centre.x, centre.y) == pytest.approx((500_000 + middle, 4_800_000 + middle), abs=0.01)
     assert len(jf.review(cloud, result, area=1)) == 1 and jf.review(cloud, result, area=100)["area"].sum() == 10_000
+
+
+def test_places_side_by_side_have_their_own_squares():
+    doubt = np.full((10, 10), 0.01)
+    doubt[2:6, 2], doubt[3, 6] = 0.5, 0.9
+    table = jf.review(*synthetic(doubt), area=5)
+    corner = np.array([500_000, 4_800_000, 500_000, 4_800_000])
+    for place, box in ((0, (20, 20, 30, 60)), (1, (60, 30, 70, 40))):
+        np.testing.assert_allclose(table.geometry[place].bounds - corner, box, atol=0.01)
 
 
 @pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])

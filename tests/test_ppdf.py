@@ -41,6 +41,10 @@ def test_the_plane_with_most_points_is_found_in_every_cell(planes):
         assert ((np.abs(distance) <= 0.15) == on[rows]).mean() > 0.99
         assert found.inliers[k] == (np.abs(distance) <= 0.15).sum()
         assert found.below[k] == pytest.approx(max(0, -distance.min()), abs=1e-4)
+    narrow = consensus_planes(cells_of(xyz, start, 16), DRAWS, 0.03, 75.0)  # counted again after the fit
+    for k in range(3):
+        offsets = xyz[start[k] : start[k + 1]] - xyz[start[k]] - np.asarray(narrow.centre[k])
+        assert narrow.inliers[k] == (np.abs(offsets @ np.asarray(narrow.normal[k])) <= 0.03).sum()
 
 
 def test_steep_planes_are_not_tried(rng):

@@ -122,6 +122,7 @@ def test_every_method_has_values_to_slide_over_that_it_takes(name):
 def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud, result, tmp_path):
     reference = np.where(np.arange(len(cloud)) % 7 == 0, -1, cloud.reference).astype(np.int8)
     facts = facts_of(jf.report(cloud, result, tmp_path / "page.html", reference=reference))
+    assert (facts["threshold"]["name"], facts["threshold"]["unit"]) == ("threshold", "m")
     for k in (0, facts["step"], len(facts["values"]) - 1):
         ground = jf.SMRF(threshold=facts["values"][k])(cloud).ground
         assert facts["ground"][k] == ground.sum()
