@@ -1,5 +1,7 @@
 """Labels of a few points are carried to others that sets of parameters call alike."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.special import expit
