@@ -17,8 +17,8 @@ from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from jaxfilter import JaxfilterWarning
 from jaxfilter.cli.session import Session
 from jaxfilter.core import compilation
-from jaxfilter.host import compiled as module
-from jaxfilter.host.compiled import compiled
+from jaxfilter.engines import compiled as module
+from jaxfilter.engines.compiled import compiled
 from jaxfilter.tiles.task import heard
 
 
@@ -145,7 +145,7 @@ def test_a_function_without_a_file_is_compiled_all_the_same(tmp_path, monkeypatc
 def test_code_is_made_anew_when_a_function_changes_that_it_calls(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
     monkeypatch.syspath_prepend(tmp_path)
-    head = "from jaxfilter.host.compiled import compiled\n"
+    head = "from jaxfilter.engines.compiled import compiled\n"
     (tmp_path / "calling.py").write_text(
         head + "from called import inner\n@compiled\ndef outer(n):\n    return inner(n)\n"
     )
@@ -161,9 +161,7 @@ def test_code_is_made_anew_when_a_function_changes_that_it_calls(tmp_path, monke
 
 
 def test_what_is_compiled_is_kept_where_the_user_says(tmp_path):
-    script = (
-        "from jaxfilter.host.predicates import in_circle; print(in_circle(0, 0, 4, 0, 0, 4, 3, 3), in_circle.stats)"
-    )
+    script = "from jaxfilter.engines.tin.predicates import in_circle; print(in_circle(0, 0, 4, 0, 0, 4, 3, 3), in_circle.stats)"
     environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
     environment["JAXFILTER_CACHE"] = str(tmp_path)
     said = [

@@ -12,9 +12,9 @@ import pytest
 from scipy import ndimage
 
 import jaxfilter as jf
-from jaxfilter.host import cloth as module
-from jaxfilter.host.cloth import drape, join_slopes
-from jaxfilter.ops.cloth import fill_along_lines, lowest_below, settle
+from jaxfilter.engines.cloth import wavefront as module
+from jaxfilter.engines.cloth.coloured import fill_along_lines, lowest_below, settle
+from jaxfilter.engines.cloth.wavefront import drape, join_slopes
 from jaxfilter.stages.grid_filter import Surface
 from jaxfilter.stages.surfaces import Cells
 

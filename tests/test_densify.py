@@ -15,14 +15,14 @@ from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import Decision
-from jaxfilter.host import flips, walks
-from jaxfilter.host import tin as tin_module
-from jaxfilter.host.tin import lattice
-from jaxfilter.ops.facets import Rule
-from jaxfilter.stages import densify as densify_module
-from jaxfilter.stages.densify import densify
-from jaxfilter.stages.growth import Adaptive, Border, Growth, Mirror, Network, Vertices
-from jaxfilter.stages.network import block_networks, border_positions, one_network
+from jaxfilter.engines.tin import densify as densify_module
+from jaxfilter.engines.tin import flips, walks
+from jaxfilter.engines.tin import triangulation as tin_module
+from jaxfilter.engines.tin.densify import densify
+from jaxfilter.engines.tin.facets import Rule
+from jaxfilter.engines.tin.growth import Adaptive, Border, Growth, Mirror, Network, Vertices
+from jaxfilter.engines.tin.network import block_networks, border_positions, one_network
+from jaxfilter.engines.tin.triangulation import lattice
 
 
 def scene(seed=0, n=4000, side=90.0):

@@ -18,7 +18,11 @@ import pytest
 
 from jaxfilter import FILTERS, plots
 from jaxfilter.core.params import declared
-from jaxfilter.ops import cloth, cones, facets, grid, inpaint, morphology, planes, sampling, spread, windows
+from jaxfilter.engines.cloth import coloured
+from jaxfilter.engines.grid import cells as grid
+from jaxfilter.engines.grid import cones, inpaint, morphology, sampling, spread, windows
+from jaxfilter.engines.tin import facets
+from jaxfilter.ops import planes
 
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "filters"
 sys.path.insert(0, str(PAGES.parents[1]))
@@ -204,10 +208,10 @@ DERIVED = {
     ("inpaint.fill_membrane", "z"): (lambda z: inpaint.fill_membrane(z, KNOWN, INSIDE, 1e-6).z, GRID),
     ("inpaint.fill_nearest", "z"): (lambda z: inpaint.fill_nearest(z, KNOWN, INSIDE), GRID),
     ("spread.fill_from_neighbours", "z"): (lambda z: spread.fill_from_neighbours(z, KNOWN, INSIDE, 3)[0], GRID),
-    ("cloth.fill_along_lines", "z"): (lambda z: cloth.fill_along_lines(z, KNOWN, INSIDE), GRID),
+    ("coloured.fill_along_lines", "z"): (lambda z: coloured.fill_along_lines(z, KNOWN, INSIDE), GRID),
     ("sampling.bilinear", "grid"): (lambda z: sampling.bilinear(XYZ[:, :2], EXTENT, 20)(z), GRID),
     ("sampling.bilinear", "at"): (lambda at: sampling.bilinear(at, EXTENT, 20)(jnp.asarray(GRID)), XYZ[:, :2]),
-    ("grid.block_minima", "z"): (lambda z: grid.block_minima(CELL, z, 480)[0][CELL], XYZ[:, 2]),
+    ("cells.block_minima", "z"): (lambda z: grid.block_minima(CELL, z, 480)[0][CELL], XYZ[:, 2]),
     ("windows.window_minima", "lowest"): (lowest_windows, GRID),
     ("planes.fit_planes", "xyz"): (lambda xyz: planes.fit_planes(xyz, jnp.ones((6, 10), bool)).gradient, BLOCKS),
     ("planes.plane_residuals", "xyz"): (lambda xyz: planes.plane_residuals(FITTED, xyz), BLOCKS),

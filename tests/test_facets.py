@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxfilter.core.result import Decision
-from jaxfilter.ops.facets import QUANTITIES, FacetScore, Rule, judge, mirrored
+from jaxfilter.engines.tin.facets import QUANTITIES, FacetScore, Rule, judge, mirrored
 
 
 def plain(p, f):

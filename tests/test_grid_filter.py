@@ -11,7 +11,7 @@ from scipy import ndimage
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
-from jaxfilter.ops import sampling
+from jaxfilter.engines.grid import sampling
 
 SMRF = jf.SMRF(window=8.0)
 PMF = jf.PMF(max_window=17.0)

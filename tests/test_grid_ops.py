@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxfilter.ops.grid import block_counts, block_minima, cell_index, inside, padded_length, padded_shape
+from jaxfilter.engines.grid.cells import block_counts, block_minima, cell_index, inside, padded_length, padded_shape
 
 
 def test_cell_index_counts_from_the_corner_and_clips_to_the_extent():

@@ -4,7 +4,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
 from jaxfilter.core.compilation import compilations, watch_compilations
-from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
+from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
 
 SIZE = 150
 

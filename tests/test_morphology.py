@@ -4,8 +4,8 @@ import pytest
 from scipy import ndimage
 
 from jaxfilter.core.compilation import compilations, watch_compilations
-from jaxfilter.ops import morphology
-from jaxfilter.ops.morphology import dilation, erosion, opening, progressive_opening
+from jaxfilter.engines.grid import morphology
+from jaxfilter.engines.grid.morphology import dilation, erosion, opening, progressive_opening
 
 REACH = 9
 

@@ -9,8 +9,8 @@ from test_pmf import hamlet
 import jaxfilter as jf
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.result import Decision
+from jaxfilter.engines.grid.cones import cone_erosion
 from jaxfilter.filters.msf import MSF
-from jaxfilter.ops.cones import cone_erosion
 from jaxfilter.scoring import evaluate
 
 

@@ -11,9 +11,10 @@ from scipy.spatial import Delaunay
 
 import jaxfilter as jf
 from jaxfilter.core.points import Points, canonical_points
-from jaxfilter.host import rings, shapes
-from jaxfilter.host.tin import Tin
-from jaxfilter.ops.morphology import ring_minimum
+from jaxfilter.engines.grid import shapes
+from jaxfilter.engines.grid.morphology import ring_minimum
+from jaxfilter.engines.tin import rings
+from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.scenes import Kind
 from jaxfilter.stages.ground_tin import GroundTin, lowest_of_each
 from jaxfilter.stages.landscape import Landscape

@@ -11,9 +11,9 @@ from scipy.spatial.distance import cdist
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host import neighbours
-from jaxfilter.host.cells import Cells
-from jaxfilter.host.depressions import Basins, _ascending
+from jaxfilter.engines import neighbours
+from jaxfilter.engines.grid.depressions import Basins, _ascending
+from jaxfilter.engines.grid.sparse import Cells
 from jaxfilter.host.trend import low_trend
 from jaxfilter.scenes import Kind
 from jaxfilter.stages.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
@@ -217,7 +217,7 @@ def test_cells_are_found_with_and_without_a_table(rng, monkeypatch):
     wide = np.pad(ndimage.binary_dilation(inside, np.ones((5, 5))), 3)
     number = np.where(wide, np.cumsum(wide).reshape(wide.shape) - 1, wide.sum()).ravel()
     for table in (1000, 0):
-        monkeypatch.setattr("jaxfilter.host.cells._TABLE", table)
+        monkeypatch.setattr("jaxfilter.engines.grid.sparse._TABLE", table)
         cells, member = cells_of(inside)
         assert member.tolist() == list(range(inside.sum()))
         np.testing.assert_array_equal(cells.grown(2).find(row, column), number)

@@ -10,7 +10,7 @@ from triangulation import Mesh
 import jaxfilter as jf
 from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host.tin import lattice
+from jaxfilter.engines.tin.triangulation import lattice
 from jaxfilter.host.trend import quadratic_trend
 
 TABLE_2 = {  # initial grid m, slope %, distance m, angle degrees

@@ -13,7 +13,7 @@ from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
-from jaxfilter.ops.inpaint import fill_membrane
+from jaxfilter.engines.grid.inpaint import fill_membrane
 from jaxfilter.stages import tin_filter
 
 

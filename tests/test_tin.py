@@ -11,9 +11,9 @@ from triangulation import Mesh, in_circle, power, triangulation, turn
 
 from jaxfilter.core.cloud import QUANTUM
 from jaxfilter.core.points import morton
-from jaxfilter.host import flips, predicates
-from jaxfilter.host import tin as tin_module
-from jaxfilter.host.tin import Tin
+from jaxfilter.engines.tin import flips, predicates
+from jaxfilter.engines.tin import triangulation as tin_module
+from jaxfilter.engines.tin.triangulation import Tin
 
 FAR = 2**26
 """Half of the largest distance along an axis that is tried, in quanta."""

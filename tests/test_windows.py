@@ -5,9 +5,9 @@ import pytest
 
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.points import PIECE
-from jaxfilter.host.minima import lowest_points, places_in
-from jaxfilter.ops.grid import block_minima, cell_index
-from jaxfilter.ops.windows import window_layout, window_minima
+from jaxfilter.engines.grid.cells import block_minima, cell_index
+from jaxfilter.engines.grid.minima import lowest_points, places_in
+from jaxfilter.engines.grid.windows import window_layout, window_minima
 
 
 def by_brute_force(xyz, extent, window, stride):

@@ -24,11 +24,11 @@ import jaxfilter as jf
 from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.points import Points
+from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
+from jaxfilter.engines.tin.growth import Border
 from jaxfilter.filters import smrf
-from jaxfilter.ops.inpaint import fill_membrane, fill_nearest
 from jaxfilter.stages import outliers
 from jaxfilter.stages.grid_filter import Surface
-from jaxfilter.stages.growth import Border
 from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
 from jaxfilter.stages.surfaces import Cells, steepest_drops
 from jaxfilter.stages.tin_filter import TinFilter

@@ -81,7 +81,7 @@ def another_of_its_bucket(cloud: Any) -> Any:
 
     import jaxfilter as jf
     from jaxfilter.core.compilation import bucket
-    from jaxfilter.ops.grid import padded_length
+    from jaxfilter.engines.grid.cells import padded_length
 
     def sizes(points: int, width: float) -> list[int]:
         return [bucket(points), *(padded_length(int(width / cell) + more) for cell in (1.0, 10.0) for more in (0, 3))]

@@ -21,7 +21,7 @@ from experiments.papers import paper
 from experiments.papers.oracle import without_labelled_objects
 from experiments.report import Row, markdown, with_averages, write_csv
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host.neighbours import nearest, tree_of
+from jaxfilter.engines.neighbours import nearest, tree_of
 from jaxfilter.stages.adaptive_grid import lowest_per_adaptive_cell
 
 SOURCE = (

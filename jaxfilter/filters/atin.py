@@ -10,9 +10,9 @@ import numpy as np
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
-from ..stages.growth import Adaptive, Network
-from ..stages.network import corner_positions, one_network
+from ..engines.tin.facets import Rule
+from ..engines.tin.growth import Adaptive, Network
+from ..engines.tin.network import corner_positions, one_network
 from ..stages.seeds import lowest_per_cell
 from ..stages.tin_filter import SlopeMirroring
 from . import papers

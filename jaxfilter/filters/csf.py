@@ -17,10 +17,10 @@ from ..core.grid import grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
-from ..host.cloth import drape, join_slopes
-from ..ops.cloth import fill_along_lines, lowest_below, settle
-from ..ops.grid import inside, padded_shape
-from ..ops.sampling import corners
+from ..engines.cloth.coloured import fill_along_lines, lowest_below, settle
+from ..engines.cloth.wavefront import drape, join_slopes
+from ..engines.grid.cells import inside, padded_shape
+from ..engines.grid.sampling import corners
 from ..stages.grid_filter import Heights, Surface
 from ..stages.outliers import bar_outliers
 from ..stages.surfaces import Cells
@@ -47,7 +47,7 @@ class CSF(Filter):
     1. Particles stand on a grid of ``resolution`` metres. Each has the elevation of one of the points that are nearer
        to it than to other particles (``surface``); without one, that of the next particle that has one.
     2. The cloud is turned upside down. The cloth falls, held together by springs of a given ``rigidness``; particles
-       that reach their elevation stay there for good (:func:`jaxfilter.host.cloth.drape`).
+       that reach their elevation stay there for good (:func:`jaxfilter.engines.cloth.wavefront.drape`).
     3. Optional (``smooth``): particles beside one that lies on the ground, at an elevation that differs by less than
        ``max_step``, are put on the ground as well, and so on from there.
     4. Ground are the points less than ``threshold`` above or below the cloth, interpolated bilinearly.
@@ -167,7 +167,8 @@ class CSF(Filter):
     def model(self, cells: Cells) -> Surface:
         """The cloth over the lowest points of cells. Pure, for ``jit`` and ``vmap`` over parameters, clouds, or both.
 
-        The particles stand in the middle of the cells. Their springs act in the order of :func:`jaxfilter.ops.cloth.settle`,
+        The particles stand in the middle of the cells. Their springs act in the order of
+        :func:`jaxfilter.engines.cloth.coloured.settle`,
         which suits a GPU and is not that of ``classify``, and nothing is joined to the ground afterwards (``smooth``), so
         the labels are others. There is no gradient. The surface is NaN if no cell is ``seen``, or one that is has no
         elevation. ``counts`` holds the particles that lie on the ground, and the steps.

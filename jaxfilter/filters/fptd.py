@@ -12,9 +12,9 @@ from ..core.errors import ParameterError
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
-from ..stages.growth import Border, Growth, Network
-from ..stages.network import block_networks, border_positions
+from ..engines.tin.facets import Rule
+from ..engines.tin.growth import Border, Growth, Network
+from ..engines.tin.network import block_networks, border_positions
 from ..stages.seeds import lowest_per_window
 from ..stages.tin_filter import TinFilter
 from . import papers

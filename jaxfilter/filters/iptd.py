@@ -11,12 +11,12 @@ import numpy as np
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.morphology import opening
-from ..ops.spread import fill_from_neighbours
-from ..stages.densify import densify
-from ..stages.growth import Network
+from ..engines.grid.morphology import opening
+from ..engines.grid.spread import fill_from_neighbours
+from ..engines.tin.densify import densify
+from ..engines.tin.growth import Network
+from ..engines.tin.network import labels_of
 from ..stages.local_planes import TRANSLATIONS, over_local_planes
-from ..stages.network import labels_of
 from ..stages.seeds import lowest_of_cells
 from ..stages.surfaces import cell_for, lowest_cells
 from ..stages.tin_filter import Mirroring, facet_reach

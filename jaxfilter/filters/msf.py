@@ -12,8 +12,8 @@ import numpy as np
 
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
-from ..ops.cones import cone_erosion, cone_limits
-from ..ops.morphology import erosion
+from ..engines.grid.cones import cone_erosion, cone_limits
+from ..engines.grid.morphology import erosion
 from ..stages.grid_filter import GridFilter, Heights, Surface
 from ..stages.surfaces import Cells, cell_for, lowest_places
 from . import papers

@@ -18,8 +18,8 @@ from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.inpaint import fill_nearest
-from ..ops.morphology import progressive_opening
+from ..engines.grid.inpaint import fill_nearest
+from ..engines.grid.morphology import progressive_opening
 from ..stages.boxes import PointBoxes
 from ..stages.grid_filter import GridFilter, Surface, labels_of
 from ..stages.surfaces import Cells, cell_for, cell_values, look_up, lowest_cells

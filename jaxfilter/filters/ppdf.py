@@ -15,8 +15,8 @@ from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
-from ..ops.inpaint import fill_membrane
-from ..ops.morphology import raised_cells
+from ..engines.grid.inpaint import fill_membrane
+from ..engines.grid.morphology import raised_cells
 from ..stages.outliers import bar_outliers
 from ..stages.planes import progressive_planes
 from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references

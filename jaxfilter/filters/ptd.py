@@ -7,8 +7,8 @@ from typing import ClassVar
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.facets import Rule
-from ..stages.growth import Network
+from ..engines.tin.facets import Rule
+from ..engines.tin.growth import Network
 from ..stages.seeds import lowest_per_cell
 from ..stages.tin_filter import Mirroring
 from . import papers

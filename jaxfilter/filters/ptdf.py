@@ -6,7 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from ..core.params import Preset, filter_params, param, static
-from ..ops.facets import Rule
+from ..engines.tin.facets import Rule
 from . import papers
 from .ptd import PTD
 

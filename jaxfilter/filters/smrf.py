@@ -12,8 +12,8 @@ import numpy as np
 
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
-from ..ops.inpaint import fill_membrane
-from ..ops.morphology import opening
+from ..engines.grid.inpaint import fill_membrane
+from ..engines.grid.morphology import opening
 from ..stages.grid_filter import GridFilter, Heights, Surface
 from ..stages.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
 from . import papers

@@ -10,9 +10,9 @@ import numpy as np
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..ops.morphology import raised_cells
-from ..ops.spread import fill_from_neighbours
-from ..stages.growth import Network
+from ..engines.grid.morphology import raised_cells
+from ..engines.grid.spread import fill_from_neighbours
+from ..engines.tin.growth import Network
 from ..stages.outliers import isolated_low
 from ..stages.seed_clusters import CLUSTERS, clustered_seeds
 from ..stages.seeds import lowest_of_cells

@@ -15,11 +15,11 @@ from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
+from ..engines.tin.densify import densify
+from ..engines.tin.facets import Rule
+from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
+from ..engines.tin.network import corner_positions, one_network
 from ..host.trend import low_trend, quadratic_trend
-from ..ops.facets import Rule
-from ..stages.densify import densify
-from ..stages.growth import Adaptive, Growth, Network, Vertices
-from ..stages.network import corner_positions, one_network
 from ..stages.seeds import lowest_on_grid
 from ..stages.tin_filter import SlopeMirroring
 from . import papers

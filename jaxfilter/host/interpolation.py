@@ -17,8 +17,8 @@ from scipy.spatial import ConvexHull, Delaunay
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError
 from ..core.points import morton
-from .neighbours import nearest, tree_of
-from .tin import Tin
+from ..engines.neighbours import nearest, tree_of
+from ..engines.tin.triangulation import Tin
 
 Heights = Callable[[np.ndarray], np.ndarray]
 """From positions f64[q, 2] to heights f64[q], local metres; NaN where the method gives none."""

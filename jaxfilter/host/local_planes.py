@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
+from ..engines.compiled import compiled
 
 _DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
 _SLACK = 1e-3  # of a cell: more than rounding takes away

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .compiled import compiled
+from ..engines.compiled import compiled
 
 
 class Buckets(NamedTuple):

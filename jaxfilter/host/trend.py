@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.frame import ends
 from ..core.points import pieces
-from .cells import Cells
+from ..engines.grid.sparse import Cells
 
 _MARGIN = 3  # cells around those with points: one each for interpolation, mean and median
 

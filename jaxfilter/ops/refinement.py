@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .grid import block_counts, block_minima
+from ..engines.grid.cells import block_counts, block_minima
 
 MAX_SLOPE = 63.0
 """Rise over run that a single slope counts with at most (89.1 degrees); over points almost above each other it is unbounded."""

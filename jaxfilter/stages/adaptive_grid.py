@@ -12,7 +12,7 @@ from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import most_cells
 from ..core.points import Points
-from ..ops.grid import cell_index, padded_shape
+from ..engines.grid.cells import cell_index, padded_shape
 from ..ops.refinement import cell_slopes
 
 REMAINDERS = ("absorbed", "own_cells")

@@ -18,8 +18,8 @@ from ..core.errors import InputError, warn
 from ..core.grid import grid_over
 from ..core.points import pieces, plain_points
 from ..core.result import FilterResult
+from ..engines.neighbours import groups
 from ..host.files import Bounds
-from ..host.neighbours import groups
 from .surfaces import cell_for
 
 REACH = 100.0

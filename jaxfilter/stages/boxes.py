@@ -10,8 +10,8 @@ import numpy as np
 from ..core.compilation import bucket
 from ..core.grid import grid_over
 from ..core.points import Points
-from ..ops.boxes import Bins, box_minima
-from ..ops.grid import cell_index, padded_shape
+from ..engines.grid.boxes import Bins, box_minima
+from ..engines.grid.cells import cell_index, padded_shape
 
 
 class PointBoxes:

@@ -17,7 +17,7 @@ from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
-from ..ops.sampling import bilinear
+from ..engines.grid.sampling import bilinear
 from .outliers import bar_outliers
 from .surfaces import Cells, cell_values, hold_against, lowest_cells, steepness
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket, on_same_device
-from ..host.tin import Tin
-from ..ops.facets import facet_score
+from ..engines.tin.facets import facet_score
+from ..engines.tin.triangulation import Tin
 
 Tested = tuple[jax.Array, jax.Array, jax.Array]
 _STEEPEST = 80.0
@@ -144,7 +144,7 @@ class GroundTin:
 
     def _scatter(self, nodes: np.ndarray) -> None:
         """Measure ``residual`` and ``roughness`` of vertices i64[k]."""
-        from ..host.rings import residuals, roughness  # imports Numba
+        from ..engines.tin.rings import residuals, roughness  # imports Numba
 
         tin = self.tin
         tables = tin.triangles, tin.neighbours, tin.where

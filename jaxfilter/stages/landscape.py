@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..ops.inpaint import fill_membrane
-from ..ops.sampling import bilinear
+from ..engines.grid.inpaint import fill_membrane
+from ..engines.grid.sampling import bilinear
 from .surfaces import Cells, hold_against, steepness
 
 _BLOCK = 5.0

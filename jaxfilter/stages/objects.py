@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..ops.grid import padded_shape
-from ..ops.morphology import erosion
+from ..engines.grid.cells import padded_shape
+from ..engines.grid.morphology import erosion
 
 
 class Roofs(NamedTuple):
@@ -38,7 +38,7 @@ class Segments:
 
     def __init__(self, z: np.ndarray, cell: float, roofs: Roofs) -> None:
         """``z``: f32[rows, columns], metres, none missing; ``cell``: metres."""
-        from ..host.shapes import segments  # imports Numba
+        from ..engines.grid.shapes import segments  # imports Numba
 
         self.cell, self.roofs = cell, roofs
         inner = slice(0, z.shape[0]), slice(0, z.shape[1])
@@ -54,7 +54,7 @@ class Segments:
             marked: bool[rows, columns], cells that openings take for objects.
             slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
         """
-        from ..host.shapes import census
+        from ..engines.grid.shapes import census
 
         roofs = self.roofs
         falls = self.fall > np.float32(roofs.drop) + 2 * np.float32(self.cell) * slope

@@ -11,11 +11,11 @@ import numpy as np
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
 from ..core.points import Points, pieces
-from ..host.cells import Cells
-from ..host.depressions import Basins
-from ..host.neighbours import batches, few_neighbours, groups, nearest, tree_of
+from ..engines.grid.depressions import Basins
+from ..engines.grid.morphology import ring_minimum
+from ..engines.grid.sparse import Cells
+from ..engines.neighbours import batches, few_neighbours, groups, nearest, tree_of
 from ..host.trend import low_trend
-from ..ops.morphology import ring_minimum
 from .surfaces import Cells as GridCells
 from .surfaces import look_up
 

@@ -20,7 +20,7 @@ from scipy.ndimage import distance_transform_edt
 
 from ..core.grid import Grid, grid_over
 from ..core.result import Progress, Status
-from ..host.neighbours import nearest, tree_of
+from ..engines.neighbours import nearest, tree_of
 from ..host.quadrants import Buckets, nearest_in_quadrants, rings
 from ..ops.planes import fit_planes
 

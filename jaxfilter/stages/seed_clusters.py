@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..host.tin import Tin
+from ..engines.tin.triangulation import Tin
 
 CLUSTERS = ("not_raised", "largest")
 """Which clusters of facets are ground: those that do not stand above most of their surroundings, or the largest only."""

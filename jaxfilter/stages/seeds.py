@@ -9,9 +9,9 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.grid import Grid, most_cells
 from ..core.points import Points
-from ..host.minima import lowest_points, places_in
-from ..ops.grid import padded_shape
-from ..ops.windows import window_layout, window_minima
+from ..engines.grid.cells import padded_shape
+from ..engines.grid.minima import lowest_points, places_in
+from ..engines.grid.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
 
 

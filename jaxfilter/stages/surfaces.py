@@ -16,9 +16,9 @@ from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
-from ..host.minima import cell_minima, places_in
-from ..ops.grid import cell_index, inside, padded_shape
-from ..ops.morphology import progressive_opening
+from ..engines.grid.cells import cell_index, inside, padded_shape
+from ..engines.grid.minima import cell_minima, places_in
+from ..engines.grid.morphology import progressive_opening
 
 MAX_CELLS = 100_000_000  # about 10 GB
 _WORK, _WORK_PER_POINT = 250_000_000, 64_000
@@ -164,7 +164,7 @@ def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndar
 def steepest_drops(z: jax.Array, valid: jax.Array, reach: int, element: str = "disk") -> jax.Array:
     """Metres per cell of radius that progressive openings with radii of 1, 2, ... ``reach`` cells lower each cell by, at most.
 
-    Args and returns: f32[rows, columns], as for :func:`jaxfilter.ops.morphology.progressive_opening`.
+    Args and returns: f32[rows, columns], as for :func:`jaxfilter.engines.grid.morphology.progressive_opening`.
     """
 
     def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:

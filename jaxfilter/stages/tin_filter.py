@@ -17,12 +17,12 @@ from ..core.filter import Filter, Labels, alike, values_but
 from ..core.params import param, static
 from ..core.points import Points
 from ..core.result import Progress, silent
-from ..ops.facets import Rule
-from .densify import densify, triangulated
-from .growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
-from .network import border_positions, labels_of, one_network
+from ..engines.tin.densify import densify, triangulated
+from ..engines.tin.facets import Rule
+from ..engines.tin.growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
+from ..engines.tin.network import border_positions, labels_of, one_network
+from ..engines.tin.vertices import choice_of
 from .outliers import bar_outliers
-from .vertices import choice_of
 
 FATES = ("barred", "removed")
 """What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
@@ -175,7 +175,7 @@ class TinFilter(Filter):
         """All points in one triangulation of the seeds (i64[s]), with border points every ``spacing`` metres.
 
         Without seeds the lowest point is one, with a warning.
-        ``barred``, ``late`` and ``more``: see :class:`jaxfilter.stages.growth.Network`.
+        ``barred``, ``late`` and ``more``: see :class:`jaxfilter.engines.tin.growth.Network`.
         """
         if len(seeds) == 0:
             warn(f"{type(self).__name__}: no point is left as a seed of the ground, and the lowest one is taken")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..host.tin import Tin
-from ..ops.inpaint import fill_nearest
-from ..ops.morphology import erosion
+from ..engines.grid.inpaint import fill_nearest
+from ..engines.grid.morphology import erosion
+from ..engines.tin.triangulation import Tin
 from .surfaces import Cells
 
 
@@ -16,7 +16,7 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> np.ndarray:
     Across voids, in triangles with an edge over ``longest`` metres, the corners have the lowest elevation within ``reach``
     cells: so a roof at the edge of a void has an edge there. Outside the hull the nearest cell decides.
     """
-    from ..host.shapes import draw
+    from ..engines.grid.shapes import draw
 
     z, seen = np.array(cells.lowest), np.array(cells.seen)
     rows, columns = (int(n) for n in cells.extent)

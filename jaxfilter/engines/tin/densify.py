@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.compilation import on_same_device
-from ..core.result import Decision, Progress, silent
-from ..host.tin import Tin
-from ..ops.facets import Rule, judge, mirrored
+from ...core.compilation import on_same_device
+from ...core.result import Decision, Progress, silent
+from .facets import Rule, judge, mirrored
 from .growth import Growth, Mirror, Network
+from .triangulation import Tin
 from .vertices import LowestPerCell, Spaced, choice_of
 
 _BATCHES = (1024, 8192)
@@ -283,7 +283,7 @@ class Densification:
     ) -> dict[str, np.ndarray]:
         """Test nodes, or ``xyz`` f32[n, 3] in their place, over facets with the nodes i32[n, 3] at their corners.
 
-        ``names``: of :data:`jaxfilter.ops.facets.QUANTITIES`, those to return.
+        ``names``: of :data:`jaxfilter.engines.tin.facets.QUANTITIES`, those to return.
         """
         own = [name for name, limit in self.rule._asdict().items() if np.ndim(limit) > 0]
 

@@ -38,7 +38,7 @@ class Basins:
     def __init__(self, z: np.ndarray, around: np.ndarray) -> None:
         """``z``: f32[n], the surface in the cells that there are; others, and those at +inf, are walls.
 
-        ``around``: i[9, n], each cell among its neighbours, as from :meth:`jaxfilter.host.cells.Cells.around`.
+        ``around``: i[9, n], each cell among its neighbours, as from :meth:`jaxfilter.engines.grid.sparse.Cells.around`.
         """
         from . import pours  # imports Numba
 

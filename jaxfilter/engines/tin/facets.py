@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..core.result import Decision
+from ...core.result import Decision
 
 _FLAT_AREA = (
     1e-6  # square of twice the area over the fourth power of the longest edge, below which a facet has no plane
@@ -36,7 +36,7 @@ class Rule(NamedTuple):
         noise_floor: metres; a point this close to the plane, measured vertically, is accepted whatever its angle. Negative = off.
         signed: 1 = points below the facet pass the tests of angle and distance; 0 = both sides are limited.
 
-    >>> from jaxfilter.ops import facets
+    >>> from jaxfilter.engines.tin import facets
     >>> rule = facets.Rule(max_angle=15.0, max_distance=1.4)
     >>> rule.max_elevation, rule.max_below
     (inf, inf)
@@ -169,7 +169,7 @@ def judge(
         deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees; ``planar``
         bool, False for facets without a plane and for vertical ones.
 
-    >>> from jaxfilter.ops import facets
+    >>> from jaxfilter.engines.tin import facets
     >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
     >>> points = jnp.array([[2.0, 2.0, 0.5]])
     >>> found = facets.judge(facets.Rule(max_distance=1.4), jnp.zeros(1, bool), points, corners)
@@ -188,7 +188,7 @@ def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) ->
 
     ``about_highest`` (bool scalar): about the highest vertex (Zhang & Lin 2013), else about the nearest in 3-D (Axelsson 2000).
 
-    >>> from jaxfilter.ops import facets
+    >>> from jaxfilter.engines.tin import facets
     >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
     >>> facets.mirrored(jnp.array([[2.0, 1.0, 0.5]]), corners, jnp.bool_(False)).tolist()
     [[-2.0, -1.0, 0.5]]

@@ -132,7 +132,7 @@ def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.
 
     Args: z: f32[rows, columns]; length: i32[], 1 <= length <= longest. Returns: f32[rows, columns].
 
-    >>> from jaxfilter.ops import morphology
+    >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.array([[4.0, 2.0, 3.0, 5.0, 1.0]])
     >>> morphology.run_minima(z, jnp.int32(2), longest=4, axis=1).tolist()
     [[2.0, 2.0, 3.0, 1.0, 1.0]]
@@ -235,7 +235,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
 
     Returns: f32[rows, columns]. Raises: ValueError for another element, and for arrays that are no grid of two dimensions.
 
-    >>> from jaxfilter.ops import morphology
+    >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[2, 2].set(-3.0)
     >>> morphology.erosion(z, 1, reach=4).astype(int).tolist()[2]
     [0, -3, -3, -3, 0]
@@ -248,7 +248,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
 def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`.
 
-    >>> from jaxfilter.ops import morphology
+    >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[2, 2].set(3.0)
     >>> morphology.dilation(z, 1, reach=4).astype(int).tolist()[2]
     [0, 3, 3, 3, 0]
@@ -265,7 +265,7 @@ def opening(
     ``valid``, bool[rows, columns], marks the cells that exist; the others are treated as lying beyond the border and are
     returned as they came. Further arguments as for :func:`erosion`. Never above ``z``, and idempotent.
 
-    >>> from jaxfilter.ops import morphology
+    >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[2, 2].set(3.0)
     >>> float(morphology.opening(z, 1, reach=4).max())
     0.0
@@ -298,7 +298,7 @@ def progressive_opening(
 
     Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
 
-    >>> from jaxfilter.ops import morphology
+    >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[1:4, 1:4].set(3.0)
     >>> look = lambda k, before, opened, most: jnp.maximum(most, before - opened)
     >>> last, drop = morphology.progressive_opening(

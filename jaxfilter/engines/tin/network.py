@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ..core.errors import InputError
-from ..core.filter import Labels
-from ..core.frame import QUANTUM
-from ..core.points import Points
-from ..core.result import Decision, Status
-from ..host.neighbours import perturbed
+from ...core.errors import InputError
+from ...core.filter import Labels
+from ...core.frame import QUANTUM
+from ...core.points import Points
+from ...core.result import Decision, Status
+from ..neighbours import perturbed
 from .densify import Densification
 from .growth import Network
 

@@ -27,8 +27,8 @@ def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tup
 def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns).
 
-    >>> from jaxfilter.ops import grid
-    >>> grid.inside((2, 3), jnp.array([2, 2])).tolist()
+    >>> from jaxfilter.engines.grid import cells
+    >>> cells.inside((2, 3), jnp.array([2, 2])).tolist()
     [[True, True, False], [True, True, False]]
     """
     row, column = (jax.lax.broadcasted_iota(jnp.int32, shape, axis) for axis in range(2))
@@ -48,9 +48,9 @@ def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Ar
 
     Returns: i32[n].
 
-    >>> from jaxfilter.ops import grid
+    >>> from jaxfilter.engines.grid import cells
     >>> xy = jnp.array([[0.5, 0.5], [3.5, 1.2]])
-    >>> grid.cell_index(xy, jnp.zeros(2), jnp.float32(1.0), jnp.array([2, 4]), columns=4).tolist()
+    >>> cells.cell_index(xy, jnp.zeros(2), jnp.float32(1.0), jnp.array([2, 4]), columns=4).tolist()
     [0, 7]
     """
     step = jnp.floor((xy[:, :2] - corner[None]) / cell).astype(jnp.int32)
@@ -71,8 +71,8 @@ def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array,
     Returns: f32[cells], +inf in empty cells, and i32[cells], the lowest index among equally low points, ``n`` in empty
         cells. With points in canonical order the choice depends on coordinates alone.
 
-    >>> from jaxfilter.ops import grid
-    >>> lowest, first = grid.block_minima(jnp.array([0, 2, 2]), jnp.array([5.0, 4.0, 3.0]), cells=3)
+    >>> from jaxfilter.engines.grid import cells
+    >>> lowest, first = cells.block_minima(jnp.array([0, 2, 2]), jnp.array([5.0, 4.0, 3.0]), cells=3)
     >>> lowest.tolist(), first.tolist()
     ([5.0, inf, 3.0], [0, 3, 2])
     """

@@ -1,7 +1,7 @@
 """Triangulated irregular networks that grow: Delaunay triangulations whose vertices come and go in place.
 
 The triangulation of the vertices is unique whatever the order, the batches and the history in which they came: it depends
-on their positions only (:mod:`jaxfilter.host.predicates`). It begins with one triangle of each sheet.
+on their positions only (:mod:`jaxfilter.engines.tin.predicates`). It begins with one triangle of each sheet.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from ..core.cloud import QUANTUM
+from ...core.cloud import QUANTUM
 
 CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.points import pieces
+from ...core.points import pieces
 
 
 def places_in(xyz: np.ndarray, frame: np.ndarray, extent: np.ndarray, columns: int) -> np.ndarray:
-    """i64[n]: the row-major cells of points f32[n, >=2], as :func:`jaxfilter.ops.grid.cell_index` gives them.
+    """i64[n]: the row-major cells of points f32[n, >=2], as :func:`jaxfilter.engines.grid.cells.cell_index` gives them.
 
     ``frame``: f32[3], x and y of the lower left corner and side of a cell; ``extent``: i32[2], rows and columns that are taken;
     ``columns``: of the array.

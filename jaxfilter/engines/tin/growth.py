@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.filter import Labels
-from ..core.grid import Grid
-from ..core.points import Points
-from ..ops.facets import Rule
+from ...core.filter import Labels
+from ...core.grid import Grid
+from ...core.points import Points
+from .facets import Rule
 
 INSERTIONS = ("batch", "one_per_facet", "sequential")
 """What a round adds of the points that pass: all of them, the lowest over each facet (after Nie et al. 2017), or one after

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
+from ..compiled import compiled
 
 SPAN = 140_000 * 1024
 """Largest distance along an axis, in steps of the lattice, for which the in-circle test is proven."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
+from ..compiled import compiled
 from .walks import MANY
 
 
@@ -41,7 +41,7 @@ def residuals(xyz, triangles, neighbours, where, nodes, real, e):
     """Metres of vertices above the plane of least squares through their neighbours, and those across the facing edges.
 
     Args:
-        xyz: f32[k, 3]; triangles, neighbours, where: as in :class:`jaxfilter.host.tin.Tin`.
+        xyz: f32[k, 3]; triangles, neighbours, where: as in :class:`jaxfilter.engines.tin.triangulation.Tin`.
         nodes: i64[n], vertices; real: bool[k], vertices that count as neighbours.
         e: f32[k], written to for ``nodes``; zero with fewer than four neighbours, or with all on a line.
     """

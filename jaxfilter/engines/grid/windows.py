@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..core.errors import ParameterError
+from ...core.errors import ParameterError
 
 _RESOLUTION = 1000  # window and stride count in millimetres
 
@@ -30,7 +30,7 @@ class Windows:
         blocks: number of blocks (rows, columns) that cover the rectangle.
         counts: number of windows (rows, columns).
 
-    >>> from jaxfilter.ops import windows
+    >>> from jaxfilter.engines.grid import windows
     >>> windows.window_layout((20.0, 18.0), window=4.0, stride=2.0).counts
     (9, 8)
     """
@@ -48,7 +48,7 @@ def window_layout(extent: tuple[float, float], window: float, stride: float) -> 
     The block is the stride where that divides the window, else the greatest length that divides both.
     Raises: ParameterError if stride or window are not whole millimetres, or not 0 < stride <= window.
 
-    >>> from jaxfilter.ops import windows
+    >>> from jaxfilter.engines.grid import windows
     >>> layout = windows.window_layout((20.0, 18.0), window=4.0, stride=2.0)
     >>> layout.width, layout.blocks, layout.counts
     (2, (10, 9), (9, 8))
@@ -106,8 +106,8 @@ def window_minima(
     """Lowest elevation in every window, and the point that has it.
 
     Args:
-        lowest: f32[rows, columns], metres, block minima as from :func:`jaxfilter.ops.grid.block_minima`; +inf where empty or
-            padding.
+        lowest: f32[rows, columns], metres, block minima as from :func:`jaxfilter.engines.grid.cells.block_minima`; +inf
+            where empty or padding.
         first: i32[rows, columns], the points they belong to.
         counts: i32[2], number of windows (rows, columns).
         width, stride: window size and stride in blocks.
@@ -116,7 +116,7 @@ def window_minima(
         ``counts``; +inf and a number that is no point's in windows without points. Equally low points give the lowest
         index.
 
-    >>> from jaxfilter.ops import windows
+    >>> from jaxfilter.engines.grid import windows
     >>> blocks = jnp.array([[3.0, 1.0, 2.0, 4.0]])
     >>> number = jnp.arange(4, dtype=jnp.int32)[None]
     >>> low, point = windows.window_minima(blocks, number, jnp.array([1, 3]), width=2, stride=1)

@@ -28,8 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ..core.cloth import SPRINGS, Cloth
-from .neighbours import groups
+from ..neighbours import groups
+from .fabric import SPRINGS, Cloth
 from .springs import BLOCK, MOVED, sweep
 
 _SWEEP = 50  # steps that follow each other through the cache

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.grid import Grid
-from ..host.tin import Tin
+from ...core.grid import Grid
 from .growth import Network, Vertices
+from .triangulation import Tin
 
 
 def choice_of(network: Network, vertices: Vertices) -> Spaced | LowestPerCell:

@@ -40,7 +40,7 @@ class Membrane(NamedTuple):
         error: f32[] or f32[grids], estimate of the largest remaining error in the holes, in the unit of z.
         rounds: i32[], steps of conjugate gradients taken.
 
-    >>> from jaxfilter.ops import inpaint
+    >>> from jaxfilter.engines.grid import inpaint
     >>> z = jnp.array([[1.0, 0.0, 3.0]])
     >>> known = jnp.array([[True, False, True]])
     >>> filled = inpaint.fill_membrane(z, known, jnp.ones((1, 3), bool))
@@ -181,7 +181,7 @@ def fill_membrane(
 
     Returns: Membrane; outside cells are zero.
 
-    >>> from jaxfilter.ops import inpaint
+    >>> from jaxfilter.engines.grid import inpaint
     >>> z = jnp.array([[1.0, 0.0, 3.0]])
     >>> known = jnp.array([[True, False, True]])
     >>> inpaint.fill_membrane(z, known, jnp.ones((1, 3), bool)).z.round().tolist()
@@ -286,7 +286,7 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     Args: z f32, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
     Returns: f32[rows, columns]; unknown cells are unchanged if there is no known cell, outside cells always.
 
-    >>> from jaxfilter.ops import inpaint
+    >>> from jaxfilter.engines.grid import inpaint
     >>> z = jnp.array([[1.0, 0.0, 3.0]])
     >>> known = jnp.array([[True, False, True]])
     >>> inpaint.fill_nearest(z, known, jnp.ones((1, 3), bool)).tolist()

@@ -1,4 +1,4 @@
-"""Compiled steps of :mod:`jaxfilter.host.cloth`: gravity, springs and pins, for a cloth laid out in lines.
+"""Compiled steps of :mod:`jaxfilter.engines.cloth.wavefront`: gravity, springs and pins, for a cloth laid out in lines.
 
 All arrays of the cloth are f32[lines, places]: ``height`` and ``before`` (one step ago), metres; ``spring``, the share of a
 gap that a neighbour moves, < 0 if the particle is pinned, 0 where there is none; ``surface``, what it falls onto. ``ends``,
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.cloth import KEPT
-from .compiled import compiled
+from ..compiled import compiled
+from .fabric import KEPT
 
 BLOCK = 13
 """Lines that are moved at a time: more than a spring reaches (12 lines and 2 places)."""

@@ -1,13 +1,14 @@
 """Compiled changes of a Delaunay triangulation in place: vertices come by walks and fans, and go by edge flips.
 
-The tables are those of :mod:`jaxfilter.host.walks`, the predicates, which are exact, of :mod:`jaxfilter.host.predicates`.
+The tables are those of :mod:`jaxfilter.engines.tin.walks`, the predicates, which are exact, of
+:mod:`jaxfilter.engines.tin.predicates`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
+from ..compiled import compiled
 from .predicates import in_circle, turn
 from .walks import DEAD, ahead, behind, find, has_changed, is_ghost, place, position, vertex_at, within
 

@@ -1,10 +1,10 @@
-"""Compiled steps of :mod:`jaxfilter.host.depressions`: where water runs, and which basins join as it rises."""
+"""Compiled steps of :mod:`jaxfilter.engines.grid.depressions`: where water runs, and which basins join as it rises."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .compiled import compiled
+from ..compiled import compiled
 
 _MET = 4  # basins that each one has met last, whose passes are remembered
 

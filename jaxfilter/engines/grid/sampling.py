@@ -50,7 +50,7 @@ def bilinear(at: jax.Array, extent: jax.Array | np.ndarray, columns: int) -> Cal
 
     Returns: a function of a grid f32[rows, columns] that gives f32[n]. It is differentiable in the grid and the places.
 
-    >>> from jaxfilter.ops import sampling
+    >>> from jaxfilter.engines.grid import sampling
     >>> at = jnp.array([[0.5, 0.0], [1.0, 0.5]])  # column and row
     >>> grid = jnp.array([[0.0, 1.0], [2.0, 3.0]])
     >>> sampling.bilinear(at, jnp.array([2, 2]), columns=2)(grid).tolist()

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .grid import cell_index
+from .cells import cell_index
 
 _AT_ONCE = 4  # offsets per step of the loop
 
@@ -46,7 +46,7 @@ def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) 
 
     Returns: f32[rows, columns].
 
-    >>> from jaxfilter.ops import cones
+    >>> from jaxfilter.engines.grid import cones
     >>> z = jnp.array([[0.0, 9.0, 9.0, 9.0]])
     >>> cones.cone_erosion(z, jnp.float32(0.5), jnp.float32(2.0), reach=2).tolist()
     [[0.0, 0.5, 1.0, 9.0]]

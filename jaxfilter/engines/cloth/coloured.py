@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..core.cloth import KEPT, SPRINGS, Cloth
-from ..core.errors import InputError
-from .inpaint import fill_nearest, running
+from ...core.errors import InputError
+from ..grid.inpaint import fill_nearest, running
+from .fabric import KEPT, SPRINGS, Cloth
 
 _APART = 5  # nodes between particles that disturb none in common
 _State = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]  # height, before, spring, steps, longest way
@@ -34,7 +34,8 @@ def settle(
 
     The springs of a particle act at once, each on what the one before left. Those of all particles that are five nodes
     apart act together: first of particle (0, 0) of every five by five, then of (0, 1), row by row to (4, 4). The authors'
-    program, and :func:`jaxfilter.host.cloth.drape`, take one row of the whole grid after the other. That is another order
+    program, and :func:`jaxfilter.engines.cloth.wavefront.drape`, take one row of the whole grid after the other. That
+    is another order
     and another cloth: over a square hole of 60 particles it sags by 2.4 m instead of 1.8 m (rigidness 2).
 
     Particles are pinned at once and for good, so there is no gradient.
@@ -50,9 +51,9 @@ def settle(
     Returns: Cloth; height 0 and not pinned where no particle is. ``steps`` is i32[].
     Raises: InputError if ``limit`` and ``inside`` differ in shape.
 
-    >>> from jaxfilter.ops import cloth
+    >>> from jaxfilter.engines.cloth import coloured
     >>> limit = jnp.full((5, 5), -1.0)
-    >>> rest = cloth.settle(limit, jnp.ones((5, 5), bool), (0.3, 0.4), 0.01, 0.005, 50)
+    >>> rest = coloured.settle(limit, jnp.ones((5, 5), bool), (0.3, 0.4), 0.01, 0.005, 50)
     >>> float(rest.height.min()), bool(rest.pinned.all())
     (-1.0, True)
     """
@@ -160,10 +161,10 @@ def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.A
     Args: z f32 (metres), known bool, inside bool (nodes that exist), each [rows, columns].
     Returns: f32[rows, columns].
 
-    >>> from jaxfilter.ops import cloth
+    >>> from jaxfilter.engines.cloth import coloured
     >>> z = jnp.array([[1.0, 0.0, 3.0]])
     >>> known = jnp.array([[True, False, True]])
-    >>> cloth.fill_along_lines(z, known, jnp.ones((1, 3), bool)).tolist()
+    >>> coloured.fill_along_lines(z, known, jnp.ones((1, 3), bool)).tolist()
     [[1.0, 3.0, 3.0]]
     """
     known = known & inside

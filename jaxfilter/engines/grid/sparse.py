@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..core.points import pieces
+from ...core.points import pieces
 
 _TABLE = 16  # a grid of so many cells per cell in use is looked up in a table
 

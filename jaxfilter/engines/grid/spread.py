@@ -26,7 +26,7 @@ def fill_from_neighbours(
 
     Returns: f32[rows, columns], and bool[rows, columns], the cells with a value now. Cells out of reach keep ``z``.
 
-    >>> from jaxfilter.ops import spread
+    >>> from jaxfilter.engines.grid import spread
     >>> z = jnp.array([[1.0, 0.0, 3.0]])
     >>> known = jnp.array([[True, False, True]])
     >>> filled, has_value = spread.fill_from_neighbours(z, known, jnp.ones((1, 3), bool), rounds=1)
