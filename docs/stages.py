@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 
 import jaxfilter as jf
 from jaxfilter.core.grid import Grid
-from jaxfilter.stages.grid_filter import GridFilter
-from jaxfilter.stages.ground_tin import GroundTin
-from jaxfilter.stages.tin_filter import TinFilter
-from jaxfilter.stages.voids import filled_by
+from jaxfilter.steps.grid_filter import GridFilter
+from jaxfilter.steps.ground_tin import GroundTin
+from jaxfilter.steps.tin_filter import TinFilter
+from jaxfilter.steps.voids import filled_by
 
 
 @cache

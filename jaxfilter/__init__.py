@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .reports import report, review
     from .scoring import Scores, evaluate
     from .stages.border import CutObject, cut_objects
-    from .stages.grid_filter import soft_labels
+    from .steps.grid_filter import soft_labels
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import sweep
@@ -47,7 +47,7 @@ _HOMES = {
     "filters.default": ("default_filter",),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",), "pdal": ("from_pdal",),
-    "stages.border": ("CutObject", "cut_objects"), "stages.grid_filter": ("soft_labels",),
+    "stages.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("sweep",),
     "terrain": ("dtm", "dtm_rmse", "height_above_ground"),

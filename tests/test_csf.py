@@ -15,8 +15,8 @@ import jaxfilter as jf
 from jaxfilter.engines.cloth import wavefront as module
 from jaxfilter.engines.cloth.coloured import fill_along_lines, lowest_below, settle
 from jaxfilter.engines.cloth.wavefront import drape, join_slopes
-from jaxfilter.stages.grid_filter import Surface
-from jaxfilter.stages.surfaces import Cells
+from jaxfilter.steps.grid_filter import Surface
+from jaxfilter.steps.surfaces import Cells
 
 MOVES = {1: (0.3, 0.3), 2: (0.51, 0.42), 3: (0.657, 0.468)}
 RING = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1), (1, 0), (0, 1), (1, 1)]

@@ -22,7 +22,7 @@ from jaxfilter.engines.cloth import coloured
 from jaxfilter.engines.grid import cells as grid
 from jaxfilter.engines.grid import cones, inpaint, morphology, sampling, spread, windows
 from jaxfilter.engines.tin import facets
-from jaxfilter.ops import planes
+from jaxfilter.steps import planes
 
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "filters"
 sys.path.insert(0, str(PAGES.parents[1]))

@@ -16,7 +16,7 @@ import pytest
 
 import jaxfilter as jf
 from jaxfilter.core.params import declared
-from jaxfilter.stages.grid_filter import GridFilter
+from jaxfilter.steps.grid_filter import GridFilter
 
 ARRAYS = Path(__file__).resolve().parents[1] / "docs" / "arrays.md"
 UNITS = r"metre|degrees|percent|per cent|rise over run|file (units|coordinates)|units? of|per m2|m2\b|bytes|seconds|cells|0 to 1"

@@ -12,7 +12,7 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.errors import InputError, OutputError, ParameterError
 from jaxfilter.reports.places import squares
-from jaxfilter.stages.doubt import FEATURES, MODEL, probability
+from jaxfilter.steps.doubt import FEATURES, MODEL, probability
 
 EPSG = 25832
 

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.stages.local_planes import over_local_planes
+from jaxfilter.steps.local_planes import over_local_planes
 
 PRINTED = {11: 13, 12: 9, 23: 7, 52: 4, 71: 2}  # total errors, per cent
 

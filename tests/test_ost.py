@@ -16,12 +16,12 @@ from jaxfilter.engines.grid.morphology import ring_minimum
 from jaxfilter.engines.tin import rings
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.scenes import Kind
-from jaxfilter.stages.ground_tin import GroundTin, lowest_of_each
-from jaxfilter.stages.landscape import Landscape
-from jaxfilter.stages.objects import Roofs, Segments
-from jaxfilter.stages.outliers import ring_low
-from jaxfilter.stages.surfaces import lowest_cells
-from jaxfilter.stages.voids import filled_by
+from jaxfilter.steps.ground_tin import GroundTin, lowest_of_each
+from jaxfilter.steps.landscape import Landscape
+from jaxfilter.steps.objects import Roofs, Segments
+from jaxfilter.steps.outliers import ring_low
+from jaxfilter.steps.surfaces import lowest_cells
+from jaxfilter.steps.voids import filled_by
 
 ROOFS = Roofs(step=0.3, area=30.0, share=0.6, drop=2.5, drop_share=0.5)
 

@@ -14,9 +14,9 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.engines import neighbours
 from jaxfilter.engines.grid.depressions import Basins, _ascending
 from jaxfilter.engines.grid.sparse import Cells
-from jaxfilter.host.trend import low_trend
 from jaxfilter.scenes import Kind
-from jaxfilter.stages.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
+from jaxfilter.steps.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
+from jaxfilter.steps.trend import low_trend
 
 
 def points_of(xyz):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxfilter.ops.planes import fit_planes, plane_residuals
+from jaxfilter.steps.planes import fit_planes, plane_residuals
 
 
 def blocks(count=20, size=30, seed=0):

@@ -8,7 +8,7 @@ from jaxfilter.core.points import plain_points
 from jaxfilter.core.result import Decision
 from jaxfilter.filters.pmf import PMF
 from jaxfilter.scoring import evaluate
-from jaxfilter.stages.boxes import PointBoxes
+from jaxfilter.steps.point_boxes import PointBoxes
 
 SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
 # total errors (%) that PDAL 2.2 filters.pmf and PCL's ProgressiveMorphologicalFilter gave with their default parameters

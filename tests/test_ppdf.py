@@ -9,9 +9,9 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
-from jaxfilter.ops.ransac import batches, cells_of, consensus_planes, rows_of
-from jaxfilter.stages.planes import progressive_planes
-from jaxfilter.stages.references import NearestReferences, QuadrantReferences, local_planes
+from jaxfilter.steps.consensus import batches, cells_of, consensus_planes, rows_of
+from jaxfilter.steps.references import NearestReferences, QuadrantReferences, local_planes
+from jaxfilter.steps.scaled_planes import progressive_planes
 
 DRAWS = jax.random.uniform(jax.random.key(0), (128, 3))
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines.grid.spread import fill_from_neighbours
-from jaxfilter.stages.seed_clusters import clustered_seeds
+from jaxfilter.steps.seed_clusters import clustered_seeds
 
 SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
 FILTER = {"long_edge": 60.0, "narrow_angle": 30.0, "steep_angle": 60.0, "raised": 2.5}

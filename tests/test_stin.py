@@ -11,7 +11,7 @@ import jaxfilter as jf
 from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines.tin.triangulation import lattice
-from jaxfilter.host.trend import quadratic_trend
+from jaxfilter.steps.trend import quadratic_trend
 
 TABLE_2 = {  # initial grid m, slope %, distance m, angle degrees
     "samp11": (30, 17, 2.0, 30),

@@ -14,7 +14,7 @@ from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.grid.inpaint import fill_membrane
-from jaxfilter.stages import tin_filter
+from jaxfilter.steps import tin_filter
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from test_densify import plain
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import silent
-from jaxfilter.stages.planes import progressive_planes
+from jaxfilter.steps.scaled_planes import progressive_planes
 
 SWITCHED = {
     "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),

@@ -27,11 +27,11 @@ from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
 from jaxfilter.engines.tin.growth import Border
 from jaxfilter.filters import smrf
-from jaxfilter.stages import outliers
-from jaxfilter.stages.grid_filter import Surface
-from jaxfilter.stages.seeds import lowest_per_cell, lowest_per_window
-from jaxfilter.stages.surfaces import Cells, steepest_drops
-from jaxfilter.stages.tin_filter import TinFilter
+from jaxfilter.steps import outliers
+from jaxfilter.steps.grid_filter import Surface
+from jaxfilter.steps.seeds import lowest_per_cell, lowest_per_window
+from jaxfilter.steps.surfaces import Cells, steepest_drops
+from jaxfilter.steps.tin_filter import TinFilter
 
 HERE = Path(__file__).parent
 QUICK = ("24", "41")

@@ -23,7 +23,7 @@ from jaxfilter import tables
 from jaxfilter.filters import ost
 from jaxfilter.reports.places import squares
 from jaxfilter.reports.review_list import AREA, SIDE
-from jaxfilter.stages import doubt, doubt_model
+from jaxfilter.steps import doubt, doubt_model
 
 HERE = Path(__file__).parent
 DENSITIES = (0.3, 4.0)
@@ -190,7 +190,7 @@ def picture(tests: dict[str, tuple[np.ndarray, np.ndarray]], path: Path) -> None
 
 
 def module(weights: np.ndarray) -> str:
-    """The text of :mod:`jaxfilter.stages.doubt_model`."""
+    """The text of :mod:`jaxfilter.steps.doubt_model`."""
     lines = "".join(
         f"        [{', '.join(f'{v:.4f}' for v in row)}],  # {name}\n"
         for row, name in zip(weights, ("not ground", "ground"), strict=True)

@@ -21,8 +21,8 @@ from experiments import report
 from experiments.isprs import samples
 from jaxfilter import scenes
 from jaxfilter.core.points import Points, canonical_points
-from jaxfilter.stages.outliers import low_clusters
-from jaxfilter.stages.seeds import lowest_per_window
+from jaxfilter.steps.outliers import low_clusters
+from jaxfilter.steps.seeds import lowest_per_window
 
 EXTENT = {0.2: 700, 1.0: 400, 4.0: 200, 12.0: 120}
 """Metres: side of the scenes by their density in pulses per square metre."""

@@ -22,7 +22,7 @@ from experiments.papers.oracle import without_labelled_objects
 from experiments.report import Row, markdown, with_averages, write_csv
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines.neighbours import nearest, tree_of
-from jaxfilter.stages.adaptive_grid import lowest_per_adaptive_cell
+from jaxfilter.steps.adaptive_grid import lowest_per_adaptive_cell
 
 SOURCE = (
     "J. Zheng, M. Xiang, T. Zhang, J. Zhou (2024): An improved adaptive grid-based progressive triangulated irregular "

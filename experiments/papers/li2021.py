@@ -19,7 +19,7 @@ from experiments.papers import li2021_figures as figures
 from experiments.papers import paper
 from experiments.report import Column, Row, cores, write_csv
 from jaxfilter.core.points import canonical_points
-from jaxfilter.stages.outliers import radius_outliers
+from jaxfilter.steps.outliers import radius_outliers
 from jaxfilter.sweeps.comparison import timed
 
 if TYPE_CHECKING:

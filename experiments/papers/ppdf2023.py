@@ -22,8 +22,8 @@ from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
 from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
-from jaxfilter.stages.planes import ScaledPlanes, progressive_planes
-from jaxfilter.stages.seeds import lowest_on_grid, under_canopy
+from jaxfilter.steps.scaled_planes import ScaledPlanes, progressive_planes
+from jaxfilter.steps.seeds import lowest_on_grid, under_canopy
 from jaxfilter.sweeps.comparison import timed
 
 TILES = {"lff_2_42": 50.0, "zf_veluwezoom_ahn3": 80.0}

@@ -11,8 +11,8 @@ from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.growth import Mirror, Network
-from ..stages.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
-from ..stages.tin_filter import Mirroring
+from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
+from ..steps.tin_filter import Mirroring
 from . import papers
 
 _PAPER = {

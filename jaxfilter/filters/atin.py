@@ -13,8 +13,8 @@ from ..core.result import Progress
 from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Adaptive, Network
 from ..engines.tin.network import corner_positions, one_network
-from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import SlopeMirroring
+from ..steps.seeds import lowest_per_cell
+from ..steps.tin_filter import SlopeMirroring
 from . import papers
 
 _SIGMA = 1.4826

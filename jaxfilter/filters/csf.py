@@ -21,9 +21,9 @@ from ..engines.cloth.coloured import fill_along_lines, lowest_below, settle
 from ..engines.cloth.wavefront import drape, join_slopes
 from ..engines.grid.cells import inside, padded_shape
 from ..engines.grid.sampling import corners
-from ..stages.grid_filter import Heights, Surface
-from ..stages.outliers import bar_outliers
-from ..stages.surfaces import Cells
+from ..steps.grid_filter import Heights, Surface
+from ..steps.outliers import bar_outliers
+from ..steps.surfaces import Cells
 from . import papers
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program

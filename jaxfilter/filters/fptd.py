@@ -15,8 +15,8 @@ from ..core.result import Progress
 from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Border, Growth, Network
 from ..engines.tin.network import block_networks, border_positions
-from ..stages.seeds import lowest_per_window
-from ..stages.tin_filter import TinFilter
+from ..steps.seeds import lowest_per_window
+from ..steps.tin_filter import TinFilter
 from . import papers
 
 
@@ -34,7 +34,7 @@ class FPTD(TinFilter):
     vertex (eq. 3) are within their limits, so that points below the facet pass (II-E). Lengths in metres, angles in degrees.
 
     Presets: "recommended" is the default. It triangulates all points together, and takes the place of the radius filter and
-    of the manual removal of low outliers by :func:`jaxfilter.stages.outliers.low_clusters`. "paper" runs independent blocks
+    of the manual removal of low outliers by :func:`jaxfilter.steps.outliers.low_clusters`. "paper" runs independent blocks
     with the radius filter (r = 5 m, n = 10) only; ``outlier_fate="removed"`` and ``block_limit="fixed"`` make it literal.
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.

@@ -16,10 +16,10 @@ from ..engines.grid.spread import fill_from_neighbours
 from ..engines.tin.densify import densify
 from ..engines.tin.growth import Network
 from ..engines.tin.network import labels_of
-from ..stages.local_planes import TRANSLATIONS, over_local_planes
-from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import cell_for, lowest_cells
-from ..stages.tin_filter import Mirroring, facet_reach
+from ..steps.local_planes import TRANSLATIONS, over_local_planes
+from ..steps.seeds import lowest_of_cells
+from ..steps.surfaces import cell_for, lowest_cells
+from ..steps.tin_filter import Mirroring, facet_reach
 from . import papers
 
 _TABLE2 = {

@@ -14,8 +14,8 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.cones import cone_erosion, cone_limits
 from ..engines.grid.morphology import erosion
-from ..stages.grid_filter import GridFilter, Heights, Surface
-from ..stages.surfaces import Cells, cell_for, lowest_places
+from ..steps.grid_filter import GridFilter, Heights, Surface
+from ..steps.surfaces import Cells, cell_for, lowest_places
 from . import papers
 
 MAX_REACH = 100  # cells; the time grows with the square

@@ -13,13 +13,13 @@ from ..core.filter import Filter, Labels
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
-from ..stages.doubt import evidence, probability
-from ..stages.ground_tin import GroundTin, lowest_of_each
-from ..stages.landscape import Landscape
-from ..stages.objects import Roofs, Segments
-from ..stages.outliers import low_clusters, ring_low
-from ..stages.surfaces import Cells, cell_for, look_up, lowest_cells, steepest_drops
-from ..stages.voids import filled_by
+from ..steps.doubt import evidence, probability
+from ..steps.ground_tin import GroundTin, lowest_of_each
+from ..steps.landscape import Landscape
+from ..steps.objects import Roofs, Segments
+from ..steps.outliers import low_clusters, ring_low
+from ..steps.surfaces import Cells, cell_for, look_up, lowest_cells, steepest_drops
+from ..steps.voids import filled_by
 from . import papers
 
 PASSES = 2
@@ -31,7 +31,7 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: those more than ``low_depth`` below all cells of a ring around theirs, and clusters of at most
-       ``low_points``, or four times as many that are deep (:func:`jaxfilter.stages.outliers.low_clusters`).
+       ``low_points``, or four times as many that are deep (:func:`jaxfilter.steps.outliers.low_clusters`).
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.

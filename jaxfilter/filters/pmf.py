@@ -20,9 +20,9 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.inpaint import fill_nearest
 from ..engines.grid.morphology import progressive_opening
-from ..stages.boxes import PointBoxes
-from ..stages.grid_filter import GridFilter, Surface, labels_of
-from ..stages.surfaces import Cells, cell_for, cell_values, look_up, lowest_cells
+from ..steps.grid_filter import GridFilter, Surface, labels_of
+from ..steps.point_boxes import PointBoxes
+from ..steps.surfaces import Cells, cell_for, cell_values, look_up, lowest_cells
 from . import papers
 
 Limits = tuple[jax.Array, jax.Array]

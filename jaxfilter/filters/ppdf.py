@@ -17,11 +17,11 @@ from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import raised_cells
-from ..stages.outliers import bar_outliers
-from ..stages.planes import progressive_planes
-from ..stages.references import Compared, NearestReferences, QuadrantReferences, grow_references
-from ..stages.seeds import lowest_seeds, under_canopy
-from ..stages.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
+from ..steps.outliers import bar_outliers
+from ..steps.references import Compared, NearestReferences, QuadrantReferences, grow_references
+from ..steps.scaled_planes import progressive_planes
+from ..steps.seeds import lowest_seeds, under_canopy
+from ..steps.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
 from . import papers
 
 

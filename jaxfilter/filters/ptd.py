@@ -9,8 +9,8 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Network
-from ..stages.seeds import lowest_per_cell
-from ..stages.tin_filter import Mirroring
+from ..steps.seeds import lowest_per_cell
+from ..steps.tin_filter import Mirroring
 from . import papers
 
 

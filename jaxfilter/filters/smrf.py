@@ -14,8 +14,8 @@ from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import opening
-from ..stages.grid_filter import GridFilter, Heights, Surface
-from ..stages.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
+from ..steps.grid_filter import GridFilter, Heights, Surface
+from ..steps.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
 from . import papers
 
 _PER_OCTAVE = 4  # slopes of the series that :meth:`SMRF.soft` interpolates in

@@ -13,11 +13,11 @@ from ..core.result import Progress
 from ..engines.grid.morphology import raised_cells
 from ..engines.grid.spread import fill_from_neighbours
 from ..engines.tin.growth import Network
-from ..stages.outliers import isolated_low
-from ..stages.seed_clusters import CLUSTERS, clustered_seeds
-from ..stages.seeds import lowest_of_cells
-from ..stages.surfaces import cell_for, lowest_cells
-from ..stages.tin_filter import Mirroring, facet_reach
+from ..steps.outliers import isolated_low
+from ..steps.seed_clusters import CLUSTERS, clustered_seeds
+from ..steps.seeds import lowest_of_cells
+from ..steps.surfaces import cell_for, lowest_cells
+from ..steps.tin_filter import Mirroring, facet_reach
 from . import papers
 
 GROWTHS = ("linear", "exponential")
@@ -38,7 +38,7 @@ class SPF(Mirroring):
        ``window``. Cells that the k-th lowers by more than h_k are objects; the lowest points of the others are potential
        seeds (Sec. 2.2 B, eq. 1 to 3).
     3. On the triangulation of the potential seeds the highest vertex of a facet with a long edge is noise, and facets that
-       are narrow and steep cut off clusters of noise (Sec. 2.3, :mod:`jaxfilter.stages.seed_clusters`).
+       are narrow and steep cut off clusters of noise (Sec. 2.3, :mod:`jaxfilter.steps.seed_clusters`).
     4. PTD from the seeds that are left and from simulated points around them; all points that pass in a round are added
        together (Sec. 2.4). Lengths in metres, angles in degrees.
 

@@ -19,9 +19,9 @@ from ..engines.tin.densify import densify
 from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
 from ..engines.tin.network import corner_positions, one_network
-from ..host.trend import low_trend, quadratic_trend
-from ..stages.seeds import lowest_on_grid
-from ..stages.tin_filter import SlopeMirroring
+from ..steps.seeds import lowest_on_grid
+from ..steps.tin_filter import SlopeMirroring
+from ..steps.trend import low_trend, quadratic_trend
 from . import papers
 
 _SAMPLE = 2_000_000

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, Status
-from ..stages.grid_filter import GridFilter
+from ..steps.grid_filter import GridFilter
 from ..sweeps.ranges import RANGES, Range, around, search_ranges
 
 EXACT_STEPS = 49

@@ -20,7 +20,7 @@ from ..core.points import pieces, plain_points
 from ..core.result import FilterResult
 from ..engines.neighbours import groups
 from ..host.files import Bounds
-from .surfaces import cell_for
+from ..steps.surfaces import cell_for
 
 REACH = 100.0
 """Metres that a cut object reaches into the data at most; what reaches further is taken for terrain."""

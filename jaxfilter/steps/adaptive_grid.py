@@ -13,7 +13,7 @@ from ..core.errors import InputError
 from ..core.grid import most_cells
 from ..core.points import Points
 from ..engines.grid.cells import cell_index, padded_shape
-from ..ops.refinement import cell_slopes
+from .refinement import cell_slopes
 
 REMAINDERS = ("absorbed", "own_cells")
 """What lies beyond the last whole cell joins that cell, or makes a smaller cell of its own (the paper's eqs. 1 and 2)."""

@@ -15,9 +15,9 @@ from ..engines.grid.depressions import Basins
 from ..engines.grid.morphology import ring_minimum
 from ..engines.grid.sparse import Cells
 from ..engines.neighbours import batches, few_neighbours, groups, nearest, tree_of
-from ..host.trend import low_trend
 from .surfaces import Cells as GridCells
 from .surfaces import look_up
+from .trend import low_trend
 
 
 def radius_outliers(

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.grid import lattice_over
-from ..host.quadrants import Buckets
+from .quadrants import Buckets
 
 TRANSLATIONS = ("lowest", "none")
 """Where the plane is moved, without turning: down to the lowest seed of the neighbourhood, or nowhere."""
@@ -32,7 +32,7 @@ def over_local_planes(
         cell: metres, of the cells that seeds are the lowest points of.
         translation: one of :data:`TRANSLATIONS`.
     """
-    from ..host.local_planes import over_planes  # imports Numba, which takes longer than all the rest
+    from .nearest_planes import over_planes  # imports Numba, which takes longer than all the rest
 
     if len(xyz) == 0:
         return np.zeros(0, np.float32)

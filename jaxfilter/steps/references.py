@@ -21,8 +21,8 @@ from scipy.ndimage import distance_transform_edt
 from ..core.grid import Grid, grid_over
 from ..core.result import Progress, Status
 from ..engines.neighbours import nearest, tree_of
-from ..host.quadrants import Buckets, nearest_in_quadrants, rings
-from ..ops.planes import fit_planes
+from .planes import fit_planes
+from .quadrants import Buckets, nearest_in_quadrants, rings
 
 _BLOCK = 1 << 15  # queries per call
 _NEAR = 6  # cells that a near search reaches

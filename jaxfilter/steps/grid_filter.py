@@ -31,7 +31,7 @@ class Surface(NamedTuple):
     Attributes:
         z: f32, metres.
         slope: f32, rise over run.
-        extent, frame: as in :class:`jaxfilter.stages.surfaces.Cells`.
+        extent, frame: as in :class:`jaxfilter.steps.surfaces.Cells`.
         limits: what else the method's test needs.
         counts: numbers of cells by what they are, i32[] each.
     """

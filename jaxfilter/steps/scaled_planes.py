@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.grid import grid_over
 from ..core.points import Points
-from ..ops.ransac import batches, cells_of, consensus_planes, rows_of
+from .consensus import batches, cells_of, consensus_planes, rows_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def progressive_planes(
 
     Args:
         counted: bool[m], the points that planes are fitted to; all are compared with the planes.
-        draws: f32[hypotheses, 3] in [0, 1), see :func:`jaxfilter.ops.ransac.consensus_planes`.
+        draws: f32[hypotheses, 3] in [0, 1), see :func:`jaxfilter.steps.consensus.consensus_planes`.
         cell: metres, of the first cells; they start at the cloud's corner or at multiples from its anchor.
         inlier_distance: metres, of interior points from their plane.
         max_slope: degrees, of the planes.

@@ -158,7 +158,7 @@ class TinFilter(Filter):
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points.
 
-        ``tests``: further ones, see :func:`jaxfilter.stages.outliers.bar_outliers`.
+        ``tests``: further ones, see :func:`jaxfilter.steps.outliers.bar_outliers`.
         """
         return bar_outliers(
             points,

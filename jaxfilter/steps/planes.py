@@ -18,7 +18,7 @@ class Planes(NamedTuple):
         gradient: f32[B, 2], a and b; zero for blocks that determine no plane.
         determined: bool[B], False with fewer than three points or with all of them on a vertical plane.
 
-    >>> from jaxfilter.ops import planes
+    >>> from jaxfilter.steps import planes
     >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
     >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
     >>> fitted.centre.tolist(), fitted.determined.tolist()
@@ -60,7 +60,7 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
         xyz: f32[B, N, 3], local metres.
         mask: bool[B, N], the points that count; the others (padding) may hold any finite value.
 
-    >>> from jaxfilter.ops import planes
+    >>> from jaxfilter.steps import planes
     >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
     >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
     >>> fitted.gradient.round(3).tolist()
@@ -81,7 +81,7 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
 def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
     """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0.
 
-    >>> from jaxfilter.ops import planes
+    >>> from jaxfilter.steps import planes
     >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
     >>> fitted = planes.fit_planes(xyz, jnp.ones((1, 4), bool))
     >>> bool(jnp.allclose(planes.plane_residuals(fitted, xyz), 0, atol=1e-6))
