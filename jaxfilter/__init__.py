@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .filters import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
-    from .filters.default import default_filter
     from .host.las import class_changes, info, read, write
     from .host.raster import Raster
+    from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
+    from .methods.default import default_filter
     from .pdal import from_pdal
     from .reports import report, review
     from .scoring import Scores, evaluate
@@ -41,10 +41,10 @@ _HOMES = {
     "core.cloud": ("PointCloud",),
     "core.errors": ("ForkError", "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",), "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
-    "filters": (
+    "methods": (
         "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
-    "filters.default": ("default_filter",),
+    "methods.default": ("default_filter",),
     "host.las": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",), "pdal": ("from_pdal",),
     "stages.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),

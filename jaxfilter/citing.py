@@ -16,7 +16,7 @@ def citation(method: Any) -> str:
     @article{pingel2013improved
     """
     if isinstance(method, str):
-        from .filters import FILTERS
+        from .methods import FILTERS
 
         if method not in FILTERS:
             raise ParameterError(f"no citation for {method!r}; there are citations for {', '.join(FILTERS)}")

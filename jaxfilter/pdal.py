@@ -172,7 +172,7 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
     points too, and all that it judges lose their class.
     """
     from .core.units import parse_units
-    from .filters import FILTERS
+    from .methods import FILTERS
 
     scale = parse_units(units)
     steps = _steps(what)

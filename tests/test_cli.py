@@ -19,8 +19,8 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli import flags, main
 from jaxfilter.core.filter import Filter
-from jaxfilter.filters import FILTERS
 from jaxfilter.host.las import read, write
+from jaxfilter.methods import FILTERS
 
 pytestmark = pytest.mark.usefixtures("compilation_cache")
 METHODS = pytest.mark.parametrize("method", list(FILTERS))

@@ -10,7 +10,7 @@ import jaxfilter as jf
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.result import Decision
 from jaxfilter.engines.grid.cones import cone_erosion
-from jaxfilter.filters.msf import MSF
+from jaxfilter.methods.msf import MSF
 from jaxfilter.scoring import evaluate
 
 

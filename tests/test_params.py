@@ -14,7 +14,7 @@ import pytest
 from jaxfilter.citing import citation
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.params import check_fields, filter_params, param, static
-from jaxfilter.filters import FILTERS, SMRF, papers
+from jaxfilter.methods import FILTERS, SMRF, papers
 
 METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
 

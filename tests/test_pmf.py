@@ -6,7 +6,7 @@ from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.points import plain_points
 from jaxfilter.core.result import Decision
-from jaxfilter.filters.pmf import PMF
+from jaxfilter.methods.pmf import PMF
 from jaxfilter.scoring import evaluate
 from jaxfilter.steps.point_boxes import PointBoxes
 

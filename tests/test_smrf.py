@@ -7,7 +7,7 @@ from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.core.errors import InputError, ParameterError
 from jaxfilter.core.result import Decision
-from jaxfilter.filters.smrf import SMRF
+from jaxfilter.methods.smrf import SMRF
 from jaxfilter.scoring import evaluate
 
 # kappa of the reference Python implementation with the single parameter set (Pingel et al.'s smrf-tools table)

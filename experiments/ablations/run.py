@@ -26,7 +26,7 @@ from experiments.report import Column, Row, machine, markdown, read_csv, save_pn
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
 from jaxfilter.engines.tin.growth import Border
-from jaxfilter.filters import smrf
+from jaxfilter.methods import smrf
 from jaxfilter.steps import outliers
 from jaxfilter.steps.grid_filter import Surface
 from jaxfilter.steps.seeds import lowest_per_cell, lowest_per_window

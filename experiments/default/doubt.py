@@ -20,7 +20,7 @@ from experiments.default.search import every_cloud
 from experiments.defaults import clouds
 from experiments.report import write_csv
 from jaxfilter import tables
-from jaxfilter.filters import ost
+from jaxfilter.methods import ost
 from jaxfilter.reports.places import squares
 from jaxfilter.reports.review_list import AREA, SIDE
 from jaxfilter.steps import doubt, doubt_model

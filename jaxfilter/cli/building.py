@@ -73,7 +73,7 @@ def builder(
     for_cloud: bool = False,
 ) -> Builder:
     """Raises BadUsage for a method, preset or field that there is not."""
-    from ..filters import FILTERS
+    from ..methods import FILTERS
     from . import flags
 
     if method not in FILTERS:

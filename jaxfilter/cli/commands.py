@@ -71,7 +71,7 @@ class Program(click.Group):
         """Say what to type where the first word is a method, a file, or the command of another program."""
         word = args[0]
         if not ctx.resilient_parsing and self.get_command(ctx, word) is None:
-            from ..filters import FILTERS
+            from ..methods import FILTERS
 
             if word in FILTERS:
                 ctx.fail(f"No such command {word!r}: it is a method, jaxfilter ground {word} IN OUT.")
@@ -114,7 +114,7 @@ class Methods(click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Put the name of the default command where none is given."""
-        from ..filters import FILTERS
+        from ..methods import FILTERS
 
         if args and args[0] not in FILTERS and args[0] not in ctx.help_option_names:
             args = [_DEFAULT, *args]
@@ -122,13 +122,13 @@ class Methods(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of the filters."""
-        from ..filters import FILTERS
+        from ..methods import FILTERS
 
         return list(FILTERS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of one filter, with a flag per parameter."""
-        from ..filters import FILTERS
+        from ..methods import FILTERS
 
         if cmd_name == _DEFAULT:
             return _ground_command(None)
@@ -268,8 +268,8 @@ def _preset(method: type[Filter]) -> click.Option:
 def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Place, Place | None]:
     """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
     from ..core.errors import InputError
-    from ..filters import FILTERS
     from ..host.storage import Remote, place_of
+    from ..methods import FILTERS
 
     words = dict(zip(("IN", "OUT"), paths, strict=False))
     found: list[Place] = []
@@ -346,7 +346,7 @@ def _ground(
         with session.reading(source):
             cloud = read(source, **reading, progress=session.progress)
         if method is None:
-            from ..filters.default import default_filter
+            from ..methods.default import default_filter
 
             filter_ = default_filter(cloud, largest_building)
         elif for_cloud or largest_building is not None:
@@ -486,7 +486,7 @@ def _print_scores(scores: Scores) -> None:
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
     from ..citing import citation
-    from ..filters import FILTERS
+    from ..methods import FILTERS
     from .flags import describe, fields
 
     table: dict[str, dict[str, Any]] = {

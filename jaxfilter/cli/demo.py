@@ -48,9 +48,9 @@ def demo(
     """
     from .. import evaluate as score
     from .. import read, scenes, write
-    from ..filters import FILTERS
-    from ..filters.default import default_filter
     from ..host.files import remove_dead
+    from ..methods import FILTERS
+    from ..methods.default import default_filter
 
     with Session(quiet=quiet, debug=debug) as session:
         if directory.is_dir():

@@ -198,7 +198,7 @@ def ground_collection(
 
 def check_named(inputs: Sequence[str], bare: bool = False) -> None:
     """Raises BadUsage for a name that stands for nothing; ``bare``: the first of them might be meant as a method."""
-    from ..filters import FILTERS
+    from ..methods import FILTERS
 
     for number, name in enumerate(inputs):
         if "://" in name or any(c in name for c in "*?[") or Path(name).exists():

@@ -57,7 +57,7 @@ class Ground:
     @property
     def method(self) -> type[Filter] | None:
         """The filter that is named."""
-        from ..filters import FILTERS
+        from ..methods import FILTERS
 
         return None if self.filter_name is None else FILTERS[self.filter_name]
 
@@ -68,7 +68,7 @@ class Ground:
     def changes(self) -> dict[str, Any]:
         """The fields that are set, as numbers and words. Raises BadUsage if there is no such filter, ParameterError for a
         field."""
-        from ..filters import FILTERS
+        from ..methods import FILTERS
         from . import flags
 
         if self.filter_name is None:

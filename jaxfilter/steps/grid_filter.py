@@ -263,7 +263,7 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
 
     Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold. At the slope of SMRF, and at the
         thresholds of PMF that surfaces are compared by, cells become objects: there it is a mixture of both cases
-        (:meth:`jaxfilter.filters.smrf.SMRF.soft`, :meth:`jaxfilter.filters.pmf.PMF.soft`), which has no jumps, so that the
+        (:meth:`jaxfilter.methods.smrf.SMRF.soft`, :meth:`jaxfilter.methods.pmf.PMF.soft`), which has no jumps, so that the
         gradient is that of what is returned. It is not the gradient of the labels, which are steps. Pure.
 
     >>> points = jf.SMRF().points_of(cloud)

@@ -17,7 +17,7 @@ from ..core.errors import JaxfilterError, ParameterError
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
-from ..filters import FILTERS
+from ..methods import FILTERS
 from ..scoring import evaluate
 from ..tables import Column, latex, markdown
 from .best import SCORES

@@ -12,9 +12,9 @@ import numpy as np
 from ..core.cloud import KEPT_CLASSES, PointCloud, Whole
 from ..core.filter import Filter
 from ..core.result import FilterResult
-from ..filters import PMF
 from ..host.files import Bounds
 from ..host.interpolation import Heights, Linear
+from ..methods import PMF
 from .collection import Collection
 from .layout import Layout, layout
 from .options import RunOptions
