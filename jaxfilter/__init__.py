@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .host.las import class_changes, info, read, write
+    from .files.reading import class_changes, info, read, write
     from .host.raster import Raster
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
@@ -45,7 +45,7 @@ _HOMES = {
         "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
     "methods.default": ("default_filter",),
-    "host.las": ("class_changes", "info", "read", "write"),
+    "files.reading": ("class_changes", "info", "read", "write"),
     "host.raster": ("Raster",), "pdal": ("from_pdal",),
     "stages.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),

@@ -14,7 +14,7 @@ from .core.errors import InputError, ParameterError, warn
 from .core.grid import MAX_CELLS
 from .core.points import canonical_points, check_extent
 from .core.result import FilterResult, Progress
-from .host.files import check_bounds
+from .files.disk import check_bounds
 from .host.interpolation import METHODS, Heights, inside_hull, interpolator, nearest_point
 from .host.raster import Raster
 

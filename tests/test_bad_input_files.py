@@ -18,7 +18,7 @@ from laspy import LazBackend
 
 from jaxfilter.core.cloud import PointCloud, as_cloud
 from jaxfilter.core.errors import InputError, JaxfilterError, JaxfilterWarning, OutputError
-from jaxfilter.host.las import info, read, write
+from jaxfilter.files.reading import info, read, write
 
 
 @pytest.fixture(autouse=True)

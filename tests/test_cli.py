@@ -19,7 +19,7 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli import flags, main
 from jaxfilter.core.filter import Filter
-from jaxfilter.host.las import read, write
+from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
 pytestmark = pytest.mark.usefixtures("compilation_cache")

@@ -18,7 +18,7 @@ from jaxfilter.cli import main
 from jaxfilter.cli.session import Rate, Session, memory, short
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError
-from jaxfilter.host.las import read, write
+from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.labels import labels_from, point_labels, within
 

@@ -15,8 +15,8 @@ from las_files import OFFSETS, make_copc, make_las, patch
 
 import jaxfilter as jf
 from jaxfilter.cli import main
+from jaxfilter.files.sources import Source
 from jaxfilter.host.footprints import Footprints
-from jaxfilter.host.sources import Source
 from jaxfilter.tiles import vpc
 from jaxfilter.tiles.collection import Collection
 

@@ -23,8 +23,9 @@ from experiments.faults import run as faults
 from experiments.faults.worker import SCALE, rule
 from jaxfilter.cli.commands import main
 from jaxfilter.core.errors import InputError, OutputError
-from jaxfilter.host import files, records, text
-from jaxfilter.host.files import new_file
+from jaxfilter.files import disk as files
+from jaxfilter.files import records, text
+from jaxfilter.files.disk import new_file
 from jaxfilter.host.raster import Raster
 
 KINDS = (".las", ".laz", ".xyz")

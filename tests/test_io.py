@@ -21,8 +21,8 @@ from jaxfilter.core.cloud import PointCloud, Units, parse_units
 from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host import records
-from jaxfilter.host.las import class_changes, info, open_las, read, write
+from jaxfilter.files import records
+from jaxfilter.files.reading import class_changes, info, open_las, read, write
 from jaxfilter.tiles.task import labelled
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")

@@ -13,9 +13,9 @@ import pytest
 from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patch
 
 import jaxfilter as jf
-from jaxfilter.host import blocks, windows
-from jaxfilter.host.blocks import Blocks
-from jaxfilter.host.windows import blocks_of, read_window
+from jaxfilter.files import blocks, windows
+from jaxfilter.files.blocks import Blocks
+from jaxfilter.files.windows import blocks_of, read_window
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
 X, Y = OFFSETS[:2]

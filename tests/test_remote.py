@@ -15,8 +15,8 @@ from test_read_window import assert_is_mask, boxes_of
 from test_tiles_run import Here
 
 import jaxfilter as jf
-from jaxfilter.host import storage
-from jaxfilter.host.windows import read_window
+from jaxfilter.files import storage
+from jaxfilter.files.windows import read_window
 
 pytest.importorskip("aiohttp", reason="aiohttp is not installed: https:// is not tested")
 X, Y = OFFSETS[:2]

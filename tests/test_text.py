@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from las_files import Effort
 
 from jaxfilter.core.errors import InputError, JaxfilterWarning
-from jaxfilter.host import text
-from jaxfilter.host.las import info, read, write
+from jaxfilter.files import text
+from jaxfilter.files.reading import info, read, write
 
 EVERY = {"returns": "all", "ignore_classes": (), "keep_withheld": True, "units": "m"}  # all points are candidates
 

@@ -22,7 +22,7 @@ import jaxfilter as jf
 from experiments.faults.surveys import JOURNALS, damage_journal
 from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
-from jaxfilter.host.windows import read_window
+from jaxfilter.files.windows import read_window
 from jaxfilter.tiles import dask, setup, task
 from jaxfilter.tiles.dask import Cluster
 from jaxfilter.tiles.folder import SCRATCH

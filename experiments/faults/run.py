@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments.faults.worker import SCALE, checksum, rule
 from experiments.report import Column, Row, machine, markdown, write_csv
 from jaxfilter.core.errors import OutputError
-from jaxfilter.host.files import _host, new_file
-from jaxfilter.host.las import read, write
+from jaxfilter.files.disk import _host, new_file
+from jaxfilter.files.reading import read, write
 
 HERE = Path(__file__).parent
 SUFFIXES = (".las", ".laz", ".xyz")

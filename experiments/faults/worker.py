@@ -17,8 +17,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jaxfilter.core.errors import JaxfilterError
-from jaxfilter.host import records
-from jaxfilter.host.las import read, write
+from jaxfilter.files import records
+from jaxfilter.files.reading import read, write
 
 SCALE = 0.01
 

@@ -30,9 +30,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments import report
 from experiments.fuzz import mutations
 from jaxfilter.core.errors import JaxfilterError
-from jaxfilter.host.header import RECORD_LENGTHS, read_header
-from jaxfilter.host.las import read
-from jaxfilter.host.records import read_records, reading
+from jaxfilter.files.header import RECORD_LENGTHS, read_header
+from jaxfilter.files.reading import read
+from jaxfilter.files.records import read_records, reading
 
 REFUSED, SAME, OTHER, SOUND, FAILURE = "refused", "as LASzip", "other", "as before", "failure"
 """Outcomes: an error that names the file; the points of LASzip, which are those of the sound file, or others; LASzip does not

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 from las_files import make_copc, make_las, patch
 
-from jaxfilter.host.header import RECORD_LENGTHS, laszip_record
+from jaxfilter.files.header import RECORD_LENGTHS, laszip_record
 
 KINDS = ("las", "laz", "copc", "text")
 """Of seeds; the first three are one group, see :func:`mutant`."""

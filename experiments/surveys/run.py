@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # with a maker of COPC files and a web server
 
 import jaxfilter as jf
-from jaxfilter.host import blocks
-from jaxfilter.host.sources import Source
-from jaxfilter.host.windows import blocks_of, read_window
+from jaxfilter.files import blocks
+from jaxfilter.files.sources import Source
+from jaxfilter.files.windows import blocks_of, read_window
 from jaxfilter.tiles.collection import Collection
 
 

@@ -15,7 +15,7 @@ from .output import json_text, print_json
 from .session import BadUsage, Session, session_options
 
 if TYPE_CHECKING:
-    from ..host.files import Bounds
+    from ..files.disk import Bounds
     from ..sweeps.calibrate import Calibration
 
 
@@ -109,8 +109,8 @@ def calibrate(
     the patches with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the others chose.
     """
     from ..core.errors import InputError
-    from ..host.files import check_bounds, new_file
-    from ..host.las import read
+    from ..files.disk import check_bounds, new_file
+    from ..files.reading import read
     from ..sweeps import calibrate as sweeps
     from ..sweeps import labels as labelling
     from ..sweeps.design import make_design

@@ -10,7 +10,7 @@ from ..core.errors import JaxfilterError
 from .session import BadUsage
 
 if TYPE_CHECKING:
-    from ..host.storage import Place
+    from ..files.storage import Place
 
 
 def check_review(path: Path, overwrite: bool) -> None:
@@ -26,8 +26,8 @@ def check_review(path: Path, overwrite: bool) -> None:
 
 def checked_target(source: Place, target: Place | None, overwrite: bool, in_place: bool, text: bool = True) -> Place:
     """Where to write, or BadUsage if that would destroy something or cannot work. ``text`` may be written."""
-    from ..host import writing
-    from ..host.text import SUFFIXES
+    from ..files import writing
+    from ..files.text import SUFFIXES
 
     if target is None:
         if not in_place:
@@ -43,7 +43,7 @@ def checked_target(source: Place, target: Place | None, overwrite: bool, in_plac
 
 def check_target(target: Place, overwrite: bool, source: Place | None = None) -> bool:
     """Whether ``target`` is ``source``. Raises BadUsage if it exists otherwise and not ``overwrite``, or cannot be written."""
-    from ..host.files import is_there
+    from ..files.disk import is_there
 
     try:
         there = is_there(target)

@@ -29,7 +29,7 @@ from .session import BadUsage, Session, logger, session_options, stoppable
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
-    from ..host.storage import Place
+    from ..files.storage import Place
     from ..scoring import Scores
 
 
@@ -154,7 +154,7 @@ def ground() -> None:
 def _ground_command(method: type[Filter] | None) -> click.Command:
     """The command of a method, or of the default."""
     from ..core.cloud import KEPT_CLASSES
-    from ..host import writing
+    from ..files import writing
     from . import flags
 
     @click.pass_context
@@ -268,7 +268,7 @@ def _preset(method: type[Filter]) -> click.Option:
 def file_names(ctx: click.Context, paths: tuple[str, ...]) -> tuple[Place, Place | None]:
     """IN and OUT of a single file. Raises: click.BadParameter if IN is no file, or OUT a folder."""
     from ..core.errors import InputError
-    from ..host.storage import Remote, place_of
+    from ..files.storage import Remote, place_of
     from ..methods import FILTERS
 
     words = dict(zip(("IN", "OUT"), paths, strict=False))
@@ -329,8 +329,8 @@ def _ground(
 ) -> None:
     from .. import class_changes, cut_objects, read, write
     from ..core.cloud import overlap_counts
-    from ..host.text import GROUND, OBJECT
-    from ..host.writing import holds_classes
+    from ..files.text import GROUND, OBJECT
+    from ..files.writing import holds_classes
 
     reading = {k: options[k] for k in ("units", "bounds", *runs.READING)}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)

@@ -48,7 +48,7 @@ def demo(
     """
     from .. import evaluate as score
     from .. import read, scenes, write
-    from ..host.files import remove_dead
+    from ..files.disk import remove_dead
     from ..methods import FILTERS
     from ..methods.default import default_filter
 
@@ -98,7 +98,7 @@ def _write_scene(directory: Path, scene: Scene) -> None:
 
 def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
     from .. import plots
-    from ..host.files import new_file
+    from ..files.disk import new_file
 
     cloud, truth = scene.cloud, scene.truth
     terrain = scene.terrain_grid(1.0)

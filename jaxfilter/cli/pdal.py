@@ -70,7 +70,7 @@ def _units_of(inputs: tuple[str, ...]) -> Units | None:
     """Of the first file, if it is a LAS file that can be read."""
     from ..core.errors import JaxfilterError
     from ..core.units import linear_units
-    from ..host.las import open_las
+    from ..files.reading import open_las
 
     if not inputs or not Path(inputs[0]).is_file() or Path(inputs[0]).suffix.lower() not in _SUFFIXES:
         return None

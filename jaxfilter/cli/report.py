@@ -135,7 +135,7 @@ def _reference(cloud: Any, source: Path, reference: str, units: str | None, boun
     import numpy as np
 
     from ..core.errors import InputError
-    from ..host.las import read
+    from ..files.reading import read
     from ..scoring import match_points, reference_labels
 
     labelled = cloud if reference == OWN else read(reference, units=units or cloud.units, bounds=bounds)

@@ -96,9 +96,9 @@ def is_collection(paths: Sequence[str]) -> bool:
 
     Of URLs the name decides: OUT is a file if it ends as one. IN is a file if OUT is one of points.
     """
+    from ..files.text import SUFFIXES as TEXT
+    from ..files.writing import LAS_SUFFIXES as LAS
     from ..host.raster import SUFFIXES
-    from ..host.text import SUFFIXES as TEXT
-    from ..host.writing import LAS_SUFFIXES as LAS
 
     *inputs, last = paths
     if len(inputs) != 1:

@@ -27,7 +27,7 @@ from .. import __version__
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
 
 if TYPE_CHECKING:
-    from ..host.storage import Place
+    from ..files.storage import Place
 
 
 class BadUsage(click.ClickException):

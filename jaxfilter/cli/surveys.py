@@ -47,7 +47,7 @@ def info(
     Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
     what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
     """
-    from ..host import las
+    from ..files import reading
 
     with Session(quiet=quiet, debug=debug) as session:
         check_reading(units, "last,only")
@@ -59,7 +59,7 @@ def info(
                 check_target(target, overwrite)
         one = None if vpc is not None or picture is not None else _one_file(names)
         if one is not None:
-            facts = las.info(one, units=units)
+            facts = reading.info(one, units=units)
         else:
             facts, show = _survey(session, names, units, vpc, picture, overwrite)
     if as_json:
@@ -95,7 +95,7 @@ def _plain(value: Any) -> str:
 
 def _check_names(names: tuple[str, ...]) -> None:
     """Raises BadUsage for local names of nothing."""
-    from ..host.storage import place_of
+    from ..files.storage import place_of
 
     for name in names:
         place = place_of(name)
@@ -105,7 +105,7 @@ def _check_names(names: tuple[str, ...]) -> None:
 
 def _one_file(names: tuple[str, ...]) -> Path | None:
     """The one local file of points that is named, to be read as a whole; None for a survey."""
-    from ..host.storage import place_of
+    from ..files.storage import place_of
 
     place = place_of(names[0])
     if len(names) > 1 or not isinstance(place, Path) or not place.is_file() or place.suffix.lower() == ".vpc":
@@ -122,7 +122,7 @@ def _survey(
     overwrite: bool,
 ) -> tuple[dict[str, Any], Callable[[], None]]:
     """Facts on a survey, and what prints them for people."""
-    from ..host.files import new_file
+    from ..files.disk import new_file
     from ..tiles.collection import open as open_survey
 
     with session.step("headers"):

@@ -201,7 +201,7 @@ def _check_directory(directory: Path, resume: bool) -> None:
 
 def _read_all(sources: tuple[Path, ...], units: str | None) -> dict[str, PointCloud]:
     """Clouds by the names of their files, made fit for names in NetCDF and apart from each other."""
-    from ..host.las import read
+    from ..files.reading import read
 
     names: list[str] = []
     for source in sources:
@@ -230,7 +230,7 @@ def _write(
     directory: Path, dataset: xarray.Dataset, table: pandas.DataFrame, clouds: dict[str, PointCloud], score: str
 ) -> list[str]:
     """All files of a sweep; their names."""
-    from ..host.files import new_file
+    from ..files.disk import new_file
 
     writers: dict[str, Callable[[Path], Any]] = {
         DATASET: lambda path: _storable(dataset).to_netcdf(path, engine="scipy"),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
     from ..core.result import FilterResult
-    from ..host.storage import Place
+    from ..files.storage import Place
     from ..tiles.collection import Collection
 
 
@@ -224,7 +224,7 @@ def dtm(ctx: click.Context, names: tuple[str, ...], **options: Any) -> None:
         _dtm_collection(ctx, names, how, options)
         return
     from ..core.result import FilterResult
-    from ..host.las import read
+    from ..files.reading import read
     from ..terrain import dtm as make
 
     source, target = _one_file(ctx, names, how)
@@ -261,7 +261,7 @@ dtm.params += session_options()
 
 def _dtm_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, settings: dict[str, Any]) -> None:
     """``dtm`` of a collection. Exit code 1 if a tile could not be done."""
-    from ..host.storage import place_of
+    from ..files.storage import place_of
 
     *inputs, out = names
     with how.session() as session:
@@ -313,8 +313,8 @@ def height(ctx: click.Context, names: tuple[str, ...], *, replace_z: bool, in_pl
         _height_collection(ctx, names, how, replace_z)
         return
     from ..core.result import FilterResult
-    from ..host.las import read
-    from ..host.writing import write
+    from ..files.reading import read
+    from ..files.writing import write
     from ..terrain import height_above_ground
 
     source, given = _one_file(ctx, names, how)
@@ -384,7 +384,7 @@ def _height_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, 
 
 
 def _height_facts(span: tuple[float, float], replace_z: bool) -> dict[str, Any]:
-    from ..host.writing import HEIGHT
+    from ..files.writing import HEIGHT
 
     return {"dimension": "Z" if replace_z else HEIGHT, "lowest": span[0], "highest": span[1]}
 

@@ -77,7 +77,7 @@ class PointCloud:
         crs: pyproj.CRS or None; whatever ``pyproj.CRS.from_user_input`` takes becomes one.
         units: metres per file unit.
         anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
-        source: a handle to the file (see ``jaxfilter.host.handles``), used by lossless writing; None for plain arrays.
+        source: a handle to the file (see ``jaxfilter.files.handles``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
 
     >>> cloud.xyz.shape == (len(cloud), 3), cloud.xyz.dtype, cloud.units.name

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from .files import Bounds
+from ..files.disk import Bounds
 
 _ROWS = 50_000  # rectangles that are compared with all at a time
 _CELLS = 1 << 22  # of the raster in which holes are looked for

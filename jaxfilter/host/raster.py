@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import InputError, OutputError
-from .files import new_file
-from .storage import Place, Remote, place_of
+from ..files.disk import new_file
+from ..files.storage import Place, Remote, place_of
 
 if TYPE_CHECKING:
     import xarray

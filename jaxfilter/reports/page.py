@@ -22,8 +22,8 @@ from ..core.markup import table
 from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
-from ..host.files import new_file
-from ..host.las import class_changes
+from ..files.disk import new_file
+from ..files.reading import class_changes
 from ..scoring import Scores, reference_labels
 from .layers import Layers, doubt_per_point, layers_of, places
 from .packing import pack, script_json

@@ -14,7 +14,7 @@ from scipy import ndimage
 from ..core.cloud import as_cloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import Decision, FilterResult
-from ..host.files import new_file
+from ..files.disk import new_file
 from .places import Squares, squares
 
 if TYPE_CHECKING:

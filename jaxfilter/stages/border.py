@@ -19,7 +19,7 @@ from ..core.grid import grid_over
 from ..core.points import pieces, plain_points
 from ..core.result import FilterResult
 from ..engines.neighbours import groups
-from ..host.files import Bounds
+from ..files.disk import Bounds
 from ..steps.surfaces import cell_for
 
 REACH = 100.0

@@ -9,7 +9,7 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import InputError
 from ..engines.neighbours import nearest, tree_of
-from ..host.files import Bounds
+from ..files.disk import Bounds
 from ..scoring import GROUND, NEVER_CLASSIFIED
 
 SAME = 0.01

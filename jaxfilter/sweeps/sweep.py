@@ -21,7 +21,7 @@ from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.points import Points
 from ..core.result import Progress, silent
-from ..host.files import existing, new_file
+from ..files.disk import existing, new_file
 from ..scoring import Scores, reference_labels
 from .best import SCORES
 from .design import Design, make_design

@@ -19,12 +19,12 @@ import pyproj
 
 from ..core.errors import InputError, warn
 from ..core.units import Reference, Units, not_metric, parse_units
-from ..host.files import Bounds
+from ..files.disk import Bounds
+from ..files.header import Header
+from ..files.reading import open_las
+from ..files.sources import Source, described
+from ..files.storage import place_of
 from ..host.footprints import Footprints
-from ..host.header import Header
-from ..host.las import open_las
-from ..host.sources import Source, described
-from ..host.storage import place_of
 from . import names
 from .findings import OVERLAP, Findings, refuse_mixture
 

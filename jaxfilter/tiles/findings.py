@@ -11,7 +11,7 @@ import pyproj
 
 from ..core.errors import InputError
 from ..core.units import Units, horizontal, same_system
-from ..host.files import Bounds
+from ..files.disk import Bounds
 
 OVERLAP = 0.001
 """Least share of the smaller file's bounds that counts as an overlap; less is a matter of rounding."""

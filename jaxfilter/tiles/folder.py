@@ -14,10 +14,10 @@ from typing import Any
 
 from .. import __version__
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
-from ..host.files import existing, remove, remove_dead
-from ..host.storage import Place, Remote, place_of
-from ..host.text import SUFFIXES
-from ..host.writing import LAS_SUFFIXES
+from ..files.disk import existing, remove, remove_dead
+from ..files.storage import Place, Remote, place_of
+from ..files.text import SUFFIXES
+from ..files.writing import LAS_SUFFIXES
 from .collection import Collection
 from .dask import Cluster
 from .journal import NAME, Journal, discard

@@ -14,8 +14,8 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.result import Status
-from ..host.files import Seal
-from ..host.writing import HEIGHT, class_changes, write
+from ..files.disk import Seal
+from ..files.writing import HEIGHT, class_changes, write
 from ..terrain import heights_of
 from .folder import Folder, run_in
 from .layout import Layout

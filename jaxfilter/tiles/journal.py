@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from ..core.errors import InputError, JaxfilterError, OutputError
-from ..host.files import remove
+from ..files.disk import remove
 
 NAME = "jaxfilter-run.sqlite"
 _EVERY = 0.5  # seconds between commits

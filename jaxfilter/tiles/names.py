@@ -9,10 +9,10 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..core.units import Units
-from ..host.sources import Source
-from ..host.storage import Remote, place_of
-from ..host.text import SUFFIXES as TEXT
-from ..host.writing import LAS_SUFFIXES
+from ..files.sources import Source
+from ..files.storage import Remote, place_of
+from ..files.text import SUFFIXES as TEXT
+from ..files.writing import LAS_SUFFIXES
 from .vpc import read_vpc
 
 Entry = str | Source

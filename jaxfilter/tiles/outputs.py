@@ -9,13 +9,13 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, OutputError
-from ..host.files import Identity, Seal
-from ..host.handles import Handle
-from ..host.las import open_las
-from ..host.sources import Source
-from ..host.storage import Place, place_of
-from ..host.windows import blocks_of
-from ..host.writing import write
+from ..files.disk import Identity, Seal
+from ..files.handles import Handle
+from ..files.reading import open_las
+from ..files.sources import Source
+from ..files.storage import Place, place_of
+from ..files.windows import blocks_of
+from ..files.writing import write
 from .task import CANDIDATE, GROUND, NOISE, Job, heard, labelled, load_labels
 
 _STORED = 0x80

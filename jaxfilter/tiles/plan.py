@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..core.errors import InputError, ParameterError
-from ..host.files import Bounds
+from ..files.disk import Bounds
 
 MOST_TILES = 20_000_000
 _LARGEST_SIDE = 100_000.0  # metres

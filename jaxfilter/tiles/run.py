@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from ..core.filter import Filter
-from ..host.files import Seal, new_file
-from ..host.storage import Place
+from ..files.disk import Seal, new_file
+from ..files.storage import Place
 from .collection import Collection
 from .journal import Journal
 from .outputs import FileReport, FileTask

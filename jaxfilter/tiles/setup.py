@@ -13,8 +13,8 @@ from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.points import canonical_points
-from ..host.blocks import Changed
-from ..host.windows import read_window
+from ..files.blocks import Changed
+from ..files.windows import read_window
 from ..methods.default import default_filter
 from .collection import Collection
 from .task import ANCHOR, joined

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.cloud import KEPT_CLASSES, PointCloud, Whole
 from ..core.filter import Filter
 from ..core.result import FilterResult
-from ..host.files import Bounds
+from ..files.disk import Bounds
 from ..host.interpolation import Heights, Linear
 from ..methods import PMF
 from .collection import Collection

@@ -25,10 +25,10 @@ from ..core.errors import InputError, JaxfilterWarning
 from ..core.filter import Filter
 from ..core.inputs import COLUMNS
 from ..core.result import Decision, FilterResult, Status
-from ..host.files import Bounds, Seal, told_of
-from ..host.sources import Source
-from ..host.windows import read_window
-from ..host.writing import class_changes
+from ..files.disk import Bounds, Seal, told_of
+from ..files.sources import Source
+from ..files.windows import read_window
+from ..files.writing import class_changes
 from ..stages.border import CutObject, cut_objects
 
 ANCHOR = (0.0, 0.0)
@@ -52,7 +52,7 @@ class Job:
         extra: quantities of the result that are written along.
         whole: of the collection.
         folder: where labels are kept until a file is complete; all processes see it.
-        index: where :func:`jaxfilter.host.windows.read_window` keeps what it finds out about files.
+        index: where :func:`jaxfilter.files.windows.read_window` keeps what it finds out about files.
     """
 
     filter: Filter

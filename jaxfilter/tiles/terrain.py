@@ -15,9 +15,9 @@ import numpy as np
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
-from ..host.files import Bounds, Seal, check_bounds, is_there, remove
+from ..files.disk import Bounds, Seal, check_bounds, is_there, remove
+from ..files.storage import Place, Remote, check_writable, place_of
 from ..host.raster import check_target, write_mosaic
-from ..host.storage import Place, Remote, check_writable, place_of
 from ..terrain import check_settings, interpolated
 from .folder import executor_of, facts_of, work_of
 from .journal import NAME, Journal, discard

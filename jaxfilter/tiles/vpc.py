@@ -20,11 +20,11 @@ import pyproj
 
 from ..core.errors import InputError
 from ..core.units import WKT, Reference, Units, reference_of
-from ..host.files import new_file
-from ..host.header import opened
-from ..host.records import reading
-from ..host.sources import NO_BOUNDS, Source
-from ..host.storage import Place, Remote
+from ..files.disk import new_file
+from ..files.header import opened
+from ..files.records import reading
+from ..files.sources import NO_BOUNDS, Source
+from ..files.storage import Place, Remote
 
 _PIECE = 1 << 22  # characters that are read at a time
 _LONGEST = 1 << 20  # of a text within an item

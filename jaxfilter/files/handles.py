@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from . import records, text
-from .files import CHANGED_SINCE, Bounds, Identity, Replay
+from .disk import CHANGED_SINCE, Bounds, Identity, Replay
 from .header import read_header
 from .storage import Place
 
@@ -28,7 +28,7 @@ class Handle:
         points: number of points taken from the file, the length of the cloud.
         bounds: the cut that was applied, or None; reading with it again gives the same points in the same order.
         identity: of the file when it was read.
-        checksum: of the coordinates of the points, see :class:`jaxfilter.host.files.Tally`: labels can so never get to
+        checksum: of the coordinates of the points, see :class:`jaxfilter.files.disk.Tally`: labels can so never get to
             other points, even if a file is changed and its time set back. None where the points were read in windows.
         blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
     """

@@ -20,7 +20,7 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.inputs import COLUMNS, LARGEST
 from .delimited import BLANK, blanked, cell_pattern, cells_of, check_line, open_quote, shown, spans_of
-from .files import Bounds, Replay
+from .disk import Bounds, Replay
 from .records import inside, reading
 
 SUFFIXES = (".txt", ".xyz", ".csv")

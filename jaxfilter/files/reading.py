@@ -27,7 +27,7 @@ from ..core.units import (
     sampled,
 )
 from . import records, text
-from .files import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
+from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
 from .handles import Handle
 from .header import Header, opened, read_header
 from .records import inside, read_records, reading

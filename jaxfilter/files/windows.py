@@ -17,9 +17,9 @@ from ..core.errors import InputError, warn
 from ..core.units import Reference
 from . import copc
 from .blocks import Blocks, measured, summed
-from .files import Bounds, Identity, check_bounds
+from .disk import Bounds, Identity, check_bounds
 from .header import Header
-from .las import las_cloud, open_las
+from .reading import las_cloud, open_las
 from .records import reading, within
 from .sources import Source
 from .storage import Place, Remote

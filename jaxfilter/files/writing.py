@@ -17,7 +17,7 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.result import FilterResult
 from . import records, text
-from .files import Replay, new_file
+from .disk import Replay, new_file
 from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header, read_header
 from .records import CHUNK, Writer, read_records, reading

@@ -22,7 +22,7 @@ import psutil
 from ..core.errors import InputError, OutputError, warn
 from ..core.forks import need_threads
 from ..core.frame import check_scales
-from .files import CHANGED_IN_READING, Identity
+from .disk import CHANGED_IN_READING, Identity
 from .storage import Place, Remote, read_ranges
 
 RECORD_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)

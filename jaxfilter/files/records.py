@@ -15,7 +15,7 @@ from ..core.errors import InputError, JaxfilterError
 from ..core.forks import need_threads
 from . import copc
 from .blocks import Blocks, read_blocks
-from .files import Bounds
+from .disk import Bounds
 from .header import Header
 from .storage import Place
 

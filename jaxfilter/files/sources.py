@@ -9,7 +9,7 @@ import math
 import pyproj
 
 from ..core.units import UNITS, Reference, Units
-from .files import Bounds
+from .disk import Bounds
 from .header import Header
 from .storage import Place, place_of
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.forks import need_threads
-from .files import Bounds, new_file
+from .disk import Bounds, new_file
 from .header import Header
 from .storage import read_ranges
 
