@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from .core.filter import Filter
     from .core.result import Decision, FilterResult, GroundFilter, Status
     from .files.reading import class_changes, info, read, write
-    from .host.raster import Raster
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
     from .pdal import from_pdal
@@ -29,7 +28,8 @@ if TYPE_CHECKING:
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import sweep
-    from .terrain import dtm, dtm_rmse, height_above_ground
+    from .terrain.models import dtm, dtm_rmse, height_above_ground
+    from .terrain.raster import Raster
     from .tiles.collection import Collection, open
     from .tiles.ground import ground
     from .tiles.heights import heights
@@ -46,11 +46,11 @@ _HOMES = {
     ),
     "methods.default": ("default_filter",),
     "files.reading": ("class_changes", "info", "read", "write"),
-    "host.raster": ("Raster",), "pdal": ("from_pdal",),
+    "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
     "stages.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("sweep",),
-    "terrain": ("dtm", "dtm_rmse", "height_above_ground"),
+    "terrain.models": ("dtm", "dtm_rmse", "height_above_ground"),
     "tiles.collection": ("Collection", "open"), "reports": ("report", "review"),
     "tiles.ground": ("ground",), "tiles.heights": ("heights",), "tiles.options": ("RunOptions",),
     "tiles.terrain": ("terrain_model",),

@@ -15,9 +15,9 @@ from scipy.spatial import Delaunay
 from scipy.spatial.distance import cdist
 
 import jaxfilter as jf
-from jaxfilter import terrain
 from jaxfilter.cli import main
 from jaxfilter.core.cloud import QUANTUM
+from jaxfilter.terrain import models
 
 ORIGIN = np.array([447_312.4, 5_301_208.7, 0.0])
 NATURAL = pytest.param(
@@ -400,7 +400,7 @@ def test_a_building_taken_for_ground_is_an_error_of_its_height(rng):
 def test_cells_come_in_blocks_and_are_counted(rng, monkeypatch):
     cloud, seen = scattered(rng), []
     whole = model(cloud)
-    monkeypatch.setattr(terrain, "_CELLS", 100)
+    monkeypatch.setattr(models, "_CELLS", 100)
     np.testing.assert_array_equal(model(cloud, progress=lambda f, step: seen.append((f, step))).values, whole.values)
     fractions = [f for f, _ in seen]
     assert len(fractions) > 10 and fractions == sorted(fractions) and 0.0 <= fractions[0] <= fractions[-1] < 1.0

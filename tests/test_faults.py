@@ -26,7 +26,7 @@ from jaxfilter.core.errors import InputError, OutputError
 from jaxfilter.files import disk as files
 from jaxfilter.files import records, text
 from jaxfilter.files.disk import new_file
-from jaxfilter.host.raster import Raster
+from jaxfilter.terrain.raster import Raster
 
 KINDS = (".las", ".laz", ".xyz")
 

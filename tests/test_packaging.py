@@ -96,7 +96,7 @@ def test_dependencies_and_extras_are_used():
 
 
 def natural():
-    from jaxfilter.host.interpolation import interpolator
+    from jaxfilter.terrain.interpolation import interpolator
 
     interpolator("natural", np.zeros((3, 3), np.float32))
 

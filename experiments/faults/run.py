@@ -399,7 +399,7 @@ def _write_kind(target: Path, source: Path, ticks: np.ndarray) -> None:
     if target.suffix in SUFFIXES:
         write(target, read(source, units="m"), rule(ticks), overwrite=True)
     elif target.suffix == ".tif":
-        from jaxfilter.host.raster import Raster
+        from jaxfilter.terrain.raster import Raster
 
         heights = ticks[:, :1].reshape(200, 200).astype(np.float32)
         Raster(np.tile(heights, (2, 2)), (1.0, 0.0, 9.0, 0.0, -1.0, 9.0)).write(target, overwrite=True)

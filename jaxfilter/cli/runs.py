@@ -98,7 +98,7 @@ def is_collection(paths: Sequence[str]) -> bool:
     """
     from ..files.text import SUFFIXES as TEXT
     from ..files.writing import LAS_SUFFIXES as LAS
-    from ..host.raster import SUFFIXES
+    from ..terrain.raster import SUFFIXES
 
     *inputs, last = paths
     if len(inputs) != 1:

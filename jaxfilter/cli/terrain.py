@@ -225,7 +225,7 @@ def dtm(ctx: click.Context, names: tuple[str, ...], **options: Any) -> None:
         return
     from ..core.result import FilterResult
     from ..files.reading import read
-    from ..terrain import dtm as make
+    from ..terrain.models import dtm as make
 
     source, target = _one_file(ctx, names, how)
     if target is None:
@@ -315,7 +315,7 @@ def height(ctx: click.Context, names: tuple[str, ...], *, replace_z: bool, in_pl
     from ..core.result import FilterResult
     from ..files.reading import read
     from ..files.writing import write
-    from ..terrain import height_above_ground
+    from ..terrain.models import height_above_ground
 
     source, given = _one_file(ctx, names, how)
     with how.session() as session:
@@ -396,8 +396,8 @@ def _height_line(target: Place | str, points: int, ground: int, span: tuple[floa
 
 def _check_model(target: Place, overwrite: bool, settings: dict[str, Any]) -> None:
     """Raises BadUsage if writing would destroy something or cannot work, ParameterError for settings."""
-    from ..host import raster
-    from ..terrain import check_settings
+    from ..terrain import raster
+    from ..terrain.models import check_settings
 
     check_settings(*(settings[name] for name in ("cell", "method", "max_gap", "neighbours", "power")))
     if target.suffix.lower() not in raster.SUFFIXES:

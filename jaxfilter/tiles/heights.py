@@ -16,7 +16,7 @@ from ..core.filter import Filter
 from ..core.result import Status
 from ..files.disk import Seal
 from ..files.writing import HEIGHT, class_changes, write
-from ..terrain import heights_of
+from ..terrain.models import heights_of
 from .folder import Folder, run_in
 from .layout import Layout
 from .options import RunOptions, begun

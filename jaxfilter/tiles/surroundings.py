@@ -13,8 +13,8 @@ from ..core.cloud import KEPT_CLASSES, PointCloud, Whole
 from ..core.filter import Filter
 from ..core.result import FilterResult
 from ..files.disk import Bounds
-from ..host.interpolation import Heights, Linear
 from ..methods import PMF
+from ..terrain.interpolation import Heights, Linear
 from .collection import Collection
 from .layout import Layout, layout
 from .options import RunOptions

@@ -17,8 +17,8 @@ from ..core.errors import InputError, OutputError
 from ..core.filter import Filter
 from ..files.disk import Bounds, Seal, check_bounds, is_there, remove
 from ..files.storage import Place, Remote, check_writable, place_of
-from ..host.raster import check_target, write_mosaic
-from ..terrain import check_settings, interpolated
+from ..terrain.models import check_settings, interpolated
+from ..terrain.raster import check_target, write_mosaic
 from .folder import executor_of, facts_of, work_of
 from .journal import NAME, Journal, discard
 from .options import RunOptions, begun

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from .core.cloud import QUANTUM, PointCloud, as_cloud
-from .core.errors import InputError, ParameterError, warn
-from .core.grid import MAX_CELLS
-from .core.points import canonical_points, check_extent
-from .core.result import FilterResult, Progress
-from .files.disk import check_bounds
-from .host.interpolation import METHODS, Heights, inside_hull, interpolator, nearest_point
-from .host.raster import Raster
+from ..core.cloud import QUANTUM, PointCloud, as_cloud
+from ..core.errors import InputError, ParameterError, warn
+from ..core.grid import MAX_CELLS
+from ..core.points import canonical_points, check_extent
+from ..core.result import FilterResult, Progress
+from ..files.disk import check_bounds
+from .interpolation import METHODS, Heights, inside_hull, interpolator, nearest_point
+from .raster import Raster
 
 _CELLS = 1 << 18  # that are interpolated at a time
 _SNAP = 2.0**-20  # metres: cell centres are multiples of it, so that a shift of the cloud changes no bit of a height
