@@ -190,7 +190,7 @@ class Here:
         return 1 - len(self.done)
 
     def submit(self, tag: Any, function: Any, *arguments: Any) -> None:
-        from jaxfilter.tiles.pool import attempt
+        from jaxfilter.surveys.pool import attempt
 
         self.done.append((tag, attempt(function, arguments)))
 
@@ -226,7 +226,7 @@ def run_shell(example: Example) -> None:
 
     example.namespace.pop("_said", None)
     found = commands(str(example.parsed))
-    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.tiles.folder.Pool", Here):
+    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.folder.Pool", Here):
         if any(why_not(page(example), command) is None for command in found):
             shutil.copytree(files_for_commands(), folder, dirs_exist_ok=True)
         with contextlib.chdir(folder):

@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from .pdal import from_pdal
     from .reports import report, review
     from .scoring import Scores, evaluate
-    from .stages.border import CutObject, cut_objects
     from .steps.grid_filter import soft_labels
+    from .surveys.border import CutObject, cut_objects
+    from .surveys.collection import Collection, open
+    from .surveys.ground import ground
+    from .surveys.heights import heights
+    from .surveys.model import terrain_model
+    from .surveys.options import RunOptions
     from .sweeps.calibrate import Calibration, Study, calibrate
     from .sweeps.comparison import Comparison, compare
     from .sweeps.sweep import sweep
     from .terrain.models import dtm, dtm_rmse, height_above_ground
     from .terrain.raster import Raster
-    from .tiles.collection import Collection, open
-    from .tiles.ground import ground
-    from .tiles.heights import heights
-    from .tiles.options import RunOptions
-    from .tiles.terrain import terrain_model
 
 _HOMES = {
     "citing": ("citation",),
@@ -47,13 +47,13 @@ _HOMES = {
     "methods.default": ("default_filter",),
     "files.reading": ("class_changes", "info", "read", "write"),
     "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
-    "stages.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
+    "surveys.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
     "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("sweep",),
     "terrain.models": ("dtm", "dtm_rmse", "height_above_ground"),
-    "tiles.collection": ("Collection", "open"), "reports": ("report", "review"),
-    "tiles.ground": ("ground",), "tiles.heights": ("heights",), "tiles.options": ("RunOptions",),
-    "tiles.terrain": ("terrain_model",),
+    "surveys.collection": ("Collection", "open"), "reports": ("report", "review"),
+    "surveys.ground": ("ground",), "surveys.heights": ("heights",), "surveys.options": ("RunOptions",),
+    "surveys.model": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

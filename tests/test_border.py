@@ -13,7 +13,7 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.tiles.ground import ground as classify
+from jaxfilter.surveys.ground import ground as classify
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 ROOF = (0.0, 20.0, 12.0, 30.0)

@@ -16,9 +16,9 @@ from las_files import OFFSETS, make_copc, make_las, patch
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.files.sources import Source
-from jaxfilter.host.footprints import Footprints
-from jaxfilter.tiles import vpc
-from jaxfilter.tiles.collection import Collection
+from jaxfilter.surveys import vpc
+from jaxfilter.surveys.collection import Collection
+from jaxfilter.surveys.footprints import Footprints
 
 WKT = pyproj.CRS.from_epsg(32632).to_wkt()
 

@@ -19,7 +19,7 @@ from jaxfilter.cli.session import Session
 from jaxfilter.core import compilation
 from jaxfilter.engines import compiled as module
 from jaxfilter.engines.compiled import compiled
-from jaxfilter.tiles.task import heard
+from jaxfilter.surveys.task import heard
 
 
 def collatz(n):

@@ -23,7 +23,7 @@ from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
 from jaxfilter.files import records
 from jaxfilter.files.reading import class_changes, info, open_las, read, write
-from jaxfilter.tiles.task import labelled
+from jaxfilter.surveys.task import labelled
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 

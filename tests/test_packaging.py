@@ -102,7 +102,7 @@ def natural():
 
 
 def cluster():
-    from jaxfilter.tiles.dask import Cluster
+    from jaxfilter.surveys.dask import Cluster
 
     Cluster("tcp://127.0.0.1:1")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.tiles.plan import plan_tiles
+from jaxfilter.surveys.plan import plan_tiles
 
 
 def survey(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -23,13 +23,13 @@ from experiments.faults.surveys import JOURNALS, damage_journal
 from jaxfilter.core.cloud import Whole
 from jaxfilter.core.points import canonical_points
 from jaxfilter.files.windows import read_window
-from jaxfilter.tiles import dask, setup, task
-from jaxfilter.tiles.dask import Cluster
-from jaxfilter.tiles.folder import SCRATCH
-from jaxfilter.tiles.ground import ground
-from jaxfilter.tiles.outputs import target_names
-from jaxfilter.tiles.pool import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.tiles.task import ANCHOR, filter_tile, joined
+from jaxfilter.surveys import dask, setup, task
+from jaxfilter.surveys.dask import Cluster
+from jaxfilter.surveys.folder import SCRATCH
+from jaxfilter.surveys.ground import ground
+from jaxfilter.surveys.outputs import target_names
+from jaxfilter.surveys.pool import Outcome, Pool, Task, attempt, carried_out
+from jaxfilter.surveys.task import ANCHOR, filter_tile, joined
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 PMF_FIELDS = {"max_window": 10.0, "low_clusters": False}
@@ -259,7 +259,7 @@ def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path
     shutil.copytree(las_files, survey)
     if not sampled:  # as of most files of a large survey
         monkeypatch.setattr(setup, "sampled", lambda *_: setup.Sample([], Whole(1.0)))
-        monkeypatch.setattr("jaxfilter.tiles.ground.sampled", setup.sampled)
+        monkeypatch.setattr("jaxfilter.surveys.ground.sampled", setup.sampled)
     with pytest.raises(KeyboardInterrupt):
         run(survey, out, Here(3, stop_after=13))
     rewritten(survey / "01.las", change)
@@ -564,7 +564,7 @@ def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
 
 
 UNGUARDED = """
-from jaxfilter.tiles.pool import Pool, check_main
+from jaxfilter.surveys.pool import Pool, check_main
 print("begun", flush=True)
 check_main()
 Pool(2).close()

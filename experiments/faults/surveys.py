@@ -29,9 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.report import Column, Row, machine, markdown, write_csv
-from jaxfilter.tiles.folder import MAP, REPORT, SCRATCH
-from jaxfilter.tiles.journal import NAME
-from jaxfilter.tiles.pool import attempt
+from jaxfilter.surveys.folder import MAP, REPORT, SCRATCH
+from jaxfilter.surveys.journal import NAME
+from jaxfilter.surveys.pool import attempt
 
 HERE = Path(__file__).parent
 HOW: dict[str, Any] = {"tile": 30.0, "units": "m"}

@@ -27,7 +27,7 @@ import jaxfilter as jf
 from jaxfilter.files import blocks
 from jaxfilter.files.sources import Source
 from jaxfilter.files.windows import blocks_of, read_window
-from jaxfilter.tiles.collection import Collection
+from jaxfilter.surveys.collection import Collection
 
 
 def tiles(path: Path, count: int) -> dict[str, Any]:

@@ -13,10 +13,10 @@ import numpy as np
 import jaxfilter as jf
 from experiments.report import Row
 from jaxfilter.core.cloud import Whole
-from jaxfilter.tiles.collection import Collection
-from jaxfilter.tiles.plan import Plan, plan_tiles
-from jaxfilter.tiles.setup import Sample, whole_for
-from jaxfilter.tiles.task import ANCHOR, Job, Tile, read_tile, survey_tile
+from jaxfilter.surveys.collection import Collection
+from jaxfilter.surveys.plan import Plan, plan_tiles
+from jaxfilter.surveys.setup import Sample, whole_for
+from jaxfilter.surveys.task import ANCHOR, Job, Tile, read_tile, survey_tile
 
 READING = {"returns": "all", "ignore_classes": (7, 18), "keep_withheld": False, "drop_invalid": False}
 """What producers set apart is filtered like the rest."""

@@ -17,7 +17,7 @@ from .session import BadUsage, Session, logger
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
-    from ..tiles.run import RunReport, Standing
+    from ..surveys.run import RunReport, Standing
 
 _CUT_LISTED = 5
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -142,9 +142,9 @@ def ground_collection(
         if method is not None:  # what is wrong with the parameters is said before anything is read
             method.preset(options["preset"], **changes) if options["preset"] else method(**changes)
         check_reading(options["units"], options["returns"])
-        from ..tiles.collection import open as open_collection
-        from ..tiles.ground import ground
-        from ..tiles.setup import filter_for, sampled, whole_for
+        from ..surveys.collection import open as open_collection
+        from ..surveys.ground import ground
+        from ..surveys.setup import filter_for, sampled, whole_for
 
         with session.step("headers"):
             collection = open_collection(inputs, units=options["units"])

@@ -16,7 +16,7 @@ from .runs import count
 from .session import BadUsage, Session, in_flags, session_options
 
 if TYPE_CHECKING:
-    from ..tiles.collection import Collection
+    from ..surveys.collection import Collection
 
 _ROWS = 40  # of a table on the screen
 _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"}  # of the facts on a file
@@ -123,7 +123,7 @@ def _survey(
 ) -> tuple[dict[str, Any], Callable[[], None]]:
     """Facts on a survey, and what prints them for people."""
     from ..files.disk import new_file
-    from ..tiles.collection import open as open_survey
+    from ..surveys.collection import open as open_survey
 
     with session.step("headers"):
         survey = open_survey(names, units=units)

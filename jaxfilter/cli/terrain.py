@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..core.result import FilterResult
     from ..files.storage import Place
-    from ..tiles.collection import Collection
+    from ..surveys.collection import Collection
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Ground:
 
     def opened(self, session: Session, inputs: Sequence[str]) -> Collection:
         """The collection that is named."""
-        from ..tiles.collection import open as open_collection
+        from ..surveys.collection import open as open_collection
 
         with session.step("headers"):
             return open_collection(inputs, units=self.units)
@@ -268,7 +268,7 @@ def _dtm_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, set
         _check_model(place_of(out), how.overwrite or how.resources["resume"], settings)
         check_named(inputs)
         changes = how.changes()
-        from ..tiles.terrain import terrain_model
+        from ..surveys.model import terrain_model
 
         collection = how.opened(session, inputs)
         with session.step("tiles", collection.count), to_be_resumed():
@@ -357,7 +357,7 @@ def _height_collection(ctx: click.Context, names: tuple[str, ...], how: Ground, 
     with how.session() as session:
         check_named(inputs)
         changes = how.changes()
-        from ..tiles.heights import heights
+        from ..surveys.heights import heights
 
         collection = how.opened(session, inputs)
         with session.step("tiles", collection.count), to_be_resumed():

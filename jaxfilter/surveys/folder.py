@@ -18,10 +18,10 @@ from ..files.disk import existing, remove, remove_dead
 from ..files.storage import Place, Remote, place_of
 from ..files.text import SUFFIXES
 from ..files.writing import LAS_SUFFIXES
+from .capacity import Layout
 from .collection import Collection
 from .dask import Cluster
 from .journal import NAME, Journal, discard
-from .layout import Layout
 from .options import RunOptions
 from .outputs import target_names
 from .plan import Plan

@@ -15,8 +15,8 @@ from ..core.result import FilterResult
 from ..files.disk import Bounds
 from ..methods import PMF
 from ..terrain.interpolation import Heights, Linear
+from .capacity import Layout, layout
 from .collection import Collection
-from .layout import Layout, layout
 from .options import RunOptions
 from .plan import Plan, plan_with_halo, window_around
 from .setup import filter_for, sampled, whole_for
@@ -112,7 +112,7 @@ def ground_job(
 
 
 def surroundings(job: GroundJob, tile: Tile) -> Iterator[Surroundings]:
-    """What is around a tile, with wider and wider halos. Raises: as :func:`jaxfilter.tiles.task.filter_tile`."""
+    """What is around a tile, with wider and wider halos. Raises: as :func:`jaxfilter.surveys.task.filter_tile`."""
     metre = tile.sources[0].metre
     for halo in HALOS:
         near = window_around(tile.core, halo / metre, job.grain)

@@ -107,7 +107,7 @@ def model_tile(job: ModelJob, tile: Tile) -> ModelReport:
     A triangle is that of the whole if the circle through its corners holds no place that has data and was not read. Where
     one does, the halo is doubled.
 
-    Raises: as :func:`jaxfilter.tiles.task.filter_tile`.
+    Raises: as :func:`jaxfilter.surveys.task.filter_tile`.
     """
     core = _clipped(tile.core, job.raster)
     for found in surroundings(job, tile):

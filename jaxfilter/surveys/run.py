@@ -90,7 +90,7 @@ class RunReport:
         overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
             ``ground``.
         statuses: tiles by the filter's status; remarks: what was warned of, with how often.
-        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.stages.border.CutObject` each,
+        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.surveys.border.CutObject` each,
             from south to north.
         heights: lowest and highest height above ground, units of Z, where these were asked for; uncertain: points whose
             height may be another in the whole.

@@ -17,8 +17,8 @@ from ..core.result import Status
 from ..files.disk import Seal
 from ..files.writing import HEIGHT, class_changes, write
 from ..terrain.models import heights_of
+from .capacity import Layout
 from .folder import Folder, run_in
-from .layout import Layout
 from .options import RunOptions, begun
 from .outputs import FileReport, FileTask, collected, handle_of
 from .plan import Plan
@@ -40,7 +40,7 @@ class HeightJob(GroundJob):
 def height_tile(job: HeightJob, tile: Tile) -> TileReport:
     """Heights of the points of a core above the ground in and around it, put into the folder of the job.
 
-    Raises: InputError if there is no ground within the widest halo; as :func:`jaxfilter.tiles.task.filter_tile`.
+    Raises: InputError if there is no ground within the widest halo; as :func:`jaxfilter.surveys.task.filter_tile`.
     """
     start, heights, doubt = time.perf_counter(), None, None
     with heard() as remarks:

@@ -29,7 +29,7 @@ from ..files.disk import Bounds, Seal, told_of
 from ..files.sources import Source
 from ..files.windows import read_window
 from ..files.writing import class_changes
-from ..stages.border import CutObject, cut_objects
+from .border import CutObject, cut_objects
 
 ANCHOR = (0.0, 0.0)
 """File coordinates that all grids of a run are aligned to: the same tile gets the same labels in any collection."""

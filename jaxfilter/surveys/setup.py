@@ -44,7 +44,7 @@ def sampled(
     """Windows in the middle of files that are spread evenly over the points of a collection, with about ``each`` points.
 
     A collection of ``most`` points or fewer is its own sample, in one piece. ``reading``: as in
-    :class:`jaxfilter.tiles.task.Job`. Files that cannot be read are passed over.
+    :class:`jaxfilter.surveys.task.Job`. Files that cannot be read are passed over.
 
     Raises: InputError if points are not those that were read before.
     """

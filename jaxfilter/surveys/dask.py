@@ -76,7 +76,7 @@ class Cluster:
         (self._suspects if tag in self._lost else self._waiting).append((tag, (function, arguments)))
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Tasks that have ended, see :class:`jaxfilter.tiles.pool.Executor`."""
+        """Tasks that have ended, see :class:`jaxfilter.surveys.pool.Executor`."""
         self._send()
         found: list[tuple[Any, Outcome]] = []
         try:

@@ -11,9 +11,9 @@ from ..core.cloud import KEPT_CLASSES, Whole
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.inputs import class_numbers
+from .capacity import Layout, layout
 from .collection import Collection
 from .folder import Folder, run_in
-from .layout import Layout, layout
 from .options import RunOptions, begun
 from .outputs import write_file
 from .plan import Plan

@@ -24,9 +24,9 @@ from ..files.header import Header
 from ..files.reading import open_las
 from ..files.sources import Source, described
 from ..files.storage import place_of
-from ..host.footprints import Footprints
 from . import names
 from .findings import OVERLAP, Findings, refuse_mixture
+from .footprints import Footprints
 
 if TYPE_CHECKING:
     import pandas as pd
