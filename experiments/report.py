@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from jaxfilter.tables import Column, markdown
+from jaxfilter.sweeps.tables import Column, markdown
 
 __all__ = ["Column", "Row", "cores", "machine", "markdown", "read_csv", "save_png", "with_averages", "write_csv"]
 

@@ -15,7 +15,7 @@ from .core.errors import InputError
 from .core.forks import need_threads
 from .core.inputs import class_numbers, is_laspy
 from .core.result import Decision, FilterResult
-from .ops.metrics import confusion_counts
+from .metrics import confusion_counts
 
 NEVER_CLASSIFIED, GROUND = 0, 2
 """ASPRS classes."""

@@ -14,7 +14,7 @@ import pytest
 import jaxfilter as jf
 from jaxfilter.core.markup import sheet
 from jaxfilter.sweeps.comparison import Comparison, holm, paired
-from jaxfilter.tables import latex, markdown
+from jaxfilter.sweeps.tables import latex, markdown
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.core.errors import InputError
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
-from jaxfilter.ops.metrics import confusion_counts
+from jaxfilter.metrics import confusion_counts
 from jaxfilter.scoring import Scores, evaluate, match_points
 
 # Sample, ground and object points of the ISPRS reference, and Type I, Type II, total error and kappa of FPTD or PTD as

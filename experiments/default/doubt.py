@@ -19,11 +19,11 @@ import jaxfilter as jf
 from experiments.default.search import every_cloud
 from experiments.defaults import clouds
 from experiments.report import write_csv
-from jaxfilter import tables
 from jaxfilter.methods import ost
 from jaxfilter.reports.places import squares
 from jaxfilter.reports.review_list import AREA, SIDE
 from jaxfilter.steps import doubt, doubt_model
+from jaxfilter.sweeps import tables
 
 HERE = Path(__file__).parent
 DENSITIES = (0.3, 4.0)

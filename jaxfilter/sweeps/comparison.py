@@ -19,9 +19,9 @@ from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
 from ..methods import FILTERS
 from ..scoring import evaluate
-from ..tables import Column, latex, markdown
 from .best import SCORES
 from .sweep import check_reference, named_clouds
+from .tables import Column, latex, markdown
 
 if TYPE_CHECKING:
     import pandas

@@ -18,7 +18,7 @@ def confusion_counts(ground: jax.Array, reference: jax.Array, counted: jax.Array
     Returns: i32[2, 2], rows reference ground and object, columns labelled ground and object. Sums are of integers, so
         exact for every n that an int32 can count.
 
-    >>> from jaxfilter.ops import metrics
+    >>> from jaxfilter import metrics
     >>> ground, reference = jnp.array([True, True, False]), jnp.array([True, False, False])
     >>> metrics.confusion_counts(ground, reference, jnp.ones(3, bool)).tolist()
     [[1, 0], [1, 1]]
