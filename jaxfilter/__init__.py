@@ -8,7 +8,7 @@ Public names are loaded when they are first used, so that ``jaxfilter --help`` d
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0"
+from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from . import plots, scenes

@@ -20,7 +20,7 @@ import click
 from click.core import ParameterSource
 from rich.console import Console
 
-from .. import __version__
+from ..core.version import __version__
 from . import runs
 from .checks import check_reading, check_review, checked_target
 from .output import print_json, print_report, run_report
@@ -327,10 +327,11 @@ def _ground(
     review_area: float = 5.0,
     **options: Any,
 ) -> None:
-    from .. import class_changes, cut_objects, read, write
     from ..core.cloud import overlap_counts
+    from ..files.reading import class_changes, read, write
     from ..files.text import GROUND, OBJECT
     from ..files.writing import holds_classes
+    from ..surveys.border import cut_objects
 
     reading = {k: options[k] for k in ("units", "bounds", *runs.READING)}
     reading["ignore_classes"] = tuple(c for c in options["ignore_classes"] if c is not None)
@@ -357,7 +358,8 @@ def _ground(
             write(target, cloud, result, **writing)
         places = None
         if review is not None:
-            from .. import review as write_review  # late: it brings SciPy's image functions, a quarter of a second
+            # late: it brings SciPy's image functions, a quarter of a second
+            from ..reports import review as write_review
 
             with session.step("review"):
                 places = write_review(cloud, result, review, area=review_area, overwrite=options["overwrite"])
@@ -423,9 +425,9 @@ def evaluate(
     Both are LAS, LAZ or labelled text files of the same points, in any order. Points of class 0 in REFERENCE were never
     classified and do not count.
     """
-    from .. import evaluate as score
-    from .. import read
     from ..core.errors import InputError
+    from ..files.reading import read
+    from ..scoring import evaluate as score
     from ..scoring import match_points
 
     with Session(quiet=quiet, debug=debug) as session:

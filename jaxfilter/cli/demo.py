@@ -46,11 +46,12 @@ def demo(
     Writes into DIR (by default jaxfilter-demo): scene.laz, scene_truth.laz, scene_ground.laz, and pictures of
     the true ground, of the filtered ground, of the errors, and of all three.
     """
-    from .. import evaluate as score
-    from .. import read, scenes, write
+    from .. import scenes
     from ..files.disk import remove_dead
+    from ..files.reading import read, write
     from ..methods import FILTERS
     from ..methods.default import default_filter
+    from ..scoring import evaluate as score
 
     with Session(quiet=quiet, debug=debug) as session:
         if directory.is_dir():
@@ -86,7 +87,7 @@ def _write_scene(directory: Path, scene: Scene) -> None:
     """The scene as delivered (never classified), and with its true classes. The CRS is one that its coordinates fit."""
     import numpy as np
 
-    from .. import write
+    from ..files.reading import write
 
     directory.mkdir(parents=True, exist_ok=True)
     nothing = np.zeros(len(scene), bool)

@@ -73,9 +73,9 @@ def report(
     The page is one HTML file that needs no network. The ground is what --filter finds, with a slider that labels the points
     anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed.
     """
-    from .. import read
-    from .. import report as write_report
     from ..core.errors import InputError
+    from ..files.reading import read
+    from ..reports import report as write_report
     from ..reports.page import SUFFIXES
 
     with Session(quiet=quiet, debug=debug) as session:

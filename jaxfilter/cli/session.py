@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 
-from .. import __version__
 from ..core.errors import JaxfilterError, JaxfilterWarning, ParameterError
+from ..core.version import __version__
 
 if TYPE_CHECKING:
     from ..files.storage import Place

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
 from ..core.errors import InputError, OutputError, ParameterError
@@ -22,6 +21,7 @@ from ..core.markup import table
 from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
+from ..core.version import __version__
 from ..files.disk import new_file
 from ..files.reading import class_changes
 from ..scoring import Scores, reference_labels

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
+from ..core.version import __version__
 from ..files.disk import existing, remove, remove_dead
 from ..files.storage import Place, Remote, place_of
 from ..files.text import SUFFIXES

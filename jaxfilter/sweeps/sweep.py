@@ -14,13 +14,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from .. import __version__
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate
 from ..core.params import declared
 from ..core.points import Points
 from ..core.result import Progress, silent
+from ..core.version import __version__
 from ..files.disk import existing, new_file
 from ..scoring import Scores, reference_labels
 from .best import SCORES
