@@ -10,27 +10,27 @@ from urllib.parse import unquote, urlsplit
 
 import jaxfilter as jf
 
-OPS = (
-    "cloth",
-    "cones",
-    "facets",
-    "grid",
-    "inpaint",
+ARRAYS = (
+    "engines.cloth.coloured",
+    "engines.grid.cells",
+    "engines.grid.cones",
+    "engines.grid.inpaint",
+    "engines.grid.morphology",
+    "engines.grid.sampling",
+    "engines.grid.spread",
+    "engines.grid.windows",
+    "engines.tin.facets",
     "metrics",
-    "morphology",
-    "planes",
-    "sampling",
-    "spread",
-    "windows",
+    "steps.planes",
 )
-"""Modules of ``jaxfilter.ops`` that docs/arrays.md describes."""
+"""Modules that docs/arrays.md describes."""
 
 
 def public_names() -> list[str]:
     """Every name that users may rely on, as ``module.name``."""
     names = [f"jaxfilter.{name}" for name in jf.__all__ if not isinstance(getattr(jf, name), types.ModuleType)]
     names += [f"jaxfilter.scenes.{name}" for name in jf.scenes.__all__]
-    for module in (jf.plots, *(import_module(f"jaxfilter.ops.{name}") for name in OPS)):
+    for module in (jf.plots, *(import_module(f"jaxfilter.{name}") for name in ARRAYS)):
         for name, value in vars(module).items():
             home = getattr(value, "__module__", module.__name__) or ""
             ours = home == module.__name__ or (module is jf.plots and home.startswith("jaxfilter.plots."))

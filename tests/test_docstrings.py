@@ -24,11 +24,13 @@ METHODS = [method for name, method in inspect.getmembers(jf, inspect.isclass) if
 
 
 def operations():
-    """The functions and types of jaxfilter.ops that docs/arrays.md names."""
-    for module, name in sorted(set(re.findall(r"\b([a-z]+)\.([A-Za-z]\w*)", ARRAYS.read_text()))):
-        path = Path(jf.__file__).parent / "ops" / f"{module}.py"
-        if path.exists() and callable(found := getattr(import_module(f"jaxfilter.ops.{module}"), name, None)):
-            yield f"ops.{module}.{name}", found
+    """The functions and types of the modules that docs/arrays.md imports and names."""
+    text = ARRAYS.read_text()
+    lines = re.findall(r"^from (jaxfilter[\w.]*) import (.+)$", text, re.MULTILINE)
+    homes = {name: f"{place}.{name}" for place, names in lines for name in names.split(", ")}
+    for module, name in sorted(set(re.findall(r"\b([a-z]+)\.([A-Za-z]\w*)", text))):
+        if module in homes and callable(found := getattr(import_module(homes[module]), name, None)):
+            yield f"{module}.{name}", found
 
 
 def is_described(member):
@@ -137,7 +139,7 @@ def test_steps_of_a_method_say_what_they_are(method):
 
 
 def test_methods_of_classes_operations_and_modules_are_among_the_public_names():
-    assert {"read", "PointCloud.select", "Collection.crs", "plots.profile", "ops.morphology.opening"} < set(PUBLIC)
+    assert {"read", "PointCloud.select", "Collection.crs", "plots.profile", "morphology.opening"} < set(PUBLIC)
     assert len(METHODS) == len(jf.FILTERS) and len(dict(operations())) >= 20
 
 

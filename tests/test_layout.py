@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import tomllib
 from pathlib import Path
 
@@ -13,80 +14,115 @@ import jaxfilter
 PACKAGE = Path(jaxfilter.__file__).parent
 ROOT = PACKAGE.parent
 FLOORS = {
-    "core": 0, "ops": 1, "host": 1, "stages": 2, "filters": 3, "sweeps": 5, "plots": 6, "tiles": 7, "reports": 7, "cli": 8,
-    "__main__": 9,
+    "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4, "citing": 4, "pdal": 4,
+    "terrain": 5, "scoring": 5, "sweeps": 6, "plots": 7, "surveys": 8, "reports": 8, "cli": 9, "__main__": 10,
 }  # fmt: skip
-TOP = 4  # every other module or subpackage
-MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
+PATHS = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
+"""Dotted name of every module, and its file."""
+MODULES = [name for name in PATHS if name != "jaxfilter"]
+
+
+def imported(module: str, typing: bool = True) -> set[str]:
+    """Dotted names that a module imports, wherever in the file; ``typing``: also where only type checkers look."""
+    path, found = PATHS[module], set()
+    place = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
+    unread = set()
+    for node in ast.walk(tree := ast.parse(path.read_text())):
+        if not typing and isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            unread |= {id(inner) for statement in node.body for inner in ast.walk(statement)}
+    for node in ast.walk(tree):
+        if id(node) in unread:
+            continue
+        if isinstance(node, ast.ImportFrom):
+            base = place[: len(place) + 1 - node.level] if node.level else []
+            home = ".".join([*base, *filter(None, [node.module])])
+            found |= {f"{home}.{a.name}" if f"{home}.{a.name}" in PATHS else home for a in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {a.name for a in node.names}
+    return found - {module}
 
 
 def room(module: str) -> str:
-    """The part of the package that a dotted name inside it belongs to."""
-    return module.split(".")[0]
+    """The part of the package that a module belongs to."""
+    return module.split(".")[1]
 
 
-def imports(path: Path) -> set[str]:
-    """Names inside the package that a module imports, wherever in the file."""
-    place = path.relative_to(PACKAGE).parent.parts
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.level:
-            base = place[: len(place) + 1 - node.level]
-            found |= {
-                ".".join([*base, *filter(None, [node.module]), *([] if node.module or base else [a.name])])
-                for a in node.names
-            }
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "jaxfilter":
-            found.add(node.module.removeprefix("jaxfilter").lstrip(".") or node.names[0].name)
-        elif isinstance(node, ast.Import):
-            found |= {a.name.removeprefix("jaxfilter.") for a in node.names if a.name.startswith("jaxfilter.")}
+def libraries(module: str) -> set[str]:
+    """Names of the libraries that a module imports when it runs."""
+    return {name.split(".")[0] for name in imported(module, typing=False)} - {"jaxfilter"}
+
+
+def below(module: str) -> set[str]:
+    """The modules that a module imports when it runs, and those that they import, and so on."""
+    found, rest = set(), [module]
+    while rest:
+        rest += (new := (imported(rest.pop(), typing=False) & PATHS.keys()) - found)
+        found |= new
     return found
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_go_downward_only(path):
-    own = room(str(path.relative_to(PACKAGE)).removesuffix(".py").replace("/", "."))
-    floor = FLOORS.get(own, TOP)
-    for module in imports(path):
-        other = room(module)
-        below = FLOORS.get(other, TOP)
-        if other != own and not (own == "cli" and other in jaxfilter.__all__):
-            assert below < floor, f"{path.name} on floor {floor} imports {module} on floor {below}"
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_go_downward_only(module):
+    for other in imported(module) & PATHS.keys():
+        assert other != "jaxfilter", f"{module} imports a name through the public package"
+        if room(other) != room(module):
+            assert FLOORS[room(other)] < FLOORS[room(module)], f"{module} imports {other}, which is not below it"
+
+
+def test_no_imports_go_in_a_circle():
+    """Late imports and those of types count, and what the public package loads when it is first asked for."""
+    graph = {module: imported(module) & PATHS.keys() for module in PATHS}
+    assert len(graph["jaxfilter"]) > 20
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(f"a circle of imports: {' <- '.join(error.args[1])}")
 
 
 @pytest.mark.parametrize(
     "library, rooms",
     [
-        ("laspy", {"host"}),
-        ("scipy", {"host", "stages", "filters", "plots", "reports", "sweeps"}),
-        ("jax", {"core", "ops", "stages", "filters"}),
-        ("numba", {"host"}),
+        ("laspy", {"files"}),
+        ("lazrs", {"files"}),
+        ("scipy", {"engines", "steps", "methods", "terrain", "sweeps", "plots", "surveys", "reports"}),
+        ("jax", {"core", "engines", "steps", "methods", "metrics"}),
+        ("numba", {"engines"}),
     ],
 )
 def test_libraries_stay_in_their_rooms(library, rooms):
-    for path in MODULES:
-        own = room(str(path.relative_to(PACKAGE)).removesuffix(".py").replace("/", "."))
-        names = {
-            name.split(".")[0]
-            for node in ast.walk(ast.parse(path.read_text()))
-            for name in (
-                [a.name for a in node.names]
-                if isinstance(node, ast.Import)
-                else [node.module or ""]
-                if isinstance(node, ast.ImportFrom) and not node.level
-                else []
-            )
-        }
-        assert library not in names or own in rooms, f"{path.relative_to(PACKAGE)} imports {library}"
+    assert {room(module) for module in MODULES if library in libraries(module)} <= rooms
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_public_names_have_docstrings(path):
-    tree = ast.parse(path.read_text())
-    assert ast.get_docstring(tree), f"{path} has no docstring"
+def test_what_is_compiled_or_scipy_and_what_is_jax_do_not_import_each_other():
+    """Of engines; where a file is neither, both may meet. Compiled code is apart from JAX in all rooms."""
+    wrapper = "jaxfilter.engines.compiled"
+    jax = {module for module in MODULES if "jax" in libraries(module)}
+    compiled = {module for module in MODULES if wrapper in imported(module) or "numba" in libraries(module)}
+    other = compiled | {module for module in MODULES if "scipy" in libraries(module)}
+    assert len(compiled) > 5
+    assert not jax & compiled, f"{jax & compiled} are compiled and import JAX"
+    engines = {module for module in MODULES if room(module) == "engines"}
+    assert len(jax & engines) > 5
+    assert not jax & other & engines, f"{jax & other & engines} import JAX and SciPy"
+    for module in jax & engines:
+        reached = below(module)
+        assert not reached & other, f"{module}, which is JAX, reaches {reached & other}"
+        assert not {name for name in reached if room(name) == "files"}, f"{module}, which is JAX, reaches files"
+    for module in other & engines:
+        reached = imported(module, typing=False) & jax & engines
+        assert not reached, f"{module}, which is compiled or SciPy, imports {reached}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_public_names_have_docstrings(module):
+    tree = ast.parse(PATHS[module].read_text())
+    assert ast.get_docstring(tree), f"{module} has no docstring"
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
-            assert ast.get_docstring(node), f"{path.name}: {node.name} has no docstring"
+            assert ast.get_docstring(node), f"{module}: {node.name} has no docstring"
 
 
 def test_public_names_resolve_and_are_the_documented_ones():
