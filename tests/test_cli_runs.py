@@ -114,7 +114,6 @@ def test_without_a_method_a_file_gets_the_default(survey, tmp_path):
 
 
 def test_a_terrain_model_of_a_folder(done, tmp_path):
-    pytest.importorskip("rasterio")
     log = tmp_path / "a.log"
     result = run("dtm", done[0], tmp_path / "dtm.tif", "--cell", 2, "--workers", 1, "--json", "--quiet", "--log", log)
     assert result.exit_code == 0, result.output

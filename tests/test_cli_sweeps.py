@@ -92,7 +92,6 @@ def test_sweep_stores_what_the_library_finds(folder, scene):
 
 
 def test_sweep_draws_and_prints(folder):
-    pytest.importorskip("matplotlib")
     result = sweep(folder, "--votes", "--score", "kappa")
     assert (
         result.exit_code == 0 and "best sets by kappa" in result.stdout and "6 sets, 1 cloud, 1 group" in result.stdout

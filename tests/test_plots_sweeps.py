@@ -17,7 +17,6 @@ SLOPES, THRESHOLDS, CELLS = [0.05, 0.1, 0.2, 0.4], [0.3, 0.5, 0.7], [0.5, 1.0]
 
 @pytest.fixture
 def plots():
-    pytest.importorskip("matplotlib")
     from jaxfilter import plots
 
     return plots

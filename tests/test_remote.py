@@ -269,7 +269,6 @@ PMF = {"max_window": 9.0, "low_clusters": False}
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     """It appears whole; where the store fails, no tile is made twice; a store that refuses is found out before any is made."""
-    pytest.importorskip("rasterio")
     target, work, local = "s3://surveys/dtm/all.tif", tmp_path / "work", tmp_path / "local.tif"
 
     def model(target, executor, **how):
@@ -303,7 +302,6 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 def test_commands_on_one_file_take_urls(tmp_path, bucket, west_and_east):
-    pytest.importorskip("rasterio")
     source, out = west_and_east / "west.laz", "s3://surveys/one"
     fields = [f"--{name.replace('_', '-')}={value}" for name, value in PMF.items() if value] + ["--no-low-clusters"]
     how = ["--filter", "pmf", *(f"--set={name}={value}" for name, value in PMF.items())]

@@ -545,7 +545,6 @@ def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_al
 
 
 def test_a_terrain_model_has_no_heights_where_there_is_no_ground(odd, tmp_path):
-    pytest.importorskip("rasterio")
     report = jf.terrain_model(odd, tmp_path / "a.tif", jf.PMF, PMF_FIELDS, cell=1.0, tile=40.0, executor=Here())
     values = jf.Raster.read(tmp_path / "a.tif").values
     assert report.complete and report.points == sum(len(laspy.read(path)) for path in odd.glob("*.laz"))
@@ -688,7 +687,6 @@ def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
 
 
 def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
-    pytest.importorskip("rasterio")
     how = {"cell": 1.0, "tile": 40.0}
     found = jf.terrain_model(jf.open(str(files)), tmp_path / "a.tif", jf.PMF, PMF_FIELDS, executor=Here(), **how)
     made = jf.terrain_model(jf.open(str(done[0])), tmp_path / "b.tif", executor=Here(), **how)
@@ -803,7 +801,6 @@ def test_tiles_without_any_ground_are_set_aside(files, tmp_path):
 
 
 def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
-    pytest.importorskip("rasterio")
     target, how = tmp_path / "dtm.tif", {"cell": 1.0, "tile": 40.0}
     survey = jf.open(str(files))
     first, second = Here(1, stop_after=5), Here(2)
@@ -841,7 +838,6 @@ def test_a_full_disk_ends_a_run_and_with_room_it_goes_on(files, done, disk):
 
 
 def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
-    pytest.importorskip("rasterio")
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 61.0, 2.0), np.arange(0.0, 61.0, 2.0)))
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
     las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
@@ -857,7 +853,6 @@ def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
 
 def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_into(tmp_path):
     """No ground within 10 m of the edge, nor in a void of 120 m: only tiles at the void need more than the first halo."""
-    pytest.importorskip("rasterio")
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 401.0, 5.0), np.arange(0.0, 121.0, 5.0)))
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
     las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
@@ -875,7 +870,6 @@ def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_
 
 
 def test_a_terrain_model_by_a_method_that_looks_at_the_whole_first(files, tmp_path):
-    pytest.importorskip("rasterio")
     csf = {"iterations": 60, "smooth": False}
     report = jf.terrain_model(jf.open(str(files)), tmp_path / "dtm.tif", jf.CSF, csf, tile=50.0, executor=Here())
     clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]

@@ -30,8 +30,13 @@ _BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
 
 
 def lattice(xy: np.ndarray) -> np.ndarray:
-    """i32[n, 2]: positions [n, >=2] in local metres, in steps of the quantum of the coordinates."""
-    return np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int32)
+    """i32[n, 2]: positions [n, >=2] in local metres, in steps of the quantum of the coordinates. Raises: ValueError for those
+    that are too far from zero to be counted so."""
+    with np.errstate(invalid="raise"):
+        try:
+            return np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int32)
+        except FloatingPointError as error:
+            raise ValueError(f"positions more than {2**31 * QUANTUM / 1000:.0f} km from the corner of the cloud: move them nearer") from error
 
 
 class Tin:
@@ -55,7 +60,8 @@ class Tin:
     ) -> None:
         """Triangulate ``vertices`` (i64, ascending; every sheet has three or more, not on a line) and locate the rest.
 
-        The vertices are at positions of their own. Raises: ValueError for positions more than 140 km apart.
+        The vertices are at positions of their own. Raises: ValueError for positions more than 140 km
+        apart, or too far from zero.
         """
         from . import flips, walks  # these import Numba, which takes longer than all the rest
         from .predicates import SPAN
