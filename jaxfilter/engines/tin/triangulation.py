@@ -36,7 +36,8 @@ def lattice(xy: np.ndarray) -> np.ndarray:
         try:
             return np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int32)
         except FloatingPointError as error:
-            raise ValueError(f"positions more than {2**31 * QUANTUM / 1000:.0f} km from the corner of the cloud: move them nearer") from error
+            far = f"{2**31 * QUANTUM / 1000:.0f} km from the corner of the cloud"
+            raise ValueError(f"positions more than {far}: move them nearer") from error
 
 
 class Tin:
