@@ -57,7 +57,7 @@ def as_column(field: str, values: Any, name: str, n: int) -> np.ndarray:
     wrong = (held != given) | (False if kind is bool else held > LARGEST[field])
     if wrong.any():
         at = int(wrong.argmax())
-        raise InputError(f"{name}: {field} of point {at} is {given[at]!r}: {allowed} are needed")
+        raise InputError(f"{name}: {field} of point {at} is {given[at].item()!r}: {allowed} are needed")
     return held
 
 
