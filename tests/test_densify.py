@@ -210,6 +210,21 @@ def test_a_block_has_its_points_and_the_seeds_within_reach_of_its_centre():
         assert np.array_equal(net.row[own], np.flatnonzero(near | (off <= 20).all(axis=1)))
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+@pytest.mark.parametrize(("place", "corners"), [(10.5, 0), (8.5, 4)])
+def test_a_block_is_completed_where_seeds_do_not_surround_all_points_of_its_overlap(turn, place, corners):
+    """The middle one of nine blocks reaches from 8 to 22; seeds around it leave out what is beyond x + y = 20."""
+    seeds = np.array([(7.0, 13.0), (13.0, 7.0), (23.0, 7.0), (23.0, 23.0), (7.0, 23.0)])
+    xy = 15 + turn * (np.array([*seeds, (place, place), (0.0, 0.0), (30.0, 30.0)]) - 15)
+    points = canonical_points(PointCloud.from_arrays(np.column_stack([xy, np.zeros(len(xy))])))
+    rows = cKDTree(points.xyz[:, :2]).query(xy[:5])[1]
+    none, nowhere = np.zeros(len(xy), bool), np.zeros((0, 2))
+    net = block_networks(points, np.sort(rows), nowhere, none, none, size=10.0, overlap=2.0, reach=12.0)
+    sheets = [net.row[net.sheet == number] for number in range(int(net.sheet[-1]) + 1)]
+    (middle,) = (sheet for sheet in sheets if np.isin(rows, sheet).all())
+    assert (middle < 0).sum() == corners
+
+
 def sheet_of(net, number):
     """One sheet of a network, as a network of its own."""
     part = net.sheet == number

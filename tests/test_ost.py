@@ -184,6 +184,25 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     np.testing.assert_allclose(landscape.at(middles), slope.ravel(), atol=1e-5)
 
 
+@pytest.mark.parametrize("cell", [0.5, 2.0])
+def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(monkeypatch, cell):
+    """Single cells stand up from level land, each higher than the one before: the run of their drops is one cell."""
+
+    class Seen(Exception):
+        """Ends the search when the first landscape is asked for."""
+
+    def of(z, cells, objects, sigma):
+        raise Seen(objects)
+
+    monkeypatch.setattr(Landscape, "of", of)
+    cells = cells_of(nodes(40, 0) * np.float32([cell, cell, 0]), cell)
+    slope = np.zeros(cells.lowest.shape, np.float32)
+    slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
+    with pytest.raises(Seen) as seen:
+        jf.OST(cell=cell, window=4 * cell, first_slope=0.6).objects(slope * cell, cells)
+    np.testing.assert_array_equal(seen.value.args[0], slope > 0.6)
+
+
 def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
     row, column = np.mgrid[:60, :60].astype(np.float32)
     level = np.zeros((60, 60), np.float32)
