@@ -7,6 +7,7 @@ import json
 import os
 import re
 
+import laspy
 import numpy as np
 import pyproj
 import pytest
@@ -278,6 +279,16 @@ def test_items_are_those_of_stac(folder, monkeypatch):
     np.testing.assert_allclose([project(*place) for place in ring[:2]], [(x0, y0), (x1, y0)], atol=1e-3)
     np.testing.assert_allclose(item["bbox"][0], min(place[0] for place in ring))
     assert ring[0] == ring[-1] and facts["proj:geometry"]["coordinates"][0][2] == [x1, y1]
+
+
+def test_items_list_the_dimensions_of_their_point_format(tmp_path):
+    whole = Collection(tile(f"{n}.laz", point_format=n) for n in range(11))
+    whole.to_vpc(tmp_path / "all.vpc")
+    named = {"red": "Red", "green": "Green", "blue": "Blue", "nir": "Infrared", "gps_time": "GpsTime"}
+    for n, item in enumerate(json.loads((tmp_path / "all.vpc").read_text())["features"]):
+        listed = {schema["name"] for schema in item["properties"]["pc:schemas"]}
+        there = {named[name] for name in laspy.PointFormat(n).dimension_names if name in named}
+        assert listed & set(named.values()) == there and {"X", "Y", "Z", "Classification"} <= listed
 
 
 def an_item(href="./a.laz", **properties):
