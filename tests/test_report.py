@@ -9,6 +9,7 @@ import re
 import zlib
 from html.parser import HTMLParser
 
+import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -343,7 +344,10 @@ def test_the_command_filters_or_takes_the_classes(file, tmp_path):
     assert facts["ground"][facts["step"]] == expected.ground.sum()
     scores = jf.evaluate(expected, cloud)
     assert facts["confusion"][facts["step"]] == scores.confusion.tolist()
-    done = run(file, tmp_path / "b.html", "--reference", file, "--title", "As delivered")
+    las = laspy.read(file)
+    las.points = las.points[np.arange(len(las))[::-1]]
+    las.write(tmp_path / "turned.laz")
+    done = run(file, tmp_path / "b.html", "--reference", tmp_path / "turned.laz", "--title", "As delivered")
     assert done.exit_code == 0 and "points are ground" in done.stdout, done.output
     delivered = facts_of(tmp_path / "b.html")
     assert delivered["ground"] == [int((cloud.classification == 2).sum())]

@@ -66,6 +66,11 @@ def test_expected_points_are_those_of_evenly_filled_files():
     assert at[0.0, 0.0] == pytest.approx(600 * 600, rel=0.01)
 
 
+def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
+    bounds, counts = np.array([[5.0, 5.0, 1000.0, 1000.0]]), np.array([1000])
+    assert len(plan_tiles(bounds, counts, metre=1.0, halo=0.0, lattice=10.0, cuts=4)) == 4 * 4
+
+
 def test_what_cannot_be_planned_is_refused():
     bounds, counts = np.array([[0.0, 0, 1000, 1000]]), np.array([10**9])
     with pytest.raises(jf.ParameterError, match="more than the 100,000 that the memory"):

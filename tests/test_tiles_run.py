@@ -187,6 +187,7 @@ def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, do
     report = run(files, tmp_path / "out", Here(fail=fail))
     assert tried.count(False) == 2 and tried.count(True) == 1
     assert [one["reason"] for one in report.set_aside] == ["no luck"] and not report.complete
+    assert np.flatnonzero(report.state == -1).tolist() == [0]
     assert len(report.files) == 3 and "tile 0 was set aside: no luck" in report.failed[0]["reason"]
     same = contents(done[0])
     assert all(same[name] == data for name, data in contents(tmp_path / "out").items())
