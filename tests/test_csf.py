@@ -99,6 +99,16 @@ def test_the_cloth_does_not_depend_on_threads_or_sweeps(rng, monkeypatch, sweep,
     assert alone.pinned.any() and not alone.pinned.all()
 
 
+def test_a_cloth_that_is_not_at_rest_takes_the_steps_that_are_asked_for(rng, monkeypatch):
+    """Two sweeps and a part of one."""
+    monkeypatch.setattr(module, "_SWEEP", 8)
+    limit = ragged(rng, 11, 14)
+    z, _, _ = one_by_one(limit.astype(float), MOVES[3], 0.0357, 0.0, 19)
+    cloth = drape(limit, MOVES[3], 0.0357, 0.0, 19)
+    assert cloth.steps == 19
+    np.testing.assert_allclose(cloth.height, z, atol=1e-4)
+
+
 @pytest.mark.parametrize("rigidness, shape, iterations", [(1, (11, 14), 500), (3, (5, 21), 8), (2, (1, 3), 500)])
 def test_the_cloth_in_array_operations_is_that_of_one_colour_after_the_other(rng, rigidness, shape, iterations):
     limit = ragged(rng, *shape)

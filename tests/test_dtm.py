@@ -17,7 +17,9 @@ from scipy.spatial.distance import cdist
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.cloud import QUANTUM
+from jaxfilter.core.points import canonical_points
 from jaxfilter.terrain import models
+from jaxfilter.terrain.interpolation import Linear
 
 ORIGIN = np.array([447_312.4, 5_301_208.7, 0.0])
 NATURAL = pytest.param(
@@ -99,6 +101,15 @@ def test_tin_is_the_linear_interpolator_of_scipy(rng):
     assert (np.isfinite(raster.values) != np.isfinite(expected)).sum() <= 2  # within millimetres of the hull
     difference = np.abs(raster.values - expected)[both]
     assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
+
+
+def test_circles_of_triangles_hold_their_positions_and_no_ground_point(rng):
+    xyz = canonical_points(scattered(rng, n=400, size=20.0)).xyz
+    at = rng.uniform(4, 16, (200, 2))
+    centre, radius = Linear(xyz, 1).circles(at)
+    three = np.sort(cdist(centre, xyz[:, :2]), axis=1)[:, :3]
+    np.testing.assert_allclose(three, radius[:, None] * np.ones(3), atol=3 * QUANTUM)
+    assert (np.hypot(*(at - centre).T) <= radius + QUANTUM).all()
 
 
 def test_a_raster_shows_itself_in_a_line(rng):
