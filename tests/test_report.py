@@ -136,7 +136,8 @@ def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud,
 
 
 def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_path):
-    path = jf.report(cloud, result, tmp_path / "page.html", max_points=2000)
+    reference = np.where(cloud.classification == 6, -1, cloud.reference).astype(np.int8)
+    path = jf.report(cloud, result, tmp_path / "page.html", max_points=2000, reference=reference)
     sample, step = facts_of(path)["sample"], np.array(facts_of(path)["sample"]["step"])
     assert (sample["number"], sample["of"]) == (2000, len(cloud))
     xyz = np.column_stack([array_of(path, axis) for axis in "xyz"]) * step + sample["low"]
@@ -148,6 +149,7 @@ def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_p
     flags = array_of(path, "flags")
     alike = (array_of(path, "code") <= facts_of(path)["step"]) == result.ground[row]
     assert alike.mean() > 0.99 and ((flags & 1 > 0) == cloud.candidate[row]).mean() > 0.99
+    assert ((flags & 6) == np.array([4, 6, 0])[reference[row]]).mean() > 0.99 and len(np.unique(flags & 6)) == 3
 
 
 # ---- maps ----
