@@ -326,6 +326,17 @@ def test_the_lowest_of_coinciding_points_is_the_vertex():
     assert (out.height[both] == 0).all() and (out.height[both + 1] > 0).all()
 
 
+def test_decisions_name_the_test_that_a_point_fails():
+    net = network_of(scene(9))
+    out = grown(net, max_angle=15, max_elevation=0.9, signed=1)
+    free, high = net.open & ~net.seed, out.elevation > 0.9
+    assert (out.decision[net.seed] == Decision.SEED).all()
+    expected = np.where(out.ground, Decision.ACCEPTED, np.where(high, Decision.ELEVATION, Decision.ANGLE))
+    np.testing.assert_array_equal(out.decision[free], expected[free])
+    assert np.bincount(expected[free])[[Decision.ACCEPTED, Decision.ANGLE, Decision.ELEVATION]].min() > 20
+    assert (out.angle[free & ~out.ground & ~high] > 15).all()
+
+
 def test_round_limit_is_reported():
     out = grown(network_of(scene(9)), max_angle=15, max_elevation=0.9, signed=1, max_rounds=2)
     assert not out.converged and len(out.trace) == 2

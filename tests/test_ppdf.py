@@ -10,6 +10,7 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.consensus import batches, cells_of, consensus_planes, rows_of
+from jaxfilter.steps.quadrants import Buckets, nearest_in_quadrants, rings
 from jaxfilter.steps.references import NearestReferences, QuadrantReferences, local_planes
 from jaxfilter.steps.scaled_planes import progressive_planes
 
@@ -113,6 +114,17 @@ def test_quadrants_against_brute_force(rng, side, reach):
     around.keep(half)
     around.add(references)
     np.testing.assert_allclose(around.square, brute(xy, query[half], references, reach), rtol=1e-5, atol=1e-6)
+
+
+def test_a_search_in_quadrants_ends_at_the_last_ring_of_cells():
+    """One point is in the corner of the square, 5.7 cells away, the other two cells."""
+    xy, at = np.float32([[8.5, 8.5], [2.5, 6.5]]), np.float32([[4.5, 4.5]])
+    cell, home = (np.int32([9 * y + x for x, y in some.astype(int)]) for some in (xy, at))
+    found, square = np.full((1, 4), -1, np.int32), np.full((1, 4), 100, np.float32)
+    buckets = Buckets.of(xy, np.arange(2), cell, (9, 9))
+    last = np.zeros(1, bool), np.zeros(1, np.int64)
+    nearest_in_quadrants(*buckets, at, home, rings(4), np.float32(1), found, square, *last)
+    assert found.tolist() == [[-1, 1, -1, -1]] and square.tolist() == [[100, 8, 100, 100]]
 
 
 def test_ties_go_to_the_reference_that_came_first_then_to_the_nearer_ring_of_cells(rng):
