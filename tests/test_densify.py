@@ -210,6 +210,17 @@ def test_a_block_has_its_points_and_the_seeds_within_reach_of_its_centre():
         assert np.array_equal(net.row[own], np.flatnonzero(near | (off <= 20).all(axis=1)))
 
 
+def test_blocks_begin_at_the_first_point_that_is_judged():
+    """One that is not lies 45 m before all others, in both directions."""
+    xyz = scene(3).xyz.astype(float)
+    xyz[0, :2] = 0.0
+    far = PointCloud.from_arrays(np.concatenate([xyz, [[-45.0, -45.0, 0.0]]]))
+    far = dataclasses.replace(far, candidate=np.arange(len(xyz) + 1) < len(xyz))
+    one, other = (blocks_of(canonical_points(cloud)) for cloud in (PointCloud.from_arrays(xyz), far))
+    np.testing.assert_array_equal(np.bincount(one.sheet), np.bincount(other.sheet))
+    assert one.sheet[-1] == 8
+
+
 @pytest.mark.parametrize("turn", [1, -1])
 @pytest.mark.parametrize(("place", "corners"), [(10.5, 0), (8.5, 4)])
 def test_a_block_is_completed_where_seeds_do_not_surround_all_points_of_its_overlap(turn, place, corners):
