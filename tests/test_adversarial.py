@@ -46,7 +46,7 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
 @pytest.mark.parametrize(("filter_", "words"), [
     (lambda: jf.SPF(cell=1.0, fill="zero"), None),  # cells at elevation 0 all round raise every other: no seed is left
     (lambda: jf.SPF(initial_window=10**9), "must be >= 1 and <= 1000 cells"),
-    (lambda: jf.CSF(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
+    (lambda: jf.FPTD(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
     (lambda: jf.OST(landscape=1e9, window=1000.0), ""),
     (lambda: jf.CSF(resolution=0.3, iterations=10_000), "so many steps of .* particles for 300 points"),
     (lambda: jf.CSF(time_step=1e9), "must be > 0 and <= 10"),
@@ -54,7 +54,6 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
     (lambda: jf.PTD(seed_cell=0.001), "cells of 0.001 m for the seeds make .* use larger ones"),
     (lambda: jf.SMRF(cell=0.5, window=300.0), "600 openings of .* cells for 300 points: use larger cells or a smaller"),
     (lambda: jf.PPDF(window=3000.0), "more than 1000 cells of canopy_cell=2 m"),
-    (lambda: jf.PPDF(hypotheses=10**9), "must be >= 1 and <= 4096"),
 ])  # fmt: skip
 def test_odd_parameters_give_labels_or_a_clear_error(filter_, words):
     """``experiments/faults/parameters.py`` tries a thousand sets."""

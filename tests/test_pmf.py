@@ -64,7 +64,7 @@ def windows(f):
             if f.last_window == "within":
                 break
             radius = limit
-        rise = f.slope * 2 * (radius - before) * f.cell * (f.cell if f.cell_twice else 1) if step else 0.0
+        rise = f.slope * 2 * (radius - before) * f.cell * (f.cell if f.compare == "points" else 1) if step else 0.0
         pairs.append((radius, min(rise + f.initial_distance, f.max_distance)))
         step += 1
     return pairs
@@ -115,7 +115,7 @@ def brute_points(xyz, f):
         {"element": "square", "max_window": 20.0},
         {"element": "diamond", "compare": "points", "last_window": "beyond", "max_window": 12.0},
         {"exponential": False, "max_window": 21.0, "last_window": "within"},
-        {"cell": 2.0, "cell_twice": True, "compare": "points", "max_window": 20.0},
+        {"cell": 2.0, "compare": "points", "max_window": 20.0},
     ],
 )
 def test_the_grid_reading_equals_brute_force(changes):
@@ -166,7 +166,7 @@ def test_windows_and_thresholds():
     assert PMF(max_window=0.5).radii() == [1]
     np.testing.assert_allclose(PMF.preset("pdal").thresholds(), [0.15, 2.15, 2.5, 2.5, 2.5])
     np.testing.assert_allclose(PMF.preset("pcl").thresholds(), [0.15, 1.55, 2.95, 5.75, 10.0])
-    twice, once = (PMF(cell=2.0, cell_twice=t, max_distance=99.0).thresholds() - 0.5 for t in (True, False))
+    twice, once = (PMF(cell=2.0, compare=c, max_distance=99.0).thresholds() - 0.5 for c in ("points", "surfaces"))
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
 
 

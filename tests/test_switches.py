@@ -8,7 +8,6 @@ from test_densify import plain
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.result import silent
-from jaxfilter.steps.scaled_planes import progressive_planes
 
 SWITCHED = {
     "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
@@ -18,7 +17,6 @@ SWITCHED = {
     "one by one": jf.PTD(insertion="sequential", max_rounds=2000, max_distance=0.5),
     "signed": jf.PTD(signed=True),
     "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
-    "ignored": jf.PPDF(ignored_share=0.02),
     "no reach": jf.PPDF(reach=np.inf),
 }
 
@@ -137,25 +135,6 @@ def test_tails_and_isolated_points_of_spf(rng):
     isolated[~tails] = xyz[~tails, 2] < lowest - 0.395
     both = filter_.replace(histogram_margin=5.0, isolated_depth=0.395)(xyz)
     assert tails.sum() == 5 and isolated[5] and isolated.sum() > 20 and (both.barred == tails | isolated).all()
-
-
-def test_points_ignored_below_a_plane_do_not_divide_its_cell(rng):
-    xy = rng.uniform(0, 20, (800, 2))
-    xyz = np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 800)])
-    for column, row, many in ((0, 0, 1), (1, 0, 3), (0, 1, 6)):  # low points in three of the four cells of 10 m
-        inside = np.flatnonzero((xy // 10 == (column, row)).all(1))
-        xyz[inside[:many], 2] -= 3.0
-    points = canonical_points(jf.PointCloud.from_arrays(np.concatenate([xyz, [[0, 0, 0], [20, 20, 4]]])))
-    given = {"cell": 10.0, "min_points": 20, "inlier_distance": 0.5, "division_distance": 1.0, "max_slope": 75.0}
-    draws = np.random.default_rng(0).random((64, 3)).astype(np.float32)
-    counted = np.ones(len(points), bool)
-    divided = [
-        progressive_planes(points, counted, draws, **given, ignored_share=q).divided for q in (0.0, 0.001, 0.01, 0.03)
-    ]
-    cells = np.unique(np.minimum(points.xyz[:, :2] // 10, 1), axis=0, return_counts=True)[1]
-    assert (cells > 150).all() and (cells < 250).all()  # so that 1 % are 2 or 3 points, 3 % at least 5 and at most 8
-    assert divided[0] > divided[1] > divided[2] >= divided[3]
-    assert divided[3] <= 1 and divided[0] >= 3
 
 
 def test_without_a_reach_references_are_found_across_any_void(rng):

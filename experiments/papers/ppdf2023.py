@@ -22,6 +22,7 @@ from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
 from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
+from jaxfilter.methods.ppdf import HYPOTHESES
 from jaxfilter.steps.scaled_planes import ScaledPlanes, progressive_planes
 from jaxfilter.steps.seeds import lowest_on_grid, under_canopy
 from jaxfilter.sweeps.comparison import timed
@@ -455,7 +456,7 @@ def staged(cloud: jf.PointCloud) -> Stages:
     cells = grid_over(points.xyz, filter_.canopy_cell)
     under = under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
     planes = progressive_planes(
-        points, under, jax.random.uniform(jax.random.key(0), (filter_.hypotheses, 3)), cell=filter_.cell,
+        points, under, jax.random.uniform(jax.random.key(0), (HYPOTHESES, 3)), cell=filter_.cell,
         min_points=filter_.min_points, inlier_distance=filter_.inlier_distance,
         division_distance=filter_.division_distance, max_slope=filter_.max_slope,
     )  # fmt: skip

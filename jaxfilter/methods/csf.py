@@ -90,10 +90,6 @@ class CSF(Filter):
     surface: str = static(
         default="lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
     )
-    radius: float = static(default=0.0, doc="radius of the outlier test; 0 = off", symbol="r", unit="m", ge=0)
-    min_neighbours: int = static(
-        default=1, doc="a point with fewer neighbours within the radius carries no cloth", symbol="n", ge=1, le=4096
-    )
     low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2016
@@ -147,8 +143,7 @@ class CSF(Filter):
 
     def _barred(self, points: Points, workers: int | None) -> np.ndarray:
         """bool[m]: points that carry no cloth, but for a cloud in which none would."""
-        radius, least, clusters = self.radius, self.min_neighbours, self.low_clusters
-        return bar_outliers(points, radius=radius, min_neighbours=least, clusters=clusters, workers=workers)[0]
+        return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)[0]
 
     def passed(self, labels: Labels | FilterResult) -> np.ndarray:
         """Sets that differ in the threshold share the cloth."""

@@ -27,7 +27,7 @@ from . import papers
 
 Limits = tuple[jax.Array, jax.Array]
 """The highest and the lowest elevation of ground in every cell."""
-_PROGRAM = {"last_window": "beyond", "compare": "points", "cell_twice": True, "low_clusters": False}
+_PROGRAM = {"last_window": "beyond", "compare": "points", "low_clusters": False}
 
 
 @filter_params
@@ -45,7 +45,8 @@ class PMF(GridFilter):
        h(k) = min(max_distance, slope x (w(k) - w(k-1)) x cell + initial_distance).
     4. ``compare`` = "surfaces", as in the paper: cells that the k-th opening lowers by more than h(k) are objects. Ground are
        points in other cells at most initial_distance above the first opening.
-       ``compare`` = "points", as programs have it: ground are points at most h(k) above the k-th opening, for every k.
+       ``compare`` = "points", as programs have it: ground are points at most h(k) above the k-th opening, for every k. As in
+       the programs, the rise of h(k) is multiplied by the cell twice.
 
     ``reading`` = "points" takes no grid: the windows are squares of w(k) x cell metres around each point, over the points
     that are ground so far, at their own elevations.
@@ -83,7 +84,6 @@ class PMF(GridFilter):
         doc="an opening is held against the surface before, or points",
     )
     element: str = static(default="disk", choices=("disk", "square", "diamond"), doc="shape of a window on the grid")
-    cell_twice: bool = static(default=False, doc="multiply the rise by the cell twice, as programs do")
     low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the surface")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2003
@@ -148,7 +148,7 @@ class PMF(GridFilter):
         >>> jf.PMF(max_window=9.0, slope=0.25).thresholds().tolist()
         [0.5, 1.0, 1.5]
         """
-        growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.cell_twice else 1.0)
+        growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.compare == "points" else 1.0)
         rise = jnp.float32(self.slope) * np.append(0.0, growth).astype(np.float32)
         return jnp.minimum(rise + jnp.float32(self.initial_distance), jnp.float32(self.max_distance))
 

@@ -24,6 +24,8 @@ from ..steps.seeds import lowest_seeds, under_canopy
 from ..steps.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
 from . import papers
 
+HYPOTHESES = 128  # planes tried per cell
+
 
 @filter_params
 class PPDF(Filter):
@@ -63,13 +65,9 @@ class PPDF(Filter):
     cell: float = static(default=10.0, unit="m", gt=0, doc="initial size of the planes")
     min_points: int = static(default=20, symbol="N_i", ge=3, doc="interior points that make a plane")
     inlier_distance: float = param(default=0.5, unit="m", gt=0, doc="distance of interior points from their plane")
-    hypotheses: int = static(default=128, ge=1, le=4096, doc="planes tried per cell")
     max_slope: float = param(default=75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
     division_distance: float = param(
         default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
-    )
-    ignored_share: float = param(
-        default=0.0, ge=0, lt=1, doc="share of a cell's points, the lowest, that do not divide it; rounded up"
     )
     buffer: float = param(default=0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
     window: float = static(
@@ -182,7 +180,7 @@ class PPDF(Filter):
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (self.hypotheses, 3), np.float32)
+        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (HYPOTHESES, 3), np.float32)
         planes = progressive_planes(
             points,
             under if self.seeds == "planes" else np.zeros_like(under),
@@ -191,7 +189,6 @@ class PPDF(Filter):
             min_points=self.min_points,
             inlier_distance=self.inlier_distance,
             division_distance=self.division_distance,
-            ignored_share=self.ignored_share,
             max_slope=self.max_slope,
         )
         over = Compared(planes.distance, planes.height, planes.slope)

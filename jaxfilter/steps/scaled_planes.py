@@ -41,7 +41,6 @@ def progressive_planes(
     inlier_distance: float,
     division_distance: float,
     max_slope: float,
-    ignored_share: float = 0.0,
 ) -> ScaledPlanes:
     """Progressive RANSAC plane detection (Cai et al. 2023, Sec. 2.4).
 
@@ -54,7 +53,6 @@ def progressive_planes(
         cell: metres, of the first cells; they start at the cloud's corner or at multiples from its anchor.
         inlier_distance: metres, of interior points from their plane.
         max_slope: degrees, of the planes.
-        ignored_share: of the points of a cell, rounded up, the lowest below its plane do not make it unreliable.
 
     Raises: InputError if the extent needs too many cells.
     """
@@ -82,8 +80,6 @@ def progressive_planes(
             parts.append([np.asarray(a)[: len(ends) - 1] for a in found])
         centre, normal, inliers, below = (np.concatenate(a) for a in zip(*parts, strict=True))
         centre = centre + xyz[members[start[:-1]]]
-        if ignored_share > 0:
-            below = _below(xyz[members], start, centre, normal, ignored_share)
         plane = inliers >= min_points
         reliable = plane & (below < division_distance)
         accepted, divided = accepted + int(reliable.sum()), divided + int((plane & ~reliable).sum())
@@ -101,16 +97,3 @@ def progressive_planes(
         if len(rows) == 0:
             return ScaledPlanes(distance, height, slope, side, accepted, divided)
         cell /= 2
-
-
-def _below(xyz: np.ndarray, start: np.ndarray, centre: np.ndarray, normal: np.ndarray, share: float) -> np.ndarray:
-    """f64[cells]: distance of the farthest point below the plane of its cell, after a share of the lowest is left out.
-
-    ``xyz``: f32[n, 3], points sorted by cell; those of cell i are start[i] to start[i + 1]; ``centre``, ``normal``: its plane.
-    """
-    count = np.diff(start)
-    cell = np.repeat(np.arange(len(count)), count)
-    residual = np.einsum("ni,ni->n", xyz - centre[cell], normal[cell]).astype(np.float64)
-    ranked = residual[np.lexsort((residual, cell))]
-    left_out = np.minimum(np.ceil(share * count - 1e-9).astype(np.int64), count - 1)
-    return -np.minimum(ranked[start[:-1] + left_out], 0.0)
