@@ -161,24 +161,18 @@ def test_designs_draw_from_ranges_and_choose_from_values(folder):
 
 
 def test_values_that_are_none_or_words_are_stored_as_words(folder):
-    axes = (
-        "--axis",
-        "long_edge=none,40",
-        "--axis",
-        "insertion=batch,one_per_facet",
-        "--axis",
-        "low_clusters=yes,no",
-    )
-    axes = (*axes, "--design", "list")
+    axes = ("--axis", "fill=neighbours,zero", "--axis", "low_clusters=yes,no", "--design", "list")
     result = run("sweep", "spf", folder / "truth.laz", folder / "out", *axes, "--json")
     assert result.exit_code == 0, result.output
     found = stored(folder)
-    assert found["long_edge"].values.tolist() == ["none", "40"]
-    assert found["insertion"].values.tolist() == ["batch", "one_per_facet"]
+    assert found["fill"].values.tolist() == ["neighbours", "zero"]
     assert found["low_clusters"].values.tolist() == [True, False]
     cloud = read(folder / "truth.laz", units="m")
-    last = jf.SPF(long_edge=40.0, insertion="one_per_facet", low_clusters=False)(cloud)
+    last = jf.SPF(fill="zero", low_clusters=False)(cloud)
     assert found["ground"].values[1] == last.ground.sum()
+    axes = ("--axis", "spacing=none,2", "--axis", "rounds=0")
+    assert run("sweep", "ost", folder / "truth.laz", folder / "out", *axes, "--fresh").exit_code == 0
+    assert stored(folder)["spacing"].values.tolist() == ["none", "2"]
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,8 @@ def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
     with pytest.raises(jf.InputError, match=rf"IPTD\(border_spacing\)={spacing:g} m: puts .* simulated points.*larger"):
         jf.IPTD(border_spacing=spacing)(xyz)
     assert jf.IPTD(border_spacing=0.008)(xyz).ground.any()
-    with pytest.raises(jf.InputError, match=r"SPF\(border_spacing\)=0.05 m: puts 3.99e.05 .*200,000 are possible"):
-        jf.SPF(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
+    with pytest.raises(jf.InputError, match=r"IPTD\(border_spacing\)=0.05 m: puts 3.99e.05 .*200,000 are possible"):
+        jf.IPTD(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
 
 
 def test_presets_hold_the_printed_parameters():

@@ -32,8 +32,6 @@ RUNS = {
     "spf_unfiltered": jf.FILTERS["spf"](seed_filter=False),
     "spf_small": jf.FILTERS["spf"](window=15.0),
     "spf_small_unfiltered": jf.FILTERS["spf"](window=15.0, seed_filter=False),
-    "spf_largest": jf.FILTERS["spf"](clusters="largest"),
-    "spf_exponential": jf.FILTERS["spf"](growth="exponential"),
     "spf_paper": jf.FILTERS["spf"].preset("paper"),
     "spf_one_per_facet": jf.FILTERS["spf"](insertion="one_per_facet"),
 }
@@ -282,8 +280,8 @@ def ablation(report: paper.Report, rows: Sequence[Row], seeds: Sequence[Row]) ->
     report.table("variants", "Variants, means over the samples", columns, means)
     report.text(
         "`spf_unfiltered`: without the seed filter; `spf_small`, `spf_small_unfiltered`: with and without it where the openings "
-        "stop at 15 m, so that they leave roofs to it; `spf_largest`: only the largest cluster of seeds; `spf_exponential`: "
-        "windows after eq. 2; `spf_paper`: no search for low outliers, and elevation 0 in empty cells that have no neighbour."
+        "stop at 15 m, so that they leave roofs to it; `spf_paper`: no search for low outliers, and elevation 0 in empty cells "
+        "that have no neighbour."
     )
     columns = [
         ("sample", "sample", ""),

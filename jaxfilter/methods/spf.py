@@ -14,14 +14,14 @@ from ..engines.grid.morphology import raised_cells
 from ..engines.grid.spread import fill_from_neighbours
 from ..engines.tin.growth import Network
 from ..steps.outliers import isolated_low
-from ..steps.seed_clusters import CLUSTERS, clustered_seeds
+from ..steps.seed_clusters import clustered_seeds
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
 from ..steps.tin_filter import Mirroring, facet_reach
 from . import papers
 
-GROWTHS = ("linear", "exponential")
 FILLS = ("neighbours", "zero")
+BORDER_SPACING = 10.0  # metres between the simulated points around the seeds
 _TAIL = 1e-3
 """Share of the points beyond each end of the histogram of elevations that outliers are counted from."""
 
@@ -55,13 +55,7 @@ class SPF(Mirroring):
     """
 
     cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    initial_window: int = static(
-        default=1, symbol="w0", unit="cells", ge=1, le=1000, doc="half the growth of the linear windows"
-    )
     window: float = static(default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="size of the largest building")
-    growth: str = static(
-        default="linear", choices=GROWTHS, doc="windows 2 k w0 + 1 (eq. 1), or each twice the last (eq. 2)"
-    )
     slope: float = param(default=0.5, symbol="s", unit="rise/run", ge=0, doc="terrain slope in the height thresholds")
     initial_distance: float = param(
         default=0.3, symbol="h0", unit="m", gt=0, doc="height threshold of the smallest window"
@@ -73,16 +67,6 @@ class SPF(Mirroring):
         default="neighbours", choices=FILLS, doc="empty cells: filled from their neighbours, or at elevation 0"
     )
     seed_filter: bool = static(default=True, doc="remove noise from the seeds on their triangulation")
-    long_edge: float | None = static(
-        default=None, unit="m", gt=0, optional=True, doc="longest edge of a sound facet; None = window and two cells"
-    )
-    narrow_angle: float = param(
-        default=30.0, unit="degrees", gt=0, le=60, doc="smallest angle of facets that may separate"
-    )
-    steep_angle: float = param(
-        default=60.0, unit="degrees", gt=0, le=90, doc="slope above which narrow facets separate"
-    )
-    clusters: str = static(default="not_raised", choices=CLUSTERS, doc="seed clusters that are kept")
     max_angle: float = param(
         default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
@@ -93,7 +77,6 @@ class SPF(Mirroring):
     isolated_depth: float = static(
         default=0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"
     )
-    border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
 
     BIBTEX: ClassVar[str] = papers.CHEN_2023
     WINDOW: ClassVar[str] = "window"
@@ -122,15 +105,14 @@ class SPF(Mirroring):
         return 2 * self.windows()[-1] * self.cell + facet_reach(self.window)
 
     def windows(self) -> list[int]:
-        """Window sizes W_k in cells, all odd (eq. 1, or eq. 2 with W_1 = 2 w0 + 1); the last exceeds the largest building.
+        """Window sizes W_k = 2 k + 1 in cells (eq. 1); the last exceeds the largest building.
 
         >>> jf.SPF(cell=2.0, window=12.0).windows()
         [3, 5, 7]
         """
-        sizes = [2 * self.initial_window + 1]
+        sizes = [3]
         while sizes[-1] * self.cell <= self.window:
-            step = 2 * self.initial_window if self.growth == "linear" else sizes[-1] + 1
-            sizes.append(sizes[-1] + step)
+            sizes.append(sizes[-1] + 2)
         return sizes
 
     def thresholds(self) -> list[float]:
@@ -184,13 +166,10 @@ class SPF(Mirroring):
             progress(0.0, "seeds")
             keep = clustered_seeds(
                 points.xyz[potential],
-                long_edge=self.window + 2 * self.cell if self.long_edge is None else self.long_edge,
-                narrow_angle=self.narrow_angle,
-                steep_angle=self.steep_angle,
+                long_edge=self.window + 2 * self.cell,
                 raised=self.max_height,
-                clusters=self.clusters,
                 workers=workers,
             )
             seeds = potential[keep]
         info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
-        return self.network(points, seeds, self.border_spacing, barred, late, info=info)
+        return self.network(points, seeds, BORDER_SPACING, barred, late, info=info)

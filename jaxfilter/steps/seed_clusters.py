@@ -11,8 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from ..engines.tin.triangulation import Tin
 
-CLUSTERS = ("not_raised", "largest")
-"""Which clusters of facets are ground: those that do not stand above most of their surroundings, or the largest only."""
+NARROW, STEEP = 30.0, 60.0
+"""Degrees: a facet with a smaller angle, in 3-D, is narrow; one of more slope is steep."""
 _RAISED = 2 / 3
 
 
@@ -20,10 +20,7 @@ def clustered_seeds(
     xyz: np.ndarray,
     *,
     long_edge: float,
-    narrow_angle: float,
-    steep_angle: float,
     raised: float,
-    clusters: str = "not_raised",
     workers: int | None = None,
 ) -> np.ndarray:
     """bool[s]: the potential seeds that are ground, by the facets of their Delaunay triangulation.
@@ -36,11 +33,8 @@ def clustered_seeds(
     Args:
         xyz: f32[s, 3], local metres, at positions of their own, in canonical order.
         long_edge: metres, in 3-D.
-        narrow_angle: degrees; the smallest angle of a narrow facet, in 3-D, is less than this.
-        steep_angle: degrees of slope of a steep facet.
         raised: metres. A cluster is raised if the ground drops by more than this over at least two thirds of its perimeter,
             the border of the network included in the perimeter. The largest cluster never is.
-        clusters: one of :data:`CLUSTERS`.
 
     Fewer than three seeds, or seeds on one line, are all kept.
     """
@@ -59,7 +53,7 @@ def clustered_seeds(
     long_facet = np.flatnonzero(square.max(axis=1) > long_edge**2)
     noise[facet[long_facet, z[long_facet].argmax(axis=1)]] = True
     separates = noise[facet].any(axis=1) | (
-        (_smallest_angle(square) < narrow_angle) & (_slope(edge[:, 0], edge[:, 1]) > steep_angle)
+        (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
     )
     row, side = np.nonzero((beside >= 0) & ~separates[beside] & ~separates[:, None])
     links = coo_array((np.ones(len(row), np.int8), (row, beside[row, side])), shape=(len(facet), len(facet)))
@@ -69,10 +63,8 @@ def clustered_seeds(
     if len(inner) == 0:
         return ~noise
     size = np.bincount(cluster[inner], minlength=cluster.max() + 1)
-    good = np.zeros(len(size), bool)
+    good = ~_raised(corner, beside, cluster, len(size), raised) & (size > 0)
     good[size.argmax()] = True
-    if clusters == "not_raised":
-        good |= ~_raised(corner, beside, cluster, len(size), raised) & (size > 0)
     keep = np.zeros(s, bool)
     keep[facet[inner[good[cluster[inner]]]]] = True
     return keep

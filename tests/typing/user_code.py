@@ -37,7 +37,7 @@ def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:
         jf.PTD(max_angle=8.0),
         jf.PTDF(),
         jf.SMRF(0.5, 0.2, threshold=0.3, scaling=1.0),
-        jf.SPF(long_edge=None),
+        jf.SPF(slope=0.4),
         jf.STIN(stop_ratio=0.05),
     ]
     return {type(one).__name__: one(xyz, workers=1, key=jax.random.key(0)).ground for one in filters}
