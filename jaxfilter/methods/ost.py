@@ -24,13 +24,23 @@ from . import papers
 
 PASSES = 2
 """How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
+FIRST_SLOPE = 0.15
+"""That fixed slope, rise over run."""
+LOW_DEPTH = 1.0
+"""A point so many metres below the ring around it is low."""
+RIM = 4.0
+"""Metres around the corners of a triangle over a void, within which the lowest point counts."""
+MAX_TOLERANCE = 0.3
+"""The tolerance does not grow beyond this, metres."""
+TILTS = (0.1, 1.0)
+"""Least and largest tolerance per slope of the facet, metres."""
 
 
 @filter_params
 class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
-    1. Low points are barred: those more than ``low_depth`` below all cells of a ring around theirs, and clusters of at most
+    1. Low points are barred: those more than a metre below all cells of a ring around theirs, and clusters of at most
        ``low_points``, or four times as many that are deep (:func:`jaxfilter.steps.outliers.low_clusters`).
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
@@ -43,8 +53,7 @@ class OST(Filter):
        of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Steps 4
        and 5 are repeated once, since G needs to know what is an object.
     6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. On their triangulation all
-       points within ``tolerance`` + ``scaling`` x slope + ``relief_scaling`` x G become ground, where the tolerance grows
-       with the point spacing.
+       points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
@@ -76,15 +85,11 @@ class OST(Filter):
     spacing: float | None = static(
         default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
     )
-    low_depth: float = param(default=1.0, unit="m", gt=0, doc="a point so far below the ring around it is low")
     low_points: int = static(
         default=30, ge=0, doc="largest cluster of low points that is barred, or a fourth of a deep one; 0 = none"
     )
     slope: float = param(default=0.09, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
     relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
-    first_slope: float = param(
-        default=0.15, unit="rise/run", gt=0, doc="the same for the first estimate of the landscape"
-    )
     landscape: float = param(
         default=30.0, unit="m", gt=0, doc="how far around a place its landscape reaches: one sigma"
     )
@@ -96,17 +101,11 @@ class OST(Filter):
     roof_drop: float = param(default=1.8, unit="m", gt=0, doc="fall of the surface at the border of an object")
     roof_drop_share: float = param(default=0.53, gt=0, le=1, doc="share of such border that makes a segment an object")
     void: float = param(default=8.0, unit="m", gt=0, doc="triangles with longer edges, and 4 spacings, span a void")
-    rim: float = static(
-        default=4.0, unit="m", gt=0, cells=1000, doc="around the corners of such a triangle the lowest point counts"
-    )
     tolerance: float = param(default=0.09, unit="m", ge=0, doc="height of ground over the facets of the seeds")
     tolerance_spacing: float = param(
         default=0.2, unit="m/m", ge=0, doc="height that is added per metre of point spacing"
     )
-    max_tolerance: float = param(default=0.3, unit="m", gt=0, doc="largest sum of both")
     scaling: float = param(default=1.0, unit="m/m", ge=0, doc="height per slope of the facet, times the point spacing")
-    min_scaling: float = param(default=0.1, unit="m", ge=0, doc="least height per slope of the facet; the most is 1 m")
-    relief_scaling: float = param(default=0.0, unit="m", ge=0, doc="height per slope of the landscape")
     max_distance: float = param(default=1.25, unit="tolerances", gt=0, doc="distance to the facet in densification")
     distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
     max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
@@ -152,7 +151,7 @@ class OST(Filter):
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
         with GroundTin(points.xyz[lowest], np.arange(len(lowest)), workers) as all_lowest:
-            z = filled_by(all_lowest.tin, cells, math.ceil(self.rim / self.cell - 1e-6), longest)
+            z = filled_by(all_lowest.tin, cells, math.ceil(RIM / self.cell - 1e-6), longest)
         progress(0.2, "openings")
         objects, drop, landscape = self.objects(z, cells)
         in_object, steepness = look_up(points.xyz, cells, jnp.asarray(objects, jnp.float32), drop)
@@ -163,9 +162,9 @@ class OST(Filter):
             seeds = lowest
         progress(0.4, "triangulation")
         with GroundTin(points.xyz, seeds, workers) as ground:
-            height = min(self.tolerance + self.tolerance_spacing * spacing, self.max_tolerance)
-            tilt = min(max(self.scaling * spacing, self.min_scaling), 1.0)
-            ground.admit(np.float32(height) + np.float32(self.relief_scaling) * around, tilt, but=low)
+            height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
+            tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
+            ground.admit(np.full(len(points), height, np.float32), tilt, but=low)
             distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
             angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
             progress(0.5, "densify")
@@ -185,7 +184,7 @@ class OST(Filter):
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
         cells = self.cells(points, np.zeros(len(points), bool))
-        low = ring_low(points.xyz, cells, float(self.low_depth), max(1, round(3 / self.cell)))
+        low = ring_low(points.xyz, cells, LOW_DEPTH, max(1, round(3 / self.cell)))
         if self.low_points:
             low |= low_clusters(points, max_points=self.low_points).barred
         return low
@@ -213,7 +212,7 @@ class OST(Filter):
         steepest = steepest_drops(jnp.asarray(z), cells.valid, reach)
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
         segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
-        objects = np.asarray(steepest > self.first_slope * self.cell)
+        objects = np.asarray(steepest > FIRST_SLOPE * self.cell)
         for _ in range(PASSES):
             landscape = Landscape.of(z, cells, objects, float(self.landscape))
             around = landscape.in_cells()
