@@ -161,5 +161,5 @@ def test_what_notebooks_show_is_escaped_and_complete(town):
     result = jf.SMRF(threshold=0.4)(cloud)
     assert f"{int(result.ground.sum()):,}" in result._repr_html_() and "threshold=0.4" in result._repr_html_()
     assert "0.4 (default 0.5)" in result.run.filter._repr_html_()
-    assert "tolerance on level terrain" in jf.SMRF()._repr_html_()
+    assert "ground is at most this far from level terrain" in jf.SMRF()._repr_html_()
     assert "<table" in jf.PointCloud.from_arrays(np.zeros((0, 3)))._repr_html_()

@@ -251,7 +251,13 @@ def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
     path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, title=title)
     page = Page(path.read_text())
     assert page.open == [] and page.links == ["data:,"] and len(page.ids) == len(set(page.ids))
-    for words in (title, "pingel2013improved", "tolerance on level terrain", f"{len(cloud):,}", jf.__version__):
+    for words in (
+        title,
+        "pingel2013improved",
+        "ground is at most this far from level terrain",
+        f"{len(cloud):,}",
+        jf.__version__,
+    ):
         assert words in page.text
     assert not re.search(r"https?://|@import|url\(", re.sub(r"<pre>.*?</pre>", "", path.read_text(), flags=re.DOTALL))
 

@@ -65,32 +65,30 @@ class CSF(Filter):
     True
     """
 
-    resolution: float = static(default=1.0, doc="distance between particles of the cloth", symbol="GR", unit="m", gt=0)
-    rigidness: int = static(
-        default=2, doc="1 for steep, 2 for gently sloped, 3 for flat terrain", symbol="RI", choices=(1, 2, 3)
+    resolution: float = static(
+        default=1.0, doc="particles of the cloth are this far apart", symbol="GR", unit="m", gt=0
     )
-    threshold: float = param(default=0.5, doc="largest distance of ground from the cloth", symbol="hcc", unit="m", gt=0)
-    iterations: int = param(default=500, doc="limit of steps of the simulation", ge=1, le=10_000)
+    rigidness: int = static(
+        default=2, doc="the cloth suits steep (1), gentle (2) or flat terrain (3)", symbol="RI", choices=(1, 2, 3)
+    )
+    threshold: float = param(
+        default=0.5, doc="ground is less than this far from the cloth", symbol="hcc", unit="m", gt=0
+    )
+    iterations: int = param(default=500, doc="the cloth falls for at most this many steps", ge=1, le=10_000)
     time_step: float = param(
-        default=0.65,
-        doc="time between steps; it has no unit, since gravity is 0.2 m per its square",
-        symbol="dT",
-        gt=0,
-        le=10,
+        default=0.65, doc="a step takes this time (no unit); gravity is 0.2 m per its square", symbol="dT", gt=0, le=10
     )
     gravity: str = static(
-        default="equation",
-        doc="way per step: 0.2 dT^2 (equation) or 0.2 dT^4 (program)",
-        choices=("equation", "program"),
+        default="equation", doc="a step is a fall by 0.2 dT^2, or 0.2 dT^4 (program)", choices=("equation", "program")
     )
-    smooth: bool = static(default=True, doc="put free particles on ground that adjoins without a step", symbol="ST")
+    smooth: bool = static(default=True, doc="a free particle joins ground beside it if no step is between", symbol="ST")
     max_step: float = param(
-        default=0.3, doc="smallest elevation difference that is a step", symbol="hcp", unit="m", gt=0
+        default=0.3, doc="a difference in elevation is a step from this on", symbol="hcp", unit="m", gt=0
     )
     surface: str = static(
-        default="lowest", doc="the point that a particle falls onto: nearest or lowest", choices=("nearest", "lowest")
+        default="lowest", doc="a particle falls onto its nearest or lowest point", choices=("nearest", "lowest")
     )
-    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the cloth")
+    low_clusters: bool = static(default=True, doc="clusters of low outliers do not carry the cloth")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2016
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)

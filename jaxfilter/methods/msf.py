@@ -50,17 +50,21 @@ class MSF(GridFilter):
     """
 
     window: float = static(
-        default=10.0, symbol="d_max", unit="m", gt=0, cells=MAX_REACH, doc="radius in which lower points are looked for"
+        default=10.0, symbol="d_max", unit="m", gt=0, cells=MAX_REACH, doc="lower points are sought within this radius"
     )
-    slope: float = param(default=0.577, unit="rise/run", gt=0, doc="largest slope of terrain; 0.577 is 30 degrees")
-    max_height: float = param(default=6.0, unit="m", gt=0, doc="largest rise of terrain within the window")
-    initial_distance: float = param(default=0.3, unit="m", ge=0, doc="tolerance for noise, at no distance")
+    slope: float = param(
+        default=0.577, unit="rise/run", gt=0, doc="terrain rises at most this steeply; 0.577 is 30 degrees"
+    )
+    max_height: float = param(default=6.0, unit="m", gt=0, doc="terrain rises at most by this within the window")
+    initial_distance: float = param(
+        default=0.3, unit="m", ge=0, doc="a point may be this much higher than one beside it, because of noise"
+    )
     distance: str = static(
         default="cells",
         choices=("cells", "points"),
-        doc="from cell to cell, or from the point to the lowest point of the cell",
+        doc="the distance is measured from cell to cell (cells), or from the point to the lowest point of each cell (points)",
     )
-    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the minima")
+    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the lowest elevations")
 
     BIBTEX: ClassVar[str] = papers.VOSSELMAN_2000
     ORDER_FREE: ClassVar[bool] = True

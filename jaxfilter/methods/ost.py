@@ -74,51 +74,80 @@ class OST(Filter):
     True
     """
 
-    cell: float = static(default=1.0, unit="m", gt=0, doc="side of a grid cell")
+    cell: float = static(default=1.0, unit="m", gt=0, doc="a grid cell is this wide")
     window: float = static(
-        default=25.0,
-        unit="m",
-        gt=0,
-        cells=1000,
-        doc="radius of the largest disk: half the width of the largest building",
+        default=25.0, unit="m", gt=0, cells=1000, doc="the largest disk has this radius: half the largest building"
     )
     spacing: float | None = static(
-        default=None, unit="m", gt=0, optional=True, doc="point spacing that tolerances follow; None = as measured"
+        default=None, unit="m", gt=0, optional=True, doc="tolerances follow this point spacing; None = the measured one"
     )
     low_points: int = static(
-        default=30, ge=0, doc="largest cluster of low points that is barred, or a fourth of a deep one; 0 = none"
+        default=30, ge=0, doc="a cluster of low points is barred up to this size, a deep one up to four times; 0 = none"
     )
-    slope: float = param(default=0.09, unit="rise/run", ge=0, doc="drops in level land from which on cells are marked")
-    relief: float = param(default=0.4, ge=0, doc="share of the slope of the landscape that is added to it")
+    slope: float = param(
+        default=0.09,
+        unit="rise/run",
+        ge=0,
+        doc="a cell is marked as an object if it drops more steeply than this on level land",
+    )
+    relief: float = param(default=0.4, ge=0, doc="this share of the slope of the landscape is added to that slope")
     landscape: float = param(
-        default=30.0, unit="m", gt=0, doc="how far around a place its landscape reaches: one sigma"
+        default=30.0, unit="m", gt=0, doc="the landscape around a place is a mean with weights of this sigma"
     )
     roof_step: float = param(
-        default=0.42, unit="m", gt=0, doc="steps between neighbouring cells of a segment are smaller"
+        default=0.42, unit="m", gt=0, doc="neighbouring cells are one segment if they differ by less than this"
     )
-    roof_area: float = param(default=30.0, unit="m2", gt=0, doc="smallest segment that is judged as a whole")
-    roof_share: float = param(default=0.55, gt=0, le=1, doc="share of marked cells that makes a segment an object")
-    roof_drop: float = param(default=1.8, unit="m", gt=0, doc="fall of the surface at the border of an object")
-    roof_drop_share: float = param(default=0.53, gt=0, le=1, doc="share of such border that makes a segment an object")
-    void: float = param(default=8.0, unit="m", gt=0, doc="triangles with longer edges, and 4 spacings, span a void")
-    tolerance: float = param(default=0.09, unit="m", ge=0, doc="height of ground over the facets of the seeds")
+    roof_area: float = param(
+        default=30.0, unit="m2", gt=0, doc="a segment is judged as a whole if it is at least this large"
+    )
+    roof_share: float = param(
+        default=0.55, gt=0, le=1, doc="a segment is an object if at least this share of its cells is marked"
+    )
+    roof_drop: float = param(
+        default=1.8, unit="m", gt=0, doc="the surface falls by more than this at the border of an object"
+    )
+    roof_drop_share: float = param(
+        default=0.53, gt=0, le=1, doc="a segment is an object if the surface falls along this share of its border"
+    )
+    void: float = param(
+        default=8.0, unit="m", gt=0, doc="a triangle spans a void if an edge is longer than this and than 4 spacings"
+    )
+    tolerance: float = param(
+        default=0.09, unit="m", ge=0, doc="ground is at most this far above or below the triangulation of the seeds"
+    )
     tolerance_spacing: float = param(
-        default=0.2, unit="m/m", ge=0, doc="height that is added per metre of point spacing"
+        default=0.2, unit="m/m", ge=0, doc="the tolerance grows by this per metre of point spacing, up to 0.3 m"
     )
-    scaling: float = param(default=1.0, unit="m/m", ge=0, doc="height per slope of the facet, times the point spacing")
-    max_distance: float = param(default=1.25, unit="tolerances", gt=0, doc="distance to the facet in densification")
-    distance_relief: float = param(default=0.8, unit="m/m", ge=0, doc="distance per slope of the landscape and spacing")
-    max_angle: float = param(default=8.0, unit="degrees", gt=0, lt=90, doc="angle to the facet in densification")
-    angle_relief: float = param(default=60.0, unit="degrees", ge=0, doc="angle per slope of the landscape")
+    scaling: float = param(
+        default=1.0, unit="m/m", ge=0, doc="the tolerance grows by this times the spacing and the slope of the facet"
+    )
+    max_distance: float = param(
+        default=1.25, unit="tolerances", gt=0, doc="a point joins if it is at most this far from the plane of its facet"
+    )
+    distance_relief: float = param(
+        default=0.8, unit="m/m", ge=0, doc="the distance grows by this times the spacing and the slope of the landscape"
+    )
+    max_angle: float = param(
+        default=8.0, unit="degrees", gt=0, lt=90, doc="a point joins if its angle to its facet is less than this"
+    )
+    angle_relief: float = param(
+        default=60.0, unit="degrees", ge=0, doc="that angle grows with the slope of the landscape by this"
+    )
     noise: float = param(
-        default=0.1, unit="m", ge=0, doc="so near to the plane of its facet a point joins whatever the angle"
+        default=0.1, unit="m", ge=0, doc="a point joins at any angle if it is this near to the plane of its facet"
     )
-    rounds: int = static(default=6, ge=0, doc="rounds of densification")
+    rounds: int = static(default=6, ge=0, doc="densification takes at most this many rounds")
     scene_spread: float = param(
-        default=6.0, unit="sigma", gt=0, doc="residuals of vertices that are dropped, by the scatter of the scene"
+        default=6.0,
+        unit="sigma",
+        gt=0,
+        doc="a vertex is dropped if its residual exceeds this many times the scatter of the scene",
     )
     local_spread: float = param(
-        default=3.0, unit="sigma/m", gt=0, doc="and by that of those around, times the spacing up to one metre"
+        default=3.0,
+        unit="sigma/m",
+        gt=0,
+        doc="a vertex that is dropped also exceeds this many times the scatter around it, times the spacing up to 1 m",
     )
 
     DOUBTS: ClassVar[bool] = True

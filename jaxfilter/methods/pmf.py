@@ -66,25 +66,33 @@ class PMF(GridFilter):
     """
 
     max_window: float = static(
-        default=60.0, symbol="w", unit="m", gt=0, cells=2000, doc="side of the largest window: the largest building"
+        default=60.0, symbol="w", unit="m", gt=0, cells=2000, doc="the largest window is as wide as the widest building"
     )
-    slope: float = param(default=0.268, symbol="s", unit="rise/run", gt=0, doc="largest slope of terrain (15 degrees)")
-    initial_distance: float = param(default=0.5, symbol="dh0", unit="m", ge=0, doc="threshold of the first window")
-    max_distance: float = param(default=3.0, symbol="dhmax", unit="m", gt=0, doc="largest threshold: lowest building")
-    exponential: bool = static(default=True, doc="windows double, instead of growing by four cells")
+    slope: float = param(
+        default=0.268, symbol="s", unit="rise/run", gt=0, doc="terrain rises at most this steeply; 0.268 is 15 degrees"
+    )
+    initial_distance: float = param(
+        default=0.5, symbol="dh0", unit="m", ge=0, doc="the first window has this height threshold"
+    )
+    max_distance: float = param(
+        default=3.0, symbol="dhmax", unit="m", gt=0, doc="no threshold exceeds this: the height of the lowest building"
+    )
+    exponential: bool = static(
+        default=True, doc="each window is twice as wide as the one before; if false, four cells wider"
+    )
     last_window: str = static(
-        default="exact", choices=("exact", "within", "beyond"), doc="last window meets, keeps to or passes max_window"
+        default="exact", choices=("exact", "within", "beyond"), doc="the last one meets, keeps to or passes max_window"
     )
     reading: str = static(
-        default="grid", choices=("grid", "points"), doc="windows on a grid of minima, or around every point"
+        default="grid", choices=("grid", "points"), doc="windows lie on a grid of minima, or around every point"
     )
     compare: str = static(
-        default="surfaces",
-        choices=("surfaces", "points"),
-        doc="an opening is held against the surface before, or points",
+        default="surfaces", choices=("surfaces", "points"), doc="an opening is compared with the last surface or points"
     )
-    element: str = static(default="disk", choices=("disk", "square", "diamond"), doc="shape of a window on the grid")
-    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the surface")
+    element: str = static(
+        default="disk", choices=("disk", "square", "diamond"), doc="windows on the grid have this shape"
+    )
+    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the surface")
 
     BIBTEX: ClassVar[str] = papers.ZHANG_2003
     ORDER_FREE: ClassVar[bool] = True

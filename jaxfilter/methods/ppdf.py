@@ -58,44 +58,65 @@ class PPDF(Filter):
     True
     """
 
-    canopy_cell: float = static(default=2.0, unit="m", gt=0, doc="cell whose lowest point is under the canopy")
+    canopy_cell: float = static(
+        default=2.0, unit="m", gt=0, doc="the canopy is above the lowest point of a cell that is this wide"
+    )
     canopy_height: float = param(
-        default=5.0, symbol="T_h", unit="m", gt=0, doc="height over it below which points are kept"
+        default=5.0,
+        symbol="T_h",
+        unit="m",
+        gt=0,
+        doc="a point is under the canopy if it is less than this above the lowest point of its cell",
     )
-    cell: float = static(default=10.0, unit="m", gt=0, doc="initial size of the planes")
-    min_points: int = static(default=20, symbol="N_i", ge=3, doc="interior points that make a plane")
-    inlier_distance: float = param(default=0.5, unit="m", gt=0, doc="distance of interior points from their plane")
-    max_slope: float = param(default=75.0, unit="degrees", gt=0, le=90, doc="steeper planes are not tried")
+    cell: float = static(
+        default=10.0, unit="m", gt=0, doc="the first planes are searched for in cells that are this wide"
+    )
+    min_points: int = static(default=20, symbol="N_i", ge=3, doc="a plane has at least this many points near it")
+    inlier_distance: float = param(
+        default=0.5, unit="m", gt=0, doc="a point is near a plane if it is at most this far from it"
+    )
+    max_slope: float = param(
+        default=75.0, unit="degrees", gt=0, le=90, doc="planes that are steeper than this are not tried"
+    )
     division_distance: float = param(
-        default=1.0, symbol="T_d", unit="m", gt=0, doc="cells with a point this far below their plane are divided"
+        default=1.0, symbol="T_d", unit="m", gt=0, doc="a cell is divided if a point is this far below its plane"
     )
-    buffer: float = param(default=0.5, unit="m", gt=0, doc="points this close to the plane of their cell are seeds")
+    buffer: float = param(
+        default=0.5, unit="m", gt=0, doc="a point is a seed if it is at most this far from the plane of its cell"
+    )
     window: float = static(
-        default=18.0, unit="m", ge=0, doc="radius of the largest disk that opens the seeds: half a building; 0 = off"
+        default=18.0, unit="m", ge=0, doc="seeds are opened with disks up to this radius: half a building; 0 = none"
     )
     slope: float = param(
-        default=0.3, unit="rise/run", gt=0, doc="an opening lowers objects by more than this times its radius"
+        default=0.3, unit="rise/run", gt=0, doc="a disk lowers objects by more than this times its radius"
     )
     max_step: float = param(
-        default=2.5, unit="m", gt=0, doc="of a seed: largest drop in an opening, and height over the lowest of its cell"
+        default=2.5,
+        unit="m",
+        gt=0,
+        doc="a point is no seed if a disk lowers its cell by more than this, or if it is as far above its lowest point",
     )
-    low_clusters: bool = static(default=True, doc="bar clusters of low outliers from the planes")
+    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the planes")
     reach: float = static(
-        default=30.0, unit="m", gt=0, endless=True, doc="distance to the farthest reference point; inf = any distance"
+        default=30.0, unit="m", gt=0, endless=True, doc="references are at most this far away; inf = at any distance"
     )
     reference_cell: float = static(
-        default=1.0, unit="m", ge=0, doc="only the lowest point of such a cell can be a reference; 0 = all points can"
+        default=1.0, unit="m", ge=0, doc="a cell this wide has one reference, its lowest point; 0 = no such limit"
     )
     reference_distance: float = param(
-        default=0.5, unit="m", ge=0, doc="distance to the local plane that makes a reference"
+        default=0.5, unit="m", ge=0, doc="a point becomes a reference if it is at most this far from its local plane"
     )
-    max_distance: float = param(default=0.3, unit="m", gt=0, doc="distance to the local plane that makes ground")
-    max_rounds: int = static(default=100, ge=1, doc="limit of rounds")
+    max_distance: float = param(
+        default=0.3, unit="m", gt=0, doc="a point is ground if it is at most this far from its local plane"
+    )
+    max_rounds: int = static(default=100, ge=1, doc="references are added in at most this many rounds")
     seeds: str = static(
-        default="planes", choices=("planes", "lowest"), doc="points near the planes, or the lowest point of each cell"
+        default="planes", choices=("planes", "lowest"), doc="seeds are near planes, or the lowest point of a cell"
     )
     references: str = static(
-        default="quadrants", choices=("quadrants", "nearest"), doc="one in each quadrant, or the nearest four"
+        default="quadrants",
+        choices=("quadrants", "nearest"),
+        doc="a local plane goes through one reference in each quadrant, or through the nearest four",
     )
 
     BIBTEX: ClassVar[str] = papers.CAI_2023

@@ -62,13 +62,21 @@ class SMRF(GridFilter):
     True
     """
 
-    slope: float = param(default=0.15, doc="largest slope of terrain between cells", symbol="s", unit="rise/run", gt=0)
-    window: float = static(
-        default=18.0, doc="radius of the last disk: half the largest building", symbol="w", unit="m", gt=0, cells=1000
+    slope: float = param(
+        default=0.15, doc="terrain is at most this steep from cell to cell", symbol="s", unit="rise/run", gt=0
     )
-    threshold: float = param(default=0.5, doc="tolerance on level terrain", symbol="et", unit="m", ge=0)
-    scaling: float = param(default=1.25, doc="tolerance added per unit of terrain slope", symbol="es", unit="m", ge=0)
-    cut: float = static(default=0.0, doc="spacing of the net that cuts buildings; 0 = none", unit="m", ge=0, cells=1000)
+    window: float = static(
+        default=18.0, doc="the last disk has this radius: half a building", symbol="w", unit="m", gt=0, cells=1000
+    )
+    threshold: float = param(
+        default=0.5, doc="ground is at most this far from level terrain", symbol="et", unit="m", ge=0
+    )
+    scaling: float = param(
+        default=1.25, doc="this times the slope of the terrain is added to the threshold", symbol="es", unit="m", ge=0
+    )
+    cut: float = static(
+        default=0.0, doc="a net of this spacing cuts larger buildings; 0 = no net", unit="m", ge=0, cells=1000
+    )
 
     BIBTEX: ClassVar[str] = papers.PINGEL_2013
     ORDER_FREE: ClassVar[bool] = True

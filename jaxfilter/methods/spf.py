@@ -54,28 +54,34 @@ class SPF(Mirroring):
     True
     """
 
-    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    window: float = static(default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="size of the largest building")
-    slope: float = param(default=0.5, symbol="s", unit="rise/run", ge=0, doc="terrain slope in the height thresholds")
+    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="a grid cell is this wide")
+    window: float = static(
+        default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="the largest building is this wide"
+    )
+    slope: float = param(
+        default=0.5, symbol="s", unit="rise/run", ge=0, doc="terrain is at most this steep; thresholds grow with it"
+    )
     initial_distance: float = param(
-        default=0.3, symbol="h0", unit="m", gt=0, doc="height threshold of the smallest window"
+        default=0.3, symbol="h0", unit="m", gt=0, doc="the smallest window has this height threshold"
     )
     max_height: float = param(
-        default=2.5, symbol="hmax", unit="m", gt=0, doc="largest height threshold; lowest building"
+        default=2.5, symbol="hmax", unit="m", gt=0, doc="no threshold exceeds this: the height of the lowest building"
     )
     fill: str = static(
-        default="neighbours", choices=FILLS, doc="empty cells: filled from their neighbours, or at elevation 0"
+        default="neighbours", choices=FILLS, doc="empty cells get the mean of their neighbours, or elevation 0"
     )
-    seed_filter: bool = static(default=True, doc="remove noise from the seeds on their triangulation")
+    seed_filter: bool = static(default=True, doc="seeds that stand out of their triangulation as noise are removed")
     max_angle: float = param(
-        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="ground has at most this angle to its facet"
     )
-    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_distance: float = param(
+        default=1.4, symbol="d", unit="m", gt=0, doc="ground is at most this far from the plane of its facet"
+    )
     histogram_margin: float = static(
-        default=0.0, unit="m", ge=0, doc="outliers: this far beyond the 0.1 or 99.9 % quantile of elevations; 0 = off"
+        default=0.0, unit="m", ge=0, doc="an outlier is this far beyond the 0.1 or 99.9 % quantile of z; 0 = off"
     )
     isolated_depth: float = static(
-        default=0.0, unit="m", ge=0, doc="outliers: this far below the lowest of their 8 nearest points; 0 = off"
+        default=0.0, unit="m", ge=0, doc="an outlier is this far below the lowest of its 8 nearest points; 0 = off"
     )
 
     BIBTEX: ClassVar[str] = papers.CHEN_2023

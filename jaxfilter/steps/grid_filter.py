@@ -98,7 +98,7 @@ class GridFilter(Filter):
     True
     """
 
-    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
+    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="a grid cell is this wide")
 
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
