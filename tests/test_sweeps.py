@@ -100,7 +100,7 @@ def test_a_filter_with_arrays_for_numbers_is_swept_and_calibrated_as_one_with_nu
 
 
 def test_a_parameter_may_be_left_open_in_some_sets(cloud):
-    check_equal(product(jf.SPF(window=30.0), long_edge=(None, 5.0), max_angle=(6.0, 20.0)), cloud)
+    check_equal(product(jf.SPF(window=30.0), seed_filter=(True, False), max_angle=(6.0, 20.0)), cloud)
 
 
 def test_slopes_of_smrf_share_a_terrain_if_no_cell_lies_between_them(cloud):

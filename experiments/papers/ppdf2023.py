@@ -22,7 +22,7 @@ from experiments.report import Row, write_csv
 from jaxfilter import plots, scenes
 from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
-from jaxfilter.methods.ppdf import HYPOTHESES
+from jaxfilter.methods.ppdf import HYPOTHESES, INLIER_DISTANCE
 from jaxfilter.steps.scaled_planes import ScaledPlanes, progressive_planes
 from jaxfilter.steps.seeds import lowest_on_grid, under_canopy
 from jaxfilter.sweeps.comparison import timed
@@ -457,7 +457,7 @@ def staged(cloud: jf.PointCloud) -> Stages:
     under = under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
     planes = progressive_planes(
         points, under, jax.random.uniform(jax.random.key(0), (HYPOTHESES, 3)), cell=filter_.cell,
-        min_points=filter_.min_points, inlier_distance=filter_.inlier_distance,
+        min_points=filter_.min_points, inlier_distance=INLIER_DISTANCE,
         division_distance=filter_.division_distance, max_slope=filter_.max_slope,
     )  # fmt: skip
     lowest = np.zeros(len(points), bool)

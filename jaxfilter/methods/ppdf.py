@@ -25,6 +25,7 @@ from ..steps.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
 from . import papers
 
 HYPOTHESES = 128  # planes tried per cell
+INLIER_DISTANCE = 0.5  # metres of interior points from their plane
 
 
 @filter_params
@@ -71,10 +72,7 @@ class PPDF(Filter):
     cell: float = static(
         default=10.0, unit="m", gt=0, doc="the first planes are searched for in cells that are this wide"
     )
-    min_points: int = static(default=20, symbol="N_i", ge=3, doc="a plane has at least this many points near it")
-    inlier_distance: float = param(
-        default=0.5, unit="m", gt=0, doc="a point is near a plane if it is at most this far from it"
-    )
+    min_points: int = static(default=20, symbol="N_i", ge=3, doc="a plane has at least this many points within 0.5 m")
     max_slope: float = param(
         default=75.0, unit="degrees", gt=0, le=90, doc="planes that are steeper than this are not tried"
     )
@@ -208,7 +206,7 @@ class PPDF(Filter):
             draws,
             cell=self.cell,
             min_points=self.min_points,
-            inlier_distance=self.inlier_distance,
+            inlier_distance=INLIER_DISTANCE,
             division_distance=self.division_distance,
             max_slope=self.max_slope,
         )
