@@ -60,7 +60,7 @@ class PPDF(Filter):
     """
 
     canopy_cell: float = static(
-        default=2.0, unit="m", gt=0, doc="the canopy is above the lowest point of a cell that is this wide"
+        default=2.0, unit="m", gt=0, doc="the lowest point of a cell that is this wide is under the canopy"
     )
     canopy_height: float = param(
         default=5.0,
