@@ -13,8 +13,6 @@ SWITCHED = {
     "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
     "removed by STIN": jf.STIN(outlier_surface="quadratic", outlier_distance=2.0, outlier_fate="removed"),
     "fixed limit": jf.FPTD(block_limit="fixed", blocks="independent", window=30.0, stride=10.0, max_elevation=0.6),
-    "bare border": jf.FPTD(border_in_tests=False, max_elevation=0.4),
-    "one by one": jf.PTD(insertion="sequential", max_rounds=2000, max_distance=0.5),
     "signed": jf.PTD(signed=True),
     "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
     "no reach": jf.PPDF(reach=np.inf),
@@ -42,7 +40,7 @@ def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
     assert (filter_(hills[order] + [500000.37, 4800000.81, 300.0]).ground == expected[order]).all()
 
 
-@pytest.mark.parametrize("name", ["removed", "fixed limit", "bare border", "signed", "tails"])
+@pytest.mark.parametrize("name", ["removed", "fixed limit", "signed", "tails"])
 def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
     filter_ = SWITCHED[name]
     field = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
@@ -53,12 +51,11 @@ def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
     assert found[0] != found[1]
 
 
-@pytest.mark.parametrize("insertion", ["batch", "one_per_facet", "sequential"])
-def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other(insertion):
+def test_each_position_with_ground_is_one_vertex_where_points_lie_over_each_other():
     rng = np.random.default_rng(0)
     xy = rng.integers(0, 30, (1500, 2)).astype(float)
     xyz = np.column_stack([xy, 0.1 * xy[:, 0] + rng.normal(0, 0.3, 1500)]).round(2)
-    result = jf.FPTD(insertion=insertion, max_rounds=1000, window=15.0, stride=5.0)(xyz)
+    result = jf.FPTD(window=15.0, stride=5.0)(xyz)
     positions = np.unique(xyz[result.ground, :2], axis=0)
     assert result.info["vertices"] == len(positions) + result.info["border_points"]
     assert len(positions) < 0.95 * result.ground.sum() and not result.ground.all()

@@ -295,48 +295,6 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
     assert np.array_equal(twice.facets()[0], np.concatenate([before, together.facets()[0] + k]))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, database=None)
-@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS), size=st.integers(20, 60), sheets=st.integers(1, 2))
-def test_each_is_inserted_unless_what_it_relies_on_has_changed(pool, seed, kind, size, sheets):
-    rng = np.random.default_rng(seed)
-    part = nodes(rng, kind(rng, size))
-    if not has_area(tin_module.lattice(part)):
-        return
-    k = len(part)
-    xyz, sheet = np.concatenate([part] * sheets), np.repeat(np.arange(sheets), k).astype(np.int32)
-    every = np.concatenate([single(tin_module.lattice(part), np.arange(k)) + k * s for s in range(sheets)])
-    xy = tin_module.lattice(xyz)
-    start = every[rng.random(len(every)) < 0.3]
-    tin = Tin(xyz, sheet, start if all(has_area(xy[start[sheet[start] == s]]) for s in range(sheets)) else every, pool)
-    start = np.flatnonzero(tin.vertex)
-    rest = np.setdiff1d(every, start)
-    rest = rng.permutation(rest[(tin.twins(rest) < 0) & (tin.triangles[tin.where[rest]] >= 0).all(axis=1)])
-    other = tin.where[rng.permutation(rest)]  # as for mirror images
-    other = np.where(
-        (tin.sheet[tin.triangles[other].max(axis=1)] == sheet[rest]) & (rng.random(len(rest)) < 0.5), other, -1
-    )
-    relied = np.column_stack([tin.where[rest], other])
-    corners = np.where(relied[..., None] < 0, -1, tin.triangles[relied])
-    image = np.full(len(xyz), -1, np.int32)
-    image[rest] = other
-    tin.now += 1
-    done = tin.insert_each(rest, image)
-    grown = start
-    for node, kept, facets in zip(rest, done, corners, strict=True):
-        own = np.sort(grown[sheet[grown] == sheet[node]])
-        now = {tuple(sorted(t)) for t in own[triangulation(tin.xy[own])].tolist()}
-        assert kept == all(tuple(sorted(t)) in now for t in facets.tolist() if t[0] >= 0)
-        if kept:
-            grown = np.append(grown, node)
-    assert np.array_equal(np.flatnonzero(tin.vertex), np.sort(grown))
-    assert_canonical(tin)
-    tin.locate(np.flatnonzero(~tin.vertex))
-    assert_located(tin, np.flatnonzero(~tin.vertex))
-    tin.now += 1
-    tin.insert(np.sort(rest[~done]))  # in rows that were not used
-    assert_canonical(tin)
-
-
 @pytest.mark.parametrize("chunk", [65536, 500])
 def test_nodes_are_located_as_by_an_exact_walk_in_the_reference(pool, rng, monkeypatch, chunk):
     monkeypatch.setattr(tin_module, "CHUNK", chunk)

@@ -25,7 +25,6 @@ from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
-from jaxfilter.engines.tin.growth import Border
 from jaxfilter.methods import smrf
 from jaxfilter.steps import outliers
 from jaxfilter.steps.grid_filter import Surface
@@ -93,12 +92,6 @@ def variants() -> list[Variant]:
 
 def _with(method: str, **changes: Any) -> Maker:
     return lambda sample: spaces.fixed(method, sample).replace(**changes)
-
-
-def _switched(method: str, field: str, value: Any) -> Maker:
-    """One switch thrown. Where fewer points are added in a round, as many rounds as it takes."""
-    more = {"max_rounds": 1000} if field == "insertion" and value != "batch" else {}
-    return _with(method, **{field: value}, **more)
 
 
 def _modified(method: str, changes: dict[str, Any] | None = None, **methods: Callable[..., Any]) -> Maker:
@@ -333,20 +326,21 @@ def _blocks() -> list[Variant]:
 
 
 def _insertion() -> list[Variant]:
-    """8. Which of the points that pass in a round are added."""
+    """8. Which of the points that pass in a round are added: all, or the lowest over each facet."""
+    choice = "8. insertion"
     out = []
     for method in TINS:
-        field = next((f for f in dataclasses.fields(jf.FILTERS[method]) if f.name == "insertion"), None)
-        for way in field.metadata["choices"] if field else ():
-            out.append(
-                Variant(
-                    "8. insertion",
-                    f"{method.upper()}: {way}",
-                    _switched(method, "insertion", way),
-                    baseline=way == field.default,
-                )
-            )
+        lowest = _modified(method, {"max_rounds": 1000}, schedule=_scheduled(one_per_facet=True))
+        out += [
+            Variant(choice, f"{method.upper()}: batch", _with(method), baseline=True),
+            Variant(choice, f"{method.upper()}: one_per_facet", lowest),
+        ]
     return out
+
+
+def _scheduled(**policies: Any) -> Callable[..., Any]:
+    """The ``schedule`` of a method, with other policies."""
+    return lambda self, network, **changes: type(self).__mro__[1].schedule(self, network, **changes | policies)
 
 
 def _mirror() -> list[Variant]:
@@ -377,9 +371,7 @@ def _border() -> list[Variant]:
     def ring(self: Any, points: Points, seeds: np.ndarray, spacing: float, *given: np.ndarray) -> Any:
         return type(self).__mro__[1].network(self, points, seeds, RING, *given)
 
-    def static(self: Any, network: Any) -> Any:
-        return type(self).__mro__[1].schedule(self, network, border=Border(False, self.border_in_tests))
-
+    static = _scheduled(border_follows=False)
     out = []
     for method in TINS:
         title = method.upper()
@@ -424,7 +416,7 @@ def _switches() -> list[Variant]:
                     continue
                 if value != getattr(base, field.name):
                     name = f"{method.upper()}: {field.name}={value}"
-                    out.append(Variant(choice, name, _switched(method, field.name, value)))
+                    out.append(Variant(choice, name, _with(method, **{field.name: value})))
     return out
 
 

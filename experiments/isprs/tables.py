@@ -40,7 +40,7 @@ SHARED = {
     "iptd": "planes as fitted: the errors on samples 11, 12, 23, 52 and 71 were known",
     "ptd": "borders that follow the ground: the errors here were known",
     "ptdf": "borders that follow the ground, and 0.1 m downward: the errors here were known",
-    "spf": "`outlier_fate`, `radius` and `insertion`: the errors here were known",
+    "spf": "`outlier_fate`, `radius` and how points are added: the errors here were known",
     "ppdf": "the window is SMRF's, which was chosen on these samples",
     "msf": "`distance`: the errors of both readings here were known",
     "pmf": "`element`: the errors of disks and squares here were known",

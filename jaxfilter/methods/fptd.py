@@ -13,7 +13,7 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.facets import Rule
-from ..engines.tin.growth import Border, Growth, Network
+from ..engines.tin.growth import Growth, Network
 from ..engines.tin.network import block_networks, border_positions
 from ..steps.seeds import lowest_per_window
 from ..steps.tin_filter import TinFilter
@@ -107,7 +107,7 @@ class FPTD(TinFilter):
         return self.stride
 
     def schedule(self, network: Network, **changes: Any) -> Growth:
-        return super().schedule(network, **{"border": Border(True, self.border_in_tests), **changes})
+        return super().schedule(network, **{"border_follows": True, **changes})
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")

@@ -140,7 +140,7 @@ class IPTD(Mirroring):
         below = self.rule(max_angle=0.0, max_below=self.max_below, signed=1.0)
         out = densify(
             network,
-            self.schedule(network, rule=below, mirror=None, insertion="one_per_facet"),
+            self.schedule(network, rule=below, mirror=None, one_per_facet=True),
             heights=False,
             workers=workers,
             progress=lambda share, step: progress(share / 2, "densify downward"),

@@ -32,7 +32,7 @@ class PTD(Mirroring):
     (2021), Table I, with e as the distance, for the comparison in their Table IV: they print no values for PTD, and these,
     with ``refresh_border=False``, come within half a point of total error on two thirds of its rows.
 
-    All points that pass in a round are added together; ``insertion`` has the other ways (docs/fidelity.md).
+    All points that pass in a round are added together (docs/fidelity.md has figures of other ways).
 
     >>> result = jf.PTD(max_angle=15.0, max_distance=1.4)(cloud)
     >>> sorted({jf.Decision(int(number)).name for number in result.decision[result.ground]})

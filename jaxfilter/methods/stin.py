@@ -149,10 +149,6 @@ class STIN(SlopeMirroring):
         super().check()
         if self.final_cell > self.seed_cell:
             raise ParameterError(f"STIN(final_cell={self.final_cell!r}): must not exceed seed_cell={self.seed_cell!r}")
-        if self.insertion == "sequential":
-            raise ParameterError(
-                "STIN(insertion='sequential'): choose 'batch' or 'one_per_facet', since vertices are exchanged here"
-            )
         if self.vertex_spacing > 0:
             raise ParameterError(
                 f"STIN(vertex_spacing={self.vertex_spacing!r}): must be 0, the vertices keep the spacing of final_cell"

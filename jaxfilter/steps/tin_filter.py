@@ -19,7 +19,7 @@ from ..core.points import Points
 from ..core.result import Progress, silent
 from ..engines.tin.densify import densify, triangulated
 from ..engines.tin.facets import Rule
-from ..engines.tin.growth import INSERTIONS, Adaptive, Border, Growth, Mirror, Network, Vertices
+from ..engines.tin.growth import Adaptive, Growth, Mirror, Network, Vertices
 from ..engines.tin.network import border_positions, labels_of, one_network
 from ..engines.tin.vertices import choice_of
 from .outliers import bar_outliers
@@ -57,14 +57,6 @@ class TinFilter(Filter):
     )
     vertex_spacing: float = static(
         default=0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
-    )
-    insertion: str = static(
-        default="batch",
-        choices=INSERTIONS,
-        doc="add all points that pass in a round, the lowest over each facet, or one by one",
-    )
-    border_in_tests: bool = static(
-        default=True, choices=(True, False), doc="simulated border points count as nearest and as highest vertex"
     )
     max_rounds: int = static(default=100, ge=1, doc="limit of densification rounds")
 
@@ -123,8 +115,7 @@ class TinFilter(Filter):
             "mirror": self.mirroring(network),
             "vertices": Vertices(self.vertex_spacing),
             "adaptive": self.adaptive(),
-            "border": Border(getattr(self, "refresh_border", False), self.border_in_tests),
-            "insertion": self.insertion,
+            "border_follows": getattr(self, "refresh_border", False),
             "max_rounds": self.max_rounds,
         }
         return Growth(**policies | changes)

@@ -1,10 +1,10 @@
 """Progressive TIN densification: the one loop of all TIN methods.
 
 Each round tests all open points whose facet has changed since they were last tested against one triangulation, accepts
-all that pass, or the lowest over each facet, or one after the other, and makes them vertices; the order of the points never
-matters. A point whose facet has not changed would fail again, and is left alone, unless the thresholds were loosened. The
-network may consist of several sheets (FPTD's blocks) that share nothing: their triangulations run in a thread pool, and one
-padded kernel call a round tests the points of all sheets together.
+all that pass, or the lowest over each facet, and makes them vertices; the order of the points never matters. A point whose
+facet has not changed would fail again, and is left alone, unless the thresholds were loosened. The network may consist of
+several sheets (FPTD's blocks) that share nothing: their triangulations run in a thread pool, and one padded kernel call a
+round tests the points of all sheets together.
 """
 
 from __future__ import annotations
@@ -155,26 +155,16 @@ class Densification:
         """Test located nodes, make ground of those that pass and vertices of some: accepted, put off, number of vertices."""
         tin, verdict = self.tin, self._test(todo)
         passes = verdict["accepted"]
-        accepted, put_off, inserted = todo[passes], todo[:0], 0
-        if self.growth.insertion != "batch":
-            one_by_one = self.growth.insertion == "sequential"
-            level = self.net.xyz[accepted, 2] if one_by_one else verdict["height"][passes]
-            facet = tin.where[accepted]
+        accepted, put_off = todo[passes], todo[:0]
+        if self.growth.one_per_facet:
+            level, facet = verdict["height"][passes], tin.where[accepted]
             may = np.flatnonzero(self.choice.could(accepted, tin))
             order = may[np.lexsort((may, level[may], facet[may]))]
-            first = order[np.diff(facet[order], prepend=-1) != 0]
-            if one_by_one:
-                assert isinstance(self.choice, Spaced)
-                first = first[np.lexsort((first, level[first]))]
-                first = first[self.choice.add_each(accepted[first], self.image_in, tin)]
-                inserted = len(first)
             waits = np.zeros(len(accepted), bool)
-            waits[may], waits[first] = True, False
+            waits[may], waits[order[np.diff(facet[order], prepend=-1) != 0]] = True, False
             accepted, put_off = accepted[~waits], accepted[waits]
-            if inserted:
-                tin.locate(accepted)
         self.ground[accepted] = True
-        inserted += len(self.choice.add(accepted, tin))
+        inserted = len(self.choice.add(accepted, tin))
         self._border_follows()
         return accepted, put_off, inserted
 
@@ -188,7 +178,7 @@ class Densification:
     def _border_follows(self) -> None:
         """Border nodes take the elevation of the vertex nearest to them that is none."""
         net, tin = self.net, self.tin
-        if not self.growth.border.follow:
+        if not self.growth.border_follows:
             return
         near = tin.nearest(net.virtual, net.real)
         node, z = net.virtual[near >= 0], tin.xyz[near[near >= 0], 2]
@@ -239,7 +229,7 @@ class Densification:
     def _test(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
         """Test located nodes against their facets, and keep the tested quantities."""
         facet, mirror = self.tin.where[nodes], self.growth.mirror
-        further = ("slope",) * (mirror is not None) + ("height",) * (self.growth.insertion == "one_per_facet")
+        further = ("slope",) * (mirror is not None) + ("height",) * self.growth.one_per_facet
         verdict = self._judge(nodes, self.tin.corners(facet), (*_TESTED, *further))
         if mirror is not None:
             self._mirror(mirror, nodes, facet, verdict)
@@ -290,8 +280,7 @@ class Densification:
         def tested(part: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[part], axis=0) if xyz is None else xyz[part]
             limits = [getattr(self.rule, name)[self.net.sheet[nodes[part]]] for name in own]
-            given = *limits, self.net.late[nodes[part]], here, np.take(self.tin.xyz, corner[part], axis=0)
-            return given if self.growth.border.in_tests else (*given, self.net.real[corner[part]])
+            return *limits, self.net.late[nodes[part]], here, np.take(self.tin.xyz, corner[part], axis=0)
 
         def kernel(*given: np.ndarray) -> dict[str, Any]:
             limits: dict[str, Any] = dict(zip(own, given[: len(own)], strict=True))

@@ -78,18 +78,12 @@ def _dot(u: Vector, v: Vector) -> jax.Array:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-def _least(values: Vector, counted: jax.Array | None) -> jax.Array:
-    """The least of three values, of those only that are ``counted`` (bool[3]) if any are."""
-    if counted is not None:
-        values = [jnp.where(counted[k] | ~counted.any(), values[k], jnp.inf) for k in range(3)]
+def _least(values: Vector) -> jax.Array:
     return jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
 
 
-def facet_score(p: jax.Array, corners: jax.Array, counted: jax.Array | None = None) -> FacetScore:
-    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres.
-
-    ``counted``: bool[3], the vertices that can be the nearest and the highest; None, or none of them = all.
-    """
+def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
+    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres."""
     a, b, c = ([corner[k] - p[k] for k in range(3)] for corner in corners)  # exact in float32 for quantised coordinates
     u, v = _minus(b, a), _minus(c, a)
     n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
@@ -98,28 +92,26 @@ def facet_score(p: jax.Array, corners: jax.Array, counted: jax.Array | None = No
     longest = jnp.maximum(jnp.maximum(_dot(u, u), _dot(v, v)), _dot(_minus(v, u), _minus(v, u)))
     planar = (size * size > _FLAT_AREA * longest * longest) & (n[2] > 1e-6 * size)
     n = [component / jnp.where(planar, size, 1.0) for component in n]
-    nearest = jnp.sqrt(_least([_dot(a, a), _dot(b, b), _dot(c, c)], counted))
+    nearest = jnp.sqrt(_least([_dot(a, a), _dot(b, b), _dot(c, c)]))
     distance = -_dot(a, n)
     sine = jnp.where(nearest > 0, distance / jnp.where(nearest > 0, nearest, 1.0), 0.0)
     return FacetScore(
         distance=distance,
         height=distance / jnp.where(planar, n[2], 1.0),
         angle=jnp.degrees(jnp.arcsin(jnp.clip(sine, -1.0, 1.0))),
-        elevation=_least([-a[2], -b[2], -c[2]], counted),
+        elevation=_least([-a[2], -b[2], -c[2]]),
         slope=jnp.degrees(jnp.arctan2(jnp.hypot(n[0], n[1]), n[2])),
         planar=planar,
     )
 
 
-def judge_one(
-    rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array, counted: jax.Array | None = None
-) -> Verdict:
-    """Apply a rule to one point f32[3] over one facet f32[3, 3]; ``counted``: see :func:`facet_score`.
+def judge_one(rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
+    """Apply a rule to one point f32[3] over one facet f32[3, 3].
 
     ``two_sided`` (bool) tests the point on both sides of the facet whatever the rule says, and holds its distance to the
     limit of elevation as well: for points that were kept out of the seeds as suspected low outliers.
     """
-    s = facet_score(p, corners, counted)
+    s = facet_score(p, corners)
     one_sided = (jnp.asarray(rule.signed) > 0) & ~two_sided
     angle = jnp.where(one_sided, s.angle, jnp.abs(s.angle))
     distance = jnp.where(one_sided, s.distance, jnp.abs(s.distance))
@@ -153,7 +145,6 @@ def judge(
     two_sided: jax.Array,
     points: jax.Array,
     corners: jax.Array,
-    counted: jax.Array | None = None,
     *,
     names: tuple[str, ...] = QUANTITIES,
 ) -> dict[str, jax.Array]:
@@ -162,7 +153,6 @@ def judge(
     Args:
         rule: thresholds, f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
-        counted: bool[N, 3], vertices that can be the nearest and the highest; None, or none of them = all.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
     Returns: arrays [N] by name: ``accepted`` bool, ``decision`` (:class:`jaxfilter.Decision`), ``margin`` in the unit of the
@@ -177,7 +167,7 @@ def judge(
     ([0.5], [True])
     """
     each: Any = [0 if jnp.ndim(limit) > 0 else None for limit in rule]
-    verdict = jax.vmap(judge_one, in_axes=(Rule(*each), 0, 0, 0, 0))(rule, two_sided, points, corners, counted)
+    verdict = jax.vmap(judge_one, in_axes=(Rule(*each), 0, 0, 0))(rule, two_sided, points, corners)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 

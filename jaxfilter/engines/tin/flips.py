@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compiled import compiled
 from .predicates import in_circle, turn
-from .walks import DEAD, ahead, behind, find, has_changed, is_ghost, place, position, vertex_at, within
+from .walks import DEAD, ahead, behind, find, is_ghost, place, position, vertex_at, within
 
 
 @compiled
@@ -60,12 +60,11 @@ def _flip(triangles, neighbours, at, s, k):
 
 
 @compiled
-def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, image, fresh, left, low, high, start, now, most):
+def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, fresh, left, low, high, start, now, most):
     """Make nodes vertices, from ``nodes[start]`` on: the triangles whose circle holds one give way to a fan around it.
 
     The fan of the i-th has the numbers of those, and the two of ``fresh[i]``. A node is left out, and ``left[i]`` set, if
-    its triangle, or that of its ``image`` (i32[k], -1 = none; empty = changes do not matter), has changed ``now``, or if a
-    triangle that would be read or written has a corner that is not from ``low`` to ``high``: threads with ranges apart do
+    a triangle that would be read or written has a corner that is not from ``low`` to ``high``: threads with ranges apart do
     not meet, since of two triangles beside each other not one can be in one range and the other in another. ``hull``,
     i64[s], counts the ghosts of each sheet. Returns how many are done when all are or ``most`` triangles are made, and
     -1 - i if the position of the i-th is taken.
@@ -77,9 +76,6 @@ def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, image, fres
         if made > most:
             return i
         p = nodes[i]
-        if len(image) > 0 and has_changed(at, stamp, image, p, now):
-            left[i] = True
-            continue
         px, py = position(xy, p)
         beside = i > start and not left[i - 1] and sheet[nodes[i - 1]] == sheet[p]
         last = at[nodes[i - 1]] if beside else np.int32(-1)

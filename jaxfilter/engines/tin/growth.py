@@ -14,10 +14,6 @@ from ...core.grid import Grid
 from ...core.points import Points
 from .facets import Rule
 
-INSERTIONS = ("batch", "one_per_facet", "sequential")
-"""What a round adds of the points that pass: all of them, the lowest over each facet (after Nie et al. 2017), or one after
-the other from below, each as far as the vertices before it leave its facet alone."""
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Network:
@@ -113,16 +109,6 @@ class Adaptive:
 
 
 @dataclasses.dataclass(frozen=True)
-class Border:
-    """Simulated border nodes. ``follow``: after each round they take the elevation of the ground vertex nearest to them
-    in the plane (Li et al. 2021, Sec. II-E, step 6). ``in_tests``: they can be the nearest and the highest vertex of a
-    facet; if not, they only carry its plane."""
-
-    follow: bool = False
-    in_tests: bool = True
-
-
-@dataclasses.dataclass(frozen=True)
 class Growth:
     """How the ground grows from the seeds.
 
@@ -130,11 +116,10 @@ class Growth:
         rule: thresholds; those that differ between sheets are f32[sheets].
         mirror: mirror points over steep facets; None = never.
         adaptive: how thresholds change as the ground grows; None = they are constant.
-        insertion: one of :data:`INSERTIONS`. "one_per_facet" adds, of the points over a facet that pass and may become
-            vertices, the one that lies lowest over it; the others are tested again over the new facets. "sequential" goes
-            through the lowest of each facet from below (of equals, the first in order) and adds a point unless one that
-            was added before it has changed the facet, or mirror facet, that it passed in; so each passes in the
-            triangulation of all before it. The others are tested again. Not with ``Vertices.grids``.
+        border_follows: after each round simulated border nodes take the elevation of the ground vertex nearest to them in the
+            plane (Li et al. 2021, Sec. II-E, step 6).
+        one_per_facet: a round adds, of the points over a facet that pass and may become vertices, only the one that lies
+            lowest over it (after Nie et al. 2017); the others are tested again over the new facets.
         review: at the end test all points but the vertices once more; ground points that fail lose their label.
         max_rounds: give up after so many rounds.
     """
@@ -143,7 +128,7 @@ class Growth:
     mirror: Mirror | None = None
     vertices: Vertices = Vertices()
     adaptive: Adaptive | None = None
-    border: Border = Border()
-    insertion: str = "batch"
+    border_follows: bool = False
+    one_per_facet: bool = False
     review: bool = False
     max_rounds: int = 100

@@ -23,7 +23,6 @@ _TOGETHER = 4096
 """Repeated sheets that get fewer nodes are worked on together."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
-_NONE = np.zeros(0, np.int32)
 _CORNERS = np.array([[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 3]])
 _BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
 """A triangle and the ghosts beyond its edges: their corners, of which the last is nowhere, and neighbours."""
@@ -153,23 +152,12 @@ class Tin:
         list(self.pool.map(one, jobs) if len(jobs) > 1 else map(one, jobs))
         self.vertex[nodes] = True
 
-    def insert_each(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
-        """Make located nodes vertices in their order, but for those that have :meth:`changed` by then: bool[n], those that
-        are vertices now."""
-        fresh = self._fresh(len(nodes))
-        left = self._insert(nodes, fresh, image)
-        self._unused = np.concatenate([fresh[left].ravel(), self._unused])
-        self.vertex[nodes[~left]] = True
-        return ~left
-
-    def _insert(
-        self, nodes: np.ndarray, fresh: np.ndarray, image: np.ndarray = _NONE, low: int = -1, high: int = 2**31 - 1
-    ) -> np.ndarray:
+    def _insert(self, nodes: np.ndarray, fresh: np.ndarray, low: int = -1, high: int = 2**31 - 1) -> np.ndarray:
         """Insert nodes one after the other; bool[n], those that were left out."""
         left, done = np.zeros(len(nodes), bool), 0
         own = self.sheet, self._hull
         while done < len(nodes):
-            some = nodes[: done + CHUNK], image, fresh, left
+            some = nodes[: done + CHUNK], fresh, left
             done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE)
             if done < 0:
                 raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex")
@@ -185,7 +173,7 @@ class Tin:
 
             def one(k: int, step: int = step) -> None:
                 part = slice(begins[k] + step, min(begins[k] + min(step + CHUNK, share), len(nodes)))
-                left[part] = self._insert(nodes[part], fresh[part], _NONE, *ranges[k])
+                left[part] = self._insert(nodes[part], fresh[part], *ranges[k])
 
             list(self.pool.map(one, range(len(begins))))
         return left

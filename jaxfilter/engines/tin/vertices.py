@@ -90,17 +90,6 @@ class Spaced(_Choice):
         tin.insert(new)
         return new
 
-    def add_each(self, nodes: np.ndarray, image: np.ndarray, tin: Tin) -> np.ndarray:
-        """Insert nodes that may become vertices one after the other, unless their triangle, or that of their ``image`` (see
-        :meth:`Tin.changed`), has changed in this round: bool[n], those that were inserted."""
-        chosen = np.isin(nodes, self._pick(np.sort(nodes)))
-        inserted = tin.insert_each(nodes[chosen], image)
-        if self.square is not None:
-            without = self.square[nodes[chosen][~inserted]]
-            self.level[without], self.vertex[without] = np.inf, -1
-        chosen[chosen] = inserted
-        return chosen
-
 
 class LowestPerCell(_Choice):
     """The lowest ground point in each cell of a grid, on finer and finer grids; border nodes stay."""

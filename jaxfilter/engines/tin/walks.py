@@ -162,17 +162,11 @@ def twins(xy, triangles, at, nodes, out):
 
 
 @compiled
-def has_changed(at, stamp, image, node, now):
-    """Whether the triangle of a node, or that of its image (``image``, i32[k], -1 = none), has changed ``now``."""
-    t = image[node]
-    return stamp[at[node]] == now or (t >= 0 and stamp[t] == now)
-
-
-@compiled
 def changed(at, stamp, nodes, image, now, out):
-    """Which nodes lie in a triangle that has changed ``now``, or have an image that does."""
+    """Which nodes lie in a triangle that has changed ``now``, or have an image (i32[k], -1 = none) that does."""
     for i in range(len(nodes)):
-        out[i] = has_changed(at, stamp, image, nodes[i], now)
+        t = image[nodes[i]]
+        out[i] = stamp[at[nodes[i]]] == now or (t >= 0 and stamp[t] == now)
 
 
 @compiled
