@@ -117,7 +117,7 @@ def test_scores_are_averaged_over_sets_with_similar_parameters_only(scene):
     mixed = jf.Study(jf.OST(window=15.0), scene.cloud, scene.truth)
     totals = mixed.evaluate([{"spacing": spacing} for spacing in (None, 1.5, 3.0)])
     assert np.array_equal(mixed.expected()[0], totals)
-    without_limit = jf.Study(jf.FPTD(window=30.0), scene.cloud, scene.truth)
+    without_limit = jf.Study(jf.PTDF(seed_cell=30.0, max_below=np.inf), scene.cloud, scene.truth)
     totals = without_limit.evaluate([{"max_below": limit} for limit in (np.inf, 0.1)])
     assert np.array_equal(without_limit.expected()[0], totals)
     few = jf.Study(jf.PMF(), scene.cloud, scene.truth)
@@ -144,7 +144,12 @@ def test_the_best_set_is_that_of_the_cloud_not_that_of_the_patches(seed):
 
 def test_a_given_filter_without_limit_is_searched(scene, patches):
     found = jf.calibrate(
-        jf.FPTD(window=30.0), scene.cloud, scene.truth, labelled=patches, axes={"max_below": (0.5, 5.0)}, size=20
+        jf.PTDF(seed_cell=30.0, max_below=np.inf),
+        scene.cloud,
+        scene.truth,
+        labelled=patches,
+        axes={"max_below": (0.5, 5.0)},
+        size=20,
     )
     assert np.isinf(found.trials.max_below.values[0]) and found.trials.sizes["set"] == 40
 

@@ -101,12 +101,13 @@ def plain(
         ok, f, n = judge(xyz[open_], where)
         if mirror is not None:
             steep = np.flatnonzero(np.degrees(np.arccos(n[:, 2])) > mirror.slope)
-            top = f[steep, f[steep, :, 2].argmax(1)]
+            gap = np.linalg.norm(f - xyz[open_, None], axis=2)
+            top = f[steep, gap[steep].argmin(1) if mirror.nearest else f[steep, :, 2].argmax(1)]
             image = np.column_stack([2 * top[:, :2] - xyz[open_[steep], :2], xyz[open_[steep], 2]])
             there = mesh.find(lattice(image))
             steep, image, there = steep[there >= 0], image[there >= 0], there[there >= 0]
             second = judge(image, there)[0]
-            ok[steep] = {"or": ok[steep] | second, "and": ok[steep] & second, "replace": second}[mirror.mode]
+            ok[steep] = second | (ok[steep] & mirror.nearest)
         if not ok.any():
             return ground
         if one_each:  # of the points over a facet that may become vertices the lowest over it; the others may all stay
@@ -131,10 +132,10 @@ def test_signed_rule_equals_plain_loop(seed, refresh):
     assert (out.ground != expected).sum() <= 2  # float32 against float64 at a threshold
 
 
-@pytest.mark.parametrize("mode", ["replace", "or"])
-def test_two_sided_rule_with_mirroring_equals_plain_loop(mode):
+@pytest.mark.parametrize("nearest", [False, True])
+def test_two_sided_rule_with_mirroring_equals_plain_loop(nearest):
     net = network_of(scene(2))
-    mirror = Mirror(20.0, "highest", mode)
+    mirror = Mirror(20.0, nearest)
     out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
     expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
     assert (out.ground != expected).sum() <= 4
@@ -228,7 +229,7 @@ def test_blocks_together_equal_each_alone(policy):
     if policy == "grids":
         grids = [grid_over(points.xyz, cell, points.offset(cell), name="cell") for cell in (8.0, 4.0, 2.0)]
         policies = {"vertices": Vertices(grids=grids)}
-    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, "nearest", "or"), max_rounds=1000, **policies)
+    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True), max_rounds=1000, **policies)
     out = densify(net, growth, workers=3)
     assert out.converged
     numbers = range(int(net.sheet[-1]) + 1)
@@ -342,10 +343,10 @@ def test_one_point_per_facet_equals_a_plain_loop(seed):
     assert (out.ground != grown(net, **rule).ground).sum() > 10
 
 
-@pytest.mark.parametrize("mode", ["replace", "or", "and"])
-def test_points_whose_mirror_facet_changed_are_tested_again(mode):
+@pytest.mark.parametrize("nearest", [False, True])
+def test_points_whose_mirror_facet_changed_are_tested_again(nearest):
     net = network_of(scene(14, n=2500, side=70.0))
-    mirror = Mirror(5.0, "highest", mode)
+    mirror = Mirror(5.0, nearest)
     out = grown(net, max_angle=12, max_distance=0.8, mirror=mirror)
     expected = plain(net, 12, np.inf, 0.8, signed=False, refresh=False, mirror=mirror)
     assert (out.ground != expected).sum() <= 3

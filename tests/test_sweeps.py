@@ -183,13 +183,6 @@ def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory
         assert np.array_equal(found[number][points.member], ground[points.index])
 
 
-def test_a_fixed_limit_is_that_of_each_set(hills):
-    filter_ = jf.FPTD(window=30.0, block_limit="fixed")
-    sets = product(filter_, max_angle=(4.0, 30.0), max_elevation=(0.1, 1.4))
-    for one, ground in zip(sets, labels_of(filter_, sets, hills), strict=True):
-        assert np.array_equal(one(hills).ground, ground)
-
-
 @pytest.mark.parametrize(
     "filter_", [jf.SPF(window=30.0), jf.STIN(seed_cell=30.0), jf.CSF(), jf.PMF(), jf.PPDF()], ids=str
 )

@@ -3,17 +3,12 @@
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
-from test_densify import plain
 
 import jaxfilter as jf
-from jaxfilter.core.points import canonical_points
-from jaxfilter.core.result import silent
 
 SWITCHED = {
     "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
     "removed by STIN": jf.STIN(outlier_surface="quadratic", outlier_distance=2.0, outlier_fate="removed"),
-    "fixed limit": jf.FPTD(block_limit="fixed", blocks="independent", window=30.0, stride=10.0, max_elevation=0.6),
-    "signed": jf.PTD(signed=True),
     "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
     "no reach": jf.PPDF(reach=np.inf),
 }
@@ -40,7 +35,7 @@ def test_order_and_offset_of_the_points_do_not_matter(hills, name, rng):
     assert (filter_(hills[order] + [500000.37, 4800000.81, 300.0]).ground == expected[order]).all()
 
 
-@pytest.mark.parametrize("name", ["removed", "fixed limit", "signed", "tails"])
+@pytest.mark.parametrize("name", ["removed", "tails"])
 def test_sets_of_a_sweep_have_the_labels_of_each_alone(hills, name):
     filter_ = SWITCHED[name]
     field = "max_elevation" if isinstance(filter_, jf.FPTD) else "max_distance"
@@ -75,48 +70,6 @@ def test_removed_outliers_are_as_if_they_had_not_been_there(hills):
     rest = filter_.replace(radius=0.0)(jf.PointCloud.from_arrays(hills[~out]))
     assert (rest.ground != result.ground[~out]).sum() <= 2  # heights are rounded from another origin
     assert filter_.replace(outlier_fate="barred")(hills).ground[out].any()
-
-
-def test_the_fixed_limit_leaves_out_what_is_higher_than_the_highest_seed_and_e(hills):
-    hills = np.delete(hills, np.arange(0, 2500, 250), axis=0)
-    filter_ = jf.FPTD(window=23.0, stride=23.0, block_limit="fixed", max_elevation=0.6, low_clusters=False)
-    cells = np.minimum((hills[:, :2] - hills[:, :2].min(0)) // 23, np.ptp(hills[:, :2], axis=0) // 23 - 1)
-    seeds = [hills[(cells == cell).all(1), 2].min() for cell in np.unique(cells, axis=0)]
-    above = hills[:, 2] > max(seeds) + 0.6 + 1e-3
-    fixed, following = filter_(hills), filter_.replace(block_limit="following")(hills)
-    assert above.sum() > 100 and following.ground[above].any() and not fixed.ground[above].any()
-    below = hills[:, 2] < max(seeds) + 0.6 - 1e-3
-    assert ((fixed.decision == jf.Decision.SET_ASIDE)[above | below] == above[above | below]).all()
-    assert (fixed.ground[~above] == following.ground[~above]).mean() > 0.9
-
-
-def test_each_block_has_its_own_fixed_limit():
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 360, 2.0), np.arange(0.5, 60, 2.0)))
-    step = np.column_stack([x, y, np.where(x > 180, 50.0 + 0.02 * x, 0.02 * x)])
-    mound = step.copy()
-    mound[(np.abs(x - 40) < 12) & (np.abs(y - 30) < 12), 2] += (
-        2.0 - np.hypot(x - 40, y - 30).clip(0, 12)[(np.abs(x - 40) < 12) & (np.abs(y - 30) < 12)] / 6
-    )
-    top = np.flatnonzero(mound[:, 2] - step[:, 2] > 1.5)
-    given = {"window": 20.0, "stride": 20.0, "max_elevation": 0.3, "max_angle": 60.0, "low_clusters": False}
-    fixed = {"block_limit": "fixed"}
-    assert jf.FPTD(**given)(mound).ground[top].all()
-    assert jf.FPTD(**given, **fixed)(mound).ground[top].all()  # of all seeds the highest stands on the terrace, 50 m up
-    assert not jf.FPTD(**given, **fixed, blocks="independent")(mound).ground[top].any()
-
-
-def test_a_signed_ptd_is_the_plain_loop_with_signed_tests(hills):
-    hills = np.delete(hills, np.arange(0, 2500, 250), axis=0)[::2]
-    hills[::20, 2] -= 0.6  # below the limit of distance, and hardly ever the lowest of their cell
-    points = canonical_points(jf.PointCloud.from_arrays(hills))
-    filter_ = jf.PTD(
-        signed=True, mirror="off", refresh_border=False, seed_cell=12.0, low_clusters=False, max_distance=0.4
-    )
-    network = filter_.start(points, 1, silent)
-    expected = plain(network, 15.0, np.inf, 0.4, signed=True, refresh=False)[: len(points)]
-    found = filter_(hills).ground
-    assert (found[points.index] != expected[points.member]).sum() <= 2
-    assert (found & ~filter_.replace(signed=False)(hills).ground).sum() > 5
 
 
 def test_tails_and_isolated_points_of_spf(rng):

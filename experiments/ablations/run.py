@@ -25,6 +25,7 @@ from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
+from jaxfilter.engines.tin.growth import Mirror
 from jaxfilter.methods import smrf
 from jaxfilter.steps import outliers
 from jaxfilter.steps.grid_filter import Surface
@@ -301,27 +302,11 @@ def _angle() -> list[Variant]:
 
 
 def _blocks() -> list[Variant]:
-    """7. The elevation limit of FPTD's step 1, and how far independent blocks overlap."""
-    blocks = {"blocks": "independent"}
+    """7. One triangulation, or blocks that grow on their own."""
+    choice = "7. blocks"
     return [
-        *(
-            Variant(
-                "7. block overlap", f"FPTD: independent blocks, {overlap:g} m", _with("fptd", **blocks, overlap=overlap)
-            )
-            for overlap in (0.0, 10.0, 30.0)
-        ),
-        Variant("7. block overlap", "FPTD: one triangulation", _with("fptd"), baseline=True),
-        Variant(
-            "7. elevation limit",
-            "FPTD: independent blocks, highest current ground (no effect)",
-            _with("fptd", **blocks),
-            baseline=True,
-        ),
-        Variant(
-            "7. elevation limit",
-            "FPTD: independent blocks, highest initial seed",
-            _with("fptd", **blocks, block_limit="fixed"),
-        ),
+        Variant(choice, "FPTD: one triangulation", _with("fptd"), baseline=True),
+        Variant(choice, "FPTD: independent blocks", _with("fptd", blocks="independent")),
     ]
 
 
@@ -344,21 +329,19 @@ def _scheduled(**policies: Any) -> Callable[..., Any]:
 
 
 def _mirror() -> list[Variant]:
-    """9. Mirroring of points over steep facets, of PTD."""
-    out = [Variant("9. mirroring", "PTD: off", _with("ptd", mirror="off"))]
+    """9. Mirroring of points over steep facets, of PTD: in place of the point, or as a second chance."""
+    choice = "9. mirroring"
+
+    def nearest(angle: float) -> Maker:
+        return _modified("ptd", mirroring=lambda self, network: Mirror(angle, nearest=True))
+
+    out = [Variant(choice, "PTD: off", _with("ptd", max_terrain_angle=90.0))]
     for angle in (88.0, 30.0, 10.0):
-        for about in ("highest", "nearest"):
-            for mode in ("replace", "or"):
-                changes = {"max_terrain_angle": angle, "mirror": about, "mirror_mode": mode}
-                default = changes == {"max_terrain_angle": 88.0, "mirror": "highest", "mirror_mode": "replace"}
-                out.append(
-                    Variant(
-                        "9. mirroring",
-                        f"PTD: {about}, {mode}, over {angle:g} degrees",
-                        _with("ptd", **changes),
-                        baseline=default,
-                    )
-                )
+        highest = f"PTD: highest, replace, over {angle:g} degrees"
+        out += [
+            Variant(choice, highest, _with("ptd", max_terrain_angle=angle), baseline=angle == 88.0),
+            Variant(choice, f"PTD: nearest, or, over {angle:g} degrees", nearest(angle)),
+        ]
     return out
 
 

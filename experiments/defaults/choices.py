@@ -105,15 +105,11 @@ def _thresholds() -> list[Choice]:
                                (50, 1.192, 12.0))}  # fmt: skip
     openings = {f"slope {s:g}, {h:g} m": _constant({"slope": s, "max_distance": h})
                 for s, h in ((0.15, 2.5), (0.268, 3.0), (0.5, 3.0))}  # fmt: skip
-    adaptive = {
-        f"adaptive, {d:g} deviations": _constant({"thresholds": "adaptive", "deviations": d}) for d in (2.0, 5.0, 15.0)
-    }
-    constant = {"constant": _constant({"thresholds": "constant"})}
+    limits = {kind: _constant({"thresholds": kind}) for kind in ("constant", "adaptive")}
     out = [
         Choice("msf: slope", "msf", degrees, "30 degrees, 6 m", SPARSE),
         Choice("pmf: slope", "pmf", openings, "slope 0.268, 3 m", SPARSE),
-        Choice("atin: thresholds", "atin", constant | adaptive, "constant", SPARSE),
-        Choice("atin: deviations", "atin", adaptive, "adaptive, 15 deviations", SPARSE),
+        Choice("atin: thresholds", "atin", limits, "constant", SPARSE),
     ]
     tried: dict[str, dict[str, tuple[Any, ...]]] = {
         "atin": {"max_angle": (15.0, 20.0, 25.0, 30.0, 35.0)},

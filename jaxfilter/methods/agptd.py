@@ -85,9 +85,6 @@ class AGPTD(Mirroring):
     neighbours: int = static(
         default=0, symbol="k", ge=0, le=4096, doc="neighbours in the test that bars points of odd elevation; 0 = off"
     )
-    deviations: float = param(
-        default=3.0, unit="sigma", gt=0, doc="standard deviations at which the elevation of a point is odd"
-    )
     _: dataclasses.KW_ONLY
     radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
     min_neighbours: int = static(
@@ -118,7 +115,7 @@ class AGPTD(Mirroring):
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
-        return super().outliers(points, workers, neighbours=self.neighbours, deviations=self.deviations, **tests)
+        return super().outliers(points, workers, neighbours=self.neighbours, **tests)
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
@@ -143,5 +140,4 @@ class AGPTD(Mirroring):
 
     def mirroring(self, network: Network) -> Mirror | None:
         """Over facets steeper than the limit, or than the steepest cell of the seeds."""
-        mirror = super().mirroring(network)
-        return None if mirror is None else dataclasses.replace(mirror, slope=network.info["terrain_angle"])
+        return Mirror(network.info["terrain_angle"])

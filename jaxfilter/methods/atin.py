@@ -19,6 +19,8 @@ from . import papers
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
+_DEVIATIONS = 15.0
+"""The limits are this many standard deviations above the median."""
 
 
 _PAPER = {
@@ -48,7 +50,7 @@ class ATIN(SlopeMirroring):
     exceed the user's. With ``mirror="nearest"`` the mirror image of a point about the nearest vertex is tested too over
     facets steeper than a slope. Lengths in metres, angles in degrees, slopes in percent.
 
-    How the limits follow from the data is a reconstruction (docs/fidelity.md): the median plus ``deviations`` standard
+    How the limits follow from the data is a reconstruction (docs/fidelity.md): the median plus 15 standard
     deviations, robustly estimated, of the distances (angles) of vertices over the facets next to theirs. With
     ``thresholds="constant"``, the default, it is PTD with other defaults.
 
@@ -68,9 +70,6 @@ class ATIN(SlopeMirroring):
     max_distance: float = param(
         default=1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"
     )
-    deviations: float = param(
-        default=15.0, unit="sigma", ge=0, doc="limits are this many standard deviations above the median"
-    )
     thresholds: str = static(
         default="constant",
         choices=("constant", "adaptive"),
@@ -85,7 +84,6 @@ class ATIN(SlopeMirroring):
     refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.URAY_2024
-    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "deviations")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: border points all round follow the ground, clusters of low points are no seeds, no mirroring, "
@@ -120,7 +118,7 @@ class ATIN(SlopeMirroring):
         def above(values: np.ndarray, step: float, most: float) -> float:
             middle = np.median(values)
             spread = _SIGMA * np.median(np.abs(values - middle))
-            return min(float(most), step * math.ceil((middle + self.deviations * spread) / step))
+            return min(float(most), step * math.ceil((middle + _DEVIATIONS * spread) / step))
 
         return self.rule(
             max_angle=above(angle, 1.0, self.max_angle), max_distance=above(distance, 0.05, self.max_distance)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any, ClassVar
-
-import numpy as np
 
 from ..core.errors import ParameterError
 from ..core.params import Preset, filter_params, param, static
@@ -18,6 +15,9 @@ from ..engines.tin.network import block_networks, border_positions
 from ..steps.seeds import lowest_per_window
 from ..steps.tin_filter import TinFilter
 from . import papers
+
+_OVERLAP = 10.0
+"""Metres that independent blocks reach into their neighbours: one stride, as a multiple of it is printed."""
 
 
 @filter_params
@@ -35,7 +35,7 @@ class FPTD(TinFilter):
 
     Presets: "recommended" is the default. It triangulates all points together, and takes the place of the radius filter and
     of the manual removal of low outliers by :func:`jaxfilter.steps.outliers.low_clusters`. "paper" runs independent blocks
-    with the radius filter (r = 5 m, n = 10) only; ``outlier_fate="removed"`` and ``block_limit="fixed"`` make it literal.
+    with the radius filter (r = 5 m, n = 10) only; ``outlier_fate="removed"`` is the literal fate of outliers.
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.
 
@@ -62,13 +62,6 @@ class FPTD(TinFilter):
         choices=("global", "independent"),
         doc="one triangulation of all points, or blocks that grow on their own",
     )
-    overlap: float = static(default=10.0, unit="m", ge=0, doc="how far independent blocks reach into their neighbours")
-    block_limit: str = static(
-        default="following",
-        choices=("following", "fixed"),
-        doc="no point is tested that is higher than e above the highest ground of its block, now or at the start",
-    )
-    max_below: float = param(default=math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
 
     BIBTEX: ClassVar[str] = papers.LI_2021
     WINDOW: ClassVar[str] = "window"
@@ -117,21 +110,9 @@ class FPTD(TinFilter):
         if self.blocks == "independent":
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             return block_networks(
-                points, seeds, border, barred, late, size=self.window, overlap=self.overlap, reach=self.halo()
+                points, seeds, border, barred, late, size=self.window, overlap=_OVERLAP, reach=self.halo()
             )
         return self.network(points, seeds, self.window, barred, late)
 
-    def settled(self, network: Network) -> Network:
-        """With a fixed limit also without the points above the highest seed of their sheet plus e (Sec. II-E, step 1)."""
-        network = super().settled(network)
-        if self.block_limit == "following":
-            return network
-        z, highest = network.xyz[:, 2], np.full(int(network.sheet[-1]) + 1, -np.inf, np.float32)
-        np.maximum.at(highest, network.sheet[network.seed], z[network.seed])
-        reached = z <= highest[network.sheet] + np.float32(self.max_elevation)
-        return dataclasses.replace(network, open=network.open & reached)
-
     def limits(self) -> Rule:
-        return self.rule(
-            max_angle=self.max_angle, max_elevation=self.max_elevation, max_below=self.max_below, signed=1.0
-        )
+        return self.rule(max_angle=self.max_angle, max_elevation=self.max_elevation, signed=1.0)

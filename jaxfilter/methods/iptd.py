@@ -70,7 +70,6 @@ class IPTD(Mirroring):
         choices=TRANSLATIONS,
         doc="planes are moved down to the lowest of their seeds, or stay as fitted",
     )
-    max_below: float = param(default=math.inf, unit="m", gt=0, doc="reject points further below their facet than this")
     max_angle: float = param(
         default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
     )
@@ -137,7 +136,7 @@ class IPTD(Mirroring):
         over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
         network = self.settled(self.network(points, seeds, self.border_spacing, barred, late))
-        below = self.rule(max_angle=0.0, max_below=self.max_below, signed=1.0)
+        below = self.rule(max_angle=0.0, signed=1.0)
         out = densify(
             network,
             self.schedule(network, rule=below, mirror=None, one_per_facet=True),

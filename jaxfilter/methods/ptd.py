@@ -7,7 +7,6 @@ from typing import ClassVar
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Network
 from ..steps.seeds import lowest_per_cell
 from ..steps.tin_filter import Mirroring
@@ -46,7 +45,6 @@ class PTD(Mirroring):
     seed_cell: float = static(
         default=60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building"
     )
-    signed: bool = static(default=False, doc="points below their facet pass at any angle and distance")
     refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.ZHANG_2013
@@ -72,6 +70,3 @@ class PTD(Mirroring):
         progress(0.0, "seeds")
         seeds = lowest_per_cell(points, self.seed_cell, barred)
         return self.network(points, seeds, self.seed_cell, barred, late)
-
-    def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_distance=self.max_distance, signed=float(self.signed))

@@ -26,6 +26,10 @@ from . import papers
 
 _SAMPLE = 2_000_000
 """Points that tell how many rounds there are on each grid."""
+_OUTLIER_CELL = 10.0
+"""Metres: cells that the surface is made from which outliers are far from (Uray & Varlik 2024)."""
+_QUANTILE = 0.97
+"""Share of the ground points that stays within the limits when they are lowered."""
 
 
 def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
@@ -105,28 +109,20 @@ class STIN(SlopeMirroring):
     stop_ratio: float = param(
         default=0.001, gt=0, le=1, doc="halve the cells when a round adds less than this share of all points"
     )
-    passes: str = static(
-        default="until_settled", choices=("until_settled", "one"), doc="rounds for each size of the cells"
-    )
     thresholds: str = static(
         default="constant",
         choices=("constant", "quantile"),
         doc="keep the limits, or lower them as the cells get smaller",
-    )
-    quantile: float = param(
-        default=0.97, gt=0, le=1, doc="share of the ground points that stays within the limits when they are lowered"
     )
     outlier_surface: str = static(
         default="local",
         choices=("quadratic", "local", "off"),
         doc="outliers: far from one quadratic surface, or below the low terrain",
     )
-    outlier_cell: float = static(default=10.0, unit="m", gt=0, doc="cells that the surface is made from")
     outlier_distance: float = param(default=5.0, unit="m", gt=0, doc="points further from that surface are outliers")
-    retest: bool = static(default=False, doc="at the end test all labels on the final triangulation")
 
     BIBTEX: ClassVar[str] = papers.URAY_2024
-    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio", "quantile")
+    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: 30 degrees and 1.4 m, no mirroring; no seeds below the trend of the low terrain or in clusters of "
@@ -169,17 +165,13 @@ class STIN(SlopeMirroring):
         return one_network(points, seeds, corner_positions(*points.extent), barred, late)
 
     def schedule(self, network: Network, **changes: Any) -> Growth:
-        stop = math.inf if self.passes == "one" else float(self.stop_ratio)
         whole = network.points.cloud.whole
-        planned = None if whole is None or self.passes == "one" else whole.rounds
-        vertices = Vertices(grids=self.grids(network.points), stop_share=stop, rounds=planned)
-        own = {"vertices": vertices, "review": self.retest}
-        return super().schedule(network, **own | changes)
+        planned = None if whole is None else whole.rounds
+        vertices = Vertices(grids=self.grids(network.points), stop_share=float(self.stop_ratio), rounds=planned)
+        return super().schedule(network, **{"vertices": vertices, **changes})
 
     def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
         """The number of rounds on each grid: a part does not know what share of *all* points a round adds."""
-        if self.passes == "one":
-            return {}
         points = self.points_of(_side_by_side(some(_SAMPLE), self.seed_cell))
         if degenerate(points.cloud, points) is not None:
             return {}
@@ -201,9 +193,9 @@ class STIN(SlopeMirroring):
         if self.outlier_surface == "off":
             return np.zeros(len(points), bool)
         if self.outlier_surface == "quadratic":
-            return np.abs(points.xyz[:, 2] - quadratic_trend(points.xyz, self.outlier_cell)) > self.outlier_distance
-        grid = grid_over(points.xyz, self.outlier_cell, points.offset(self.outlier_cell), name="STIN(outlier_cell)")
-        low = low_trend(points.xyz, grid.x0, grid.y0, self.outlier_cell)
+            return np.abs(points.xyz[:, 2] - quadratic_trend(points.xyz, _OUTLIER_CELL)) > self.outlier_distance
+        grid = grid_over(points.xyz, _OUTLIER_CELL, points.offset(_OUTLIER_CELL), name="cell of STIN's outlier surface")
+        low = low_trend(points.xyz, grid.x0, grid.y0, _OUTLIER_CELL)
         return low - points.xyz[:, 2] > self.outlier_distance
 
     def grids(self, points: Points) -> list[Grid]:
@@ -214,6 +206,6 @@ class STIN(SlopeMirroring):
         return [grid_over(points.xyz, c, points.offset(c), name=f"cell of STIN with {c:g} m") for c in cells]
 
     def lowered(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
-        """The limits, or where it is less the quantile of the ground points' distances f32[g] and angles f32[g]."""
-        far, steep = (float(np.quantile(values, float(self.quantile))) for values in (distance, angle))
+        """The limits, or where it is less the 0.97 quantile of the ground points' distances f32[g] and angles f32[g]."""
+        far, steep = (float(np.quantile(values, _QUANTILE)) for values in (distance, angle))
         return self.rule(max_angle=min(float(self.max_angle), steep), max_distance=min(float(self.max_distance), far))

@@ -47,13 +47,12 @@ def knn_outliers(
     weight: np.ndarray,
     k: int,
     *,
-    deviations: float = 3.0,
     workers: int | None = None,
 ) -> np.ndarray:
     """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024).
 
     The statistic is the absolute difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
-    in 3-D, itself excluded. Outliers exceed its mean over the cloud by more than ``deviations`` standard deviations.
+    in 3-D, itself excluded. Outliers exceed its mean over the cloud by more than three standard deviations.
     The paper's own formula compares metres with square metres and cannot be applied as printed.
 
     Args:
@@ -75,7 +74,7 @@ def knn_outliers(
         difference[part] = np.abs(z[part] - (taken * z[index]).sum(axis=1) / k)
     mean = np.average(difference, weights=weight)
     deviation = np.sqrt(np.average((difference - mean) ** 2, weights=weight))
-    return difference > mean + deviations * deviation
+    return difference > mean + 3.0 * deviation
 
 
 def isolated_low(xyz: np.ndarray, k: int, depth: float, *, workers: int | None = None) -> np.ndarray:
@@ -275,7 +274,6 @@ def bar_outliers(
     min_neighbours: int,
     clusters: bool,
     neighbours: int = 0,
-    deviations: float = 3.0,
     workers: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which points no filter should take as seeds: bool[m] all of them, and bool[m] those in low clusters.
@@ -288,7 +286,7 @@ def bar_outliers(
     if radius > 0:
         barred |= radius_outliers(points.xyz, points.weight, radius, min_neighbours, workers=workers)
     if neighbours > 0:
-        barred |= knn_outliers(points.xyz, points.weight, neighbours, deviations=deviations, workers=workers)
+        barred |= knn_outliers(points.xyz, points.weight, neighbours, workers=workers)
     if barred.all():
         low, barred = np.zeros_like(low), np.zeros_like(low)
     return barred, low

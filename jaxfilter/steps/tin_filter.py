@@ -226,38 +226,23 @@ def _grown_each(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Mirroring(TinFilter):
-    """A TIN filter that mirrors points over steep facets."""
+    """A TIN filter that mirrors points over steep facets about the highest vertex, and tests the image in their place."""
 
     max_terrain_angle: float = static(
         default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
     )
-    mirror: str = static(
-        default="highest", choices=("highest", "nearest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="replace",
-        choices=("replace", "or"),
-        doc="test the mirror image instead of the point, or as a second chance",
-    )
 
     def mirroring(self, network: Network) -> Mirror | None:
-        return None if self.mirror == "off" else Mirror(self.max_terrain_angle, self.mirror, self.mirror_mode)
+        return Mirror(self.max_terrain_angle)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SlopeMirroring(TinFilter):
-    """A TIN filter that may mirror points over facets steeper than a slope in percent."""
+    """A TIN filter that may give points over steep facets a second chance: their image about the nearest vertex."""
 
     max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static(
-        default="off", choices=("nearest", "highest", "off"), doc="vertex that points are mirrored about"
-    )
-    mirror_mode: str = static(
-        default="or",
-        choices=("or", "replace", "and"),
-        doc="mirror image as a second chance, in place of the point, or both must pass",
-    )
+    mirror: str = static(default="off", choices=("nearest", "off"), doc="vertex that points are mirrored about")
 
     def mirroring(self, network: Network) -> Mirror | None:
         slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
-        return None if self.mirror == "off" else Mirror(slope, self.mirror, self.mirror_mode)
+        return None if self.mirror == "off" else Mirror(slope, nearest=True)

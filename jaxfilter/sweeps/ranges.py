@@ -63,7 +63,6 @@ RANGES: dict[str, Range] = {
     "buffer": Range(0.15, 1.5, "log"),
     "division_distance": Range(0.3, 3.0, "log"),
     "plane_error": Range(0.2, 2.0, "log"),
-    "deviations": Range(1.0, 4.0),
     "rigidness": Range(1, 3, "whole"),
 }
 """One range per quantity, whatever the method."""

@@ -56,8 +56,6 @@ def densify(
         tin.pool, tin.workers = pool, threads
         run = Densification(network, growth, choice, tin, scores, keep_labels)
         run.rounds(progress)
-        if growth.review:
-            run.review()
         if heights:
             run.finish()
         progress(1.0, "densify")
@@ -218,14 +216,6 @@ class Densification:
         nodes = apex[row, edge]
         return self._judge(nodes, corner[row], _DEVIATION, tin.xyz[nodes])
 
-    def review(self) -> None:
-        """Test all points but the vertices against the final network; labels are those of this test."""
-        nodes = np.flatnonzero(self.net.open & ~self.tin.vertex)
-        self.tin.locate(nodes)
-        before, after = self.ground[nodes], self._test(nodes)["accepted"]
-        self.ground[nodes] = after
-        self._record(len(nodes), int((after & ~before).sum()), 0, revoked=int((before & ~after).sum()))
-
     def _test(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
         """Test located nodes against their facets, and keep the tested quantities."""
         facet, mirror = self.tin.where[nodes], self.growth.mirror
@@ -239,14 +229,14 @@ class Densification:
         return verdict
 
     def _mirror(self, mirror: Mirror, nodes: np.ndarray, facet: np.ndarray, verdict: dict[str, np.ndarray]) -> None:
-        """Test points over steep facets at their mirror position as well, or instead; outside the hull nothing changes.
+        """Test points over steep facets at their mirror position instead, or as a second chance.
 
-        Where a second test cannot change the outcome it is left out.
+        Outside the hull nothing changes. A second test that cannot change the outcome is left out.
         """
         self.image_in[nodes] = -1
         of_use = verdict["slope"] > mirror.slope
-        if mirror.mode != "replace":
-            of_use &= verdict["accepted"] == (mirror.mode == "and")
+        if mirror.nearest:
+            of_use &= ~verdict["accepted"]
         steep = np.flatnonzero(of_use)
         if len(steep) == 0:
             return
@@ -256,7 +246,7 @@ class Densification:
             return self.net.xyz[nodes[steep[part]]], np.take(self.tin.xyz, corner[part], axis=0)
 
         def images(xyz: np.ndarray, corners: np.ndarray) -> dict[str, Any]:
-            return {"image": mirrored(xyz, corners, mirror.about == "highest")}
+            return {"image": mirrored(xyz, corners, not mirror.nearest)}
 
         image = self._run(images, len(steep), given)["image"]
         there = self.tin.walk(image, facet[steep])
@@ -264,7 +254,7 @@ class Densification:
         steep, image, there = steep[inside], image[inside], there[inside]
         self.image_in[nodes[steep]] = there
         second = self._judge(nodes[steep], self.tin.corners(there), _TESTED, image)
-        replace = second["accepted"] | (mirror.mode != "or")
+        replace = second["accepted"] | (not mirror.nearest)
         for name in _TESTED:
             verdict[name][steep[replace]] = second[name][replace]
 

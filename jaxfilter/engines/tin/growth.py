@@ -63,15 +63,11 @@ class Network:
 
 @dataclasses.dataclass(frozen=True)
 class Mirror:
-    """Mirroring over steep facets (Axelsson 2000; Zhang & Lin 2013).
-
-    ``slope``: degrees of facet slope above which a point is mirrored; ``about``: "highest" or "nearest" vertex; ``mode``:
-    "replace" tests the mirrored point only, "or" gives it as a second chance, with "and" both must pass.
-    """
+    """Mirroring of points over facets steeper than ``slope``, degrees: about the highest vertex, and the image is tested in
+    place of the point (Zhang & Lin 2013); with ``nearest`` about the nearest vertex, as a second chance (Axelsson 2000)."""
 
     slope: float
-    about: str = "highest"
-    mode: str = "replace"
+    nearest: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +78,7 @@ class Vertices:
     Attributes:
         grids: from coarse to fine. A lower point that is accepted later takes the place of the vertex of its cell.
         stop_share: go on to the next grid, or end, when a round accepts fewer than this share of all points; below any
-            share it still has to accept one. Infinity = one round on each grid.
+            share it still has to accept one.
         rounds: in place of ``stop_share``, rounds on each grid, and with the suspected low outliers.
     """
 
@@ -120,7 +116,6 @@ class Growth:
             plane (Li et al. 2021, Sec. II-E, step 6).
         one_per_facet: a round adds, of the points over a facet that pass and may become vertices, only the one that lies
             lowest over it (after Nie et al. 2017); the others are tested again over the new facets.
-        review: at the end test all points but the vertices once more; ground points that fail lose their label.
         max_rounds: give up after so many rounds.
     """
 
@@ -130,5 +125,4 @@ class Growth:
     adaptive: Adaptive | None = None
     border_follows: bool = False
     one_per_facet: bool = False
-    review: bool = False
     max_rounds: int = 100
