@@ -124,8 +124,8 @@ def test_only_the_steep_cell_with_enough_points_gives_more_seeds():
 
 def test_with_one_level_it_is_ptd():
     xyz = hills()[0]
-    shared = {"seed_cell": 40.0, "max_angle": 20.0, "radius": 0.0, "max_terrain_angle": 15.0}
-    one = jf.AGPTD(levels=1, **shared)(xyz)
+    shared = {"seed_cell": 40.0, "max_angle": 20.0, "max_terrain_angle": 15.0}
+    one = jf.AGPTD(levels=1, radius=0.0, **shared)(xyz)
     two = jf.PTD(**shared)(xyz)
     assert (one.ground == two.ground).all() and one.info["seeds"] == two.info["seeds"]
 

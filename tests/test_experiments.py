@@ -443,7 +443,7 @@ def test_stin_and_atin_are_compared_with_thresholds_of_one_kind(sample):
     for kind, pair in stin2024.ALIKE.items():
         atin, stin = (stin2024.filters(sample)[name] for name in pair)
         both = {f.name for f in dataclasses.fields(atin)} & {f.name for f in dataclasses.fields(stin)} - {"thresholds"}
-        assert {"max_angle", "max_distance", "seed_cell", "mirror", "low_clusters", "radius"} <= both
+        assert {"max_angle", "max_distance", "seed_cell", "mirror", "low_clusters"} <= both
         assert [name for name in both if getattr(atin, name) != getattr(stin, name)] == []
         assert (atin.thresholds == "constant") == (stin.thresholds == "constant") == kind.startswith("constant")
 

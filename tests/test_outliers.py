@@ -52,8 +52,8 @@ def test_many_neighbours_take_no_more_memory_than_points(rng):
         tracemalloc.stop()
         np.testing.assert_array_equal(few, (every <= 40.0).sum(axis=1) - 1 < least)
         assert peak < 30e6 and (least > 799 or 0 < few.sum() < 800)
-    with pytest.raises(jf.ParameterError, match=r"PTD\(min_neighbours=100000\): must be >= 1 and <= 4096"):
-        jf.PTD(radius=1, min_neighbours=100_000)
+    with pytest.raises(jf.ParameterError, match=r"FPTD\(min_neighbours=100000\): must be >= 1 and <= 4096"):
+        jf.FPTD(radius=1, min_neighbours=100_000)
 
 
 def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):

@@ -199,8 +199,6 @@ def test_parts_of_a_scene_do_as_many_rounds_as_the_whole():
 
 
 def test_what_contradicts_the_method_is_an_error():
-    with pytest.raises(jf.ParameterError, match="vertex_spacing"):
-        jf.STIN(vertex_spacing=0.5)
     with pytest.raises(jf.ParameterError, match="final_cell"):
         jf.STIN(final_cell=70.0)
 

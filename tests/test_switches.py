@@ -7,7 +7,7 @@ from scipy.spatial.distance import cdist
 import jaxfilter as jf
 
 SWITCHED = {
-    "removed": jf.FPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
+    "removed": jf.AGPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"),
     "removed by STIN": jf.STIN(outlier_surface="quadratic", outlier_distance=2.0, outlier_fate="removed"),
     "tails": jf.SPF(histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
     "no reach": jf.PPDF(reach=np.inf),

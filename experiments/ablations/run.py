@@ -120,7 +120,7 @@ def _low_outliers() -> list[Variant]:
             Variant(
                 choice,
                 f"{title}: radius filter, 5 m, 10 neighbours",
-                _with(method, low_clusters=False, radius=5.0, min_neighbours=10),
+                _modified(method, {"low_clusters": False}, outliers=_few_neighbours),
             ),
             Variant(
                 choice, f"{title}: isolated points, 2 m below their 8 neighbours", _modified(method, outliers=_isolated)
@@ -132,7 +132,7 @@ def _low_outliers() -> list[Variant]:
                 _modified(method, outliers=_lowest_of_all),
             ),
             Variant(choice, f"{title}: clusters of low points", _with(method), baseline=True),
-            Variant(choice, f"{title}: clusters and radius filter", _with(method, radius=5.0, min_neighbours=10)),
+            Variant(choice, f"{title}: clusters and radius filter", _modified(method, outliers=_few_neighbours)),
             Variant(
                 choice,
                 f"{title}: by the labels, objects 1 m below ground",
@@ -141,6 +141,10 @@ def _low_outliers() -> list[Variant]:
             ),
         ]
     return out
+
+
+def _few_neighbours(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+    return TinFilter.outliers(self, points, workers, radius=5.0, min_neighbours=10)
 
 
 def _isolated(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:

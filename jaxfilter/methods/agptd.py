@@ -12,7 +12,7 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.growth import Mirror, Network
 from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
-from ..steps.tin_filter import Mirroring
+from ..steps.tin_filter import Mirroring, OutlierRadius
 from . import papers
 
 _PAPER = {
@@ -32,7 +32,7 @@ _TABLE1 = {
 
 
 @filter_params
-class AGPTD(Mirroring):
+class AGPTD(OutlierRadius, Mirroring):
     """Adaptive grid-based progressive TIN densification.
 
     J. Zheng, M. Xiang, T. Zhang, J. Zhou (2024): An improved adaptive grid-based progressive triangulated irregular
@@ -62,33 +62,68 @@ class AGPTD(Mirroring):
     """
 
     max_angle: float = param(
-        default=15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+        default=15.0,
+        symbol="theta",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this",
     )
-    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_distance: float = param(
+        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+    )
     seed_cell: float = static(
-        default=60.0, symbol="s_pri", unit="m", gt=0, doc="cell of the first grid level; larger than any building"
+        default=60.0,
+        symbol="s_pri",
+        unit="m",
+        gt=0,
+        doc="the cells of the first grid level have this size; it must be larger than any building",
     )
-    levels: int = static(default=2, ge=1, le=8, doc="grid levels; each halves the cells that it divides")
-    least_points: int = static(default=5, symbol="n_pp", ge=2, doc="a cell with fewer points is not divided")
+    levels: int = static(
+        default=2, ge=1, le=8, doc="the grid has this many levels; each halves the cells that it divides"
+    )
+    least_points: int = static(
+        default=5, symbol="n_pp", ge=2, doc="a cell is divided only if it holds at least this many points"
+    )
     relative_slope: float = param(
-        default=0.06, symbol="s_r", unit="rise/run", ge=0, doc="divide cells with a mean slope this above the least"
+        default=0.06,
+        symbol="s_r",
+        unit="rise/run",
+        ge=0,
+        doc="a cell is divided if its mean slope exceeds the least of all cells by this much",
     )
     remainder: str = static(
-        default="absorbed", choices=REMAINDERS, doc="what is beyond the last whole cell joins it, or makes smaller ones"
+        default="absorbed",
+        choices=REMAINDERS,
+        doc="points beyond the last whole cell join it (absorbed), or have smaller cells (own_cells)",
     )
     terrain_angle: str = static(
         default="constant",
         choices=("constant", "steepest_cell"),
-        doc="mirror over facets steeper than max_terrain_angle, or than the steepest mean slope of a cell if that is less",
+        doc="a point is mirrored over facets steeper than max_terrain_angle, or than the steepest cell if that is less",
     )
-    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
+    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
     neighbours: int = static(
-        default=0, symbol="k", ge=0, le=4096, doc="neighbours in the test that bars points of odd elevation; 0 = off"
+        default=0,
+        symbol="k",
+        ge=0,
+        le=4096,
+        doc="a point is no seed if its elevation is unlike that of this many neighbours; 0 = no test",
     )
     _: dataclasses.KW_ONLY
-    radius: float = static(default=6.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
+    radius: float = static(
+        default=6.0,
+        symbol="r",
+        unit="m",
+        ge=0,
+        doc="the outlier test counts the points within this distance; 0 = no test",
+    )
     min_neighbours: int = static(
-        default=4, symbol="num", ge=1, le=4096, doc="a point with fewer neighbours within the radius is no seed"
+        default=4,
+        symbol="num",
+        ge=1,
+        le=4096,
+        doc="a point is no seed if it has fewer neighbours than this within the radius",
     )
 
     BIBTEX: ClassVar[str] = papers.ZHENG_2024

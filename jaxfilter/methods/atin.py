@@ -14,7 +14,7 @@ from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Adaptive, Network
 from ..engines.tin.network import corner_positions, one_network
 from ..steps.seeds import lowest_per_cell
-from ..steps.tin_filter import SlopeMirroring
+from ..steps.tin_filter import SlopeMirroring, VertexSpacing
 from . import papers
 
 _SIGMA = 1.4826
@@ -38,7 +38,7 @@ _TABLE2 = {
 
 
 @filter_params
-class ATIN(SlopeMirroring):
+class ATIN(SlopeMirroring, VertexSpacing):
     """Adaptive TIN densification.
 
     P. Axelsson (2000): DEM generation from laser scanner data using adaptive TIN models. Int. Arch. Photogramm. Remote
@@ -65,23 +65,37 @@ class ATIN(SlopeMirroring):
     """
 
     max_angle: float = param(
-        default=25.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="upper limit of the angle: facet to point"
+        default=25.0,
+        symbol="alpha",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this; adaptive limits may be lower",
     )
     max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="upper limit of the distance: point to facet plane"
+        default=1.4,
+        symbol="d",
+        unit="m",
+        gt=0,
+        doc="a point is ground only if it lies at most this far from its facet; adaptive limits may be lower",
     )
     thresholds: str = static(
         default="constant",
         choices=("constant", "adaptive"),
-        doc="keep the limits, or derive them from each round's triangulation",
+        doc="the limits stay the same (constant), or each round derives them from its triangulation (adaptive)",
     )
-    seed_cell: float = static(default=60.0, unit="m", gt=0, doc="cell with one seed; larger than any building")
+    seed_cell: float = static(
+        default=60.0,
+        unit="m",
+        gt=0,
+        doc="each square cell of this size has one seed, its lowest point; it must be larger than any building",
+    )
     border: str = static(
         default="perimeter",
         choices=("perimeter", "corners"),
-        doc="simulated points at the nodes of the cells all round, or four",
+        doc="simulated points stand all round the data (perimeter), or only at its four corners (corners)",
     )
-    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
+    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.URAY_2024
     PRESETS: ClassVar[dict[str, Preset]] = {

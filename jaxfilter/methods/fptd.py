@@ -13,7 +13,7 @@ from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Growth, Network
 from ..engines.tin.network import block_networks, border_positions
 from ..steps.seeds import lowest_per_window
-from ..steps.tin_filter import TinFilter
+from ..steps.tin_filter import OutlierRadius, VertexSpacing
 from . import papers
 
 _OVERLAP = 10.0
@@ -21,7 +21,7 @@ _OVERLAP = 10.0
 
 
 @filter_params
-class FPTD(TinFilter):
+class FPTD(OutlierRadius, VertexSpacing):
     """Fast progressive TIN densification.
 
     H. Li, C. Ye, Z. Guo, R. Wei, L. Wang, J. Li (2021): A fast progressive TIN densification filtering algorithm for
@@ -35,7 +35,7 @@ class FPTD(TinFilter):
 
     Presets: "recommended" is the default. It triangulates all points together, and takes the place of the radius filter and
     of the manual removal of low outliers by :func:`jaxfilter.steps.outliers.low_clusters`. "paper" runs independent blocks
-    with the radius filter (r = 5 m, n = 10) only; ``outlier_fate="removed"`` is the literal fate of outliers.
+    with the radius filter (r = 5 m, n = 10) only.
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.
 
@@ -49,18 +49,33 @@ class FPTD(TinFilter):
     True
     """
 
-    max_angle: float = param(default=22.0, symbol="a", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point")
+    max_angle: float = param(
+        default=22.0,
+        symbol="a",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this",
+    )
     max_elevation: float = param(
-        default=1.2, symbol="e", unit="m", gt=0, doc="largest elevation over the facet's highest vertex"
+        default=1.2,
+        symbol="e",
+        unit="m",
+        gt=0,
+        doc="a point is ground only if it stands at most this high over the highest vertex of its facet",
     )
     window: float = static(
-        default=60.0, symbol="w", unit="m", gt=0, doc="seed window and block size; larger than any building"
+        default=60.0,
+        symbol="w",
+        unit="m",
+        gt=0,
+        doc="the seed window and the blocks have this size; it must be larger than any building",
     )
-    stride: float = static(default=10.0, symbol="s", unit="m", gt=0, doc="step of the sliding window")
+    stride: float = static(default=10.0, symbol="s", unit="m", gt=0, doc="the seed window moves by this step")
     blocks: str = static(
         default="global",
         choices=("global", "independent"),
-        doc="one triangulation of all points, or blocks that grow on their own",
+        doc="all points are in one triangulation (global), or blocks of them grow on their own (independent)",
     )
 
     BIBTEX: ClassVar[str] = papers.LI_2021

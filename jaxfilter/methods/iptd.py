@@ -19,7 +19,7 @@ from ..engines.tin.network import labels_of
 from ..steps.local_planes import TRANSLATIONS, over_local_planes
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
-from ..steps.tin_filter import Mirroring, facet_reach
+from ..steps.tin_filter import TerrainAngle, facet_reach
 from . import papers
 
 _TABLE2 = {
@@ -30,7 +30,7 @@ _TABLE2 = {
 
 
 @filter_params
-class IPTD(Mirroring):
+class IPTD(TerrainAngle):
     """Improved progressive TIN densification: morphological seeds, then growth downward and upward.
 
     X. Zhao, Q. Guo, Y. Su, B. Xue (2016): Improved progressive TIN densification filtering algorithm for airborne LiDAR
@@ -58,23 +58,40 @@ class IPTD(Mirroring):
     True
     """
 
-    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="side of a grid cell")
-    window: float = static(default=60.0, symbol="w", unit="m", gt=0, cells=1000, doc="size of the largest object")
+    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="the grid cells have this side")
+    window: float = static(default=60.0, symbol="w", unit="m", gt=0, cells=1000, doc="the largest object has this size")
     tolerance: float = param(
-        default=1.0, unit="m", ge=0, doc="potential seeds: largest drop of their cell in the opening"
+        default=1.0, unit="m", ge=0, doc="a cell gives a potential seed only if the opening lowers it by at most this"
     )
-    k: int = static(default=100, symbol="k", ge=3, le=4096, doc="potential seeds that a translation plane is fitted to")
-    plane_error: float = param(default=0.8, symbol="r", unit="m", ge=0, doc="largest distance of a seed over its plane")
+    k: int = static(
+        default=100, symbol="k", ge=3, le=4096, doc="a plane is fitted to this many potential seeds around each of them"
+    )
+    plane_error: float = param(
+        default=0.8,
+        symbol="r",
+        unit="m",
+        ge=0,
+        doc="a potential seed is dropped if it lies more than this over its plane",
+    )
     translation: str = static(
         default="none",
         choices=TRANSLATIONS,
-        doc="planes are moved down to the lowest of their seeds, or stay as fitted",
+        doc="the planes stay as they are fitted (none), or move down to the lowest of their seeds (lowest)",
     )
     max_angle: float = param(
-        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+        default=25.0,
+        symbol="theta",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this",
     )
-    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    border_spacing: float = static(default=10.0, unit="m", gt=0, doc="spacing of the simulated points around the seeds")
+    max_distance: float = param(
+        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+    )
+    border_spacing: float = static(
+        default=10.0, unit="m", gt=0, doc="the simulated points around the seeds stand this far apart"
+    )
 
     BIBTEX: ClassVar[str] = papers.ZHAO_2016
     LIMITS: ClassVar[tuple[str, ...]] = ("max_angle", "max_distance")  # others limit downward growth, too
@@ -135,7 +152,7 @@ class IPTD(Mirroring):
         progress(0.0, "planes")
         over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
-        network = self.settled(self.network(points, seeds, self.border_spacing, barred, late))
+        network = self.network(points, seeds, self.border_spacing, barred, late)
         below = self.rule(max_angle=0.0, signed=1.0)
         out = densify(
             network,

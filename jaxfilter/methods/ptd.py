@@ -9,12 +9,12 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.growth import Network
 from ..steps.seeds import lowest_per_cell
-from ..steps.tin_filter import Mirroring
+from ..steps.tin_filter import TerrainAngle
 from . import papers
 
 
 @filter_params
-class PTD(Mirroring):
+class PTD(TerrainAngle):
     """Classic progressive TIN densification.
 
     P. Axelsson (2000): DEM generation from laser scanner data using adaptive TIN models. Int. Arch. Photogramm. Remote
@@ -39,13 +39,24 @@ class PTD(Mirroring):
     """
 
     max_angle: float = param(
-        default=15.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+        default=15.0,
+        symbol="theta",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this",
     )
-    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_distance: float = param(
+        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+    )
     seed_cell: float = static(
-        default=60.0, symbol="m", unit="m", gt=0, doc="cell with one seed; larger than any building"
+        default=60.0,
+        symbol="m",
+        unit="m",
+        gt=0,
+        doc="each square cell of this size has one seed, its lowest point; it must be larger than any building",
     )
-    refresh_border: bool = static(default=True, doc="simulated border points follow the growing ground")
+    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.ZHANG_2013
     PRESETS: ClassVar[dict[str, Preset]] = {

@@ -32,10 +32,14 @@ class PTDF(PTD):
     True
     """
 
-    max_distance: float = param(default=1.5, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
-    max_below: float = param(default=0.1, unit="m", gt=0, doc="reject points further below their facet than this")
+    max_distance: float = param(
+        default=1.5, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+    )
+    max_below: float = param(
+        default=0.1, unit="m", gt=0, doc="a point is rejected if it lies more than this below its facet"
+    )
     _: dataclasses.KW_ONLY
-    max_rounds: int = static(default=200, ge=1, doc="limit of densification rounds")
+    max_rounds: int = static(default=200, ge=1, doc="the growth ends after this many rounds at the latest")
 
     BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.CAI_2023
     PRESETS: ClassVar[dict[str, Preset]] = {

@@ -20,7 +20,7 @@ from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
 from ..engines.tin.network import corner_positions, one_network
 from ..steps.seeds import lowest_on_grid
-from ..steps.tin_filter import SlopeMirroring
+from ..steps.tin_filter import OutlierFate, SlopeMirroring
 from ..steps.trend import low_trend, quadratic_trend
 from . import papers
 
@@ -70,7 +70,7 @@ def _sample(number: int, grid: float, slope: float, distance: float, angle: floa
 
 
 @filter_params
-class STIN(SlopeMirroring):
+class STIN(OutlierFate, SlopeMirroring):
     """Simple TIN densification.
 
     F. Uray, A. Varlik (2024): Filtering airborne LIDAR data using simple triangulation irregular network. Necmettin Erbakan
@@ -99,27 +99,39 @@ class STIN(SlopeMirroring):
     """
 
     max_angle: float = param(
-        default=30.0, symbol="alpha", unit="degrees", gt=0, lt=90, doc="largest angle: facet to point"
+        default=30.0,
+        symbol="alpha",
+        unit="degrees",
+        gt=0,
+        lt=90,
+        doc="a point is ground only if its angle to the facet is at most this",
     )
-    max_distance: float = param(default=1.4, symbol="d", unit="m", gt=0, doc="largest distance: point to facet plane")
+    max_distance: float = param(
+        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+    )
     seed_cell: float = static(
-        default=60.0, unit="m", gt=0, doc="initial grid: cell with one seed; larger than any building"
+        default=60.0,
+        unit="m",
+        gt=0,
+        doc="each cell of the first grid has this size and one seed; it must be larger than any building",
     )
-    final_cell: float = static(default=2.0, unit="m", gt=0, doc="final grid: cells are halved down to this size")
+    final_cell: float = static(default=2.0, unit="m", gt=0, doc="the cells are halved until they have this size")
     stop_ratio: float = param(
-        default=0.001, gt=0, le=1, doc="halve the cells when a round adds less than this share of all points"
+        default=0.001, gt=0, le=1, doc="the cells are halved when a round adds less than this share of all points"
     )
     thresholds: str = static(
         default="constant",
         choices=("constant", "quantile"),
-        doc="keep the limits, or lower them as the cells get smaller",
+        doc="the limits stay the same (constant), or are lowered as the cells get smaller (quantile)",
     )
     outlier_surface: str = static(
         default="local",
         choices=("quadratic", "local", "off"),
-        doc="outliers: far from one quadratic surface, or below the low terrain",
+        doc="outliers lie far from one surface of second degree (quadratic), or far below the low terrain (local)",
     )
-    outlier_distance: float = param(default=5.0, unit="m", gt=0, doc="points further from that surface are outliers")
+    outlier_distance: float = param(
+        default=5.0, unit="m", gt=0, doc="a point is an outlier if it lies further than this from that surface"
+    )
 
     BIBTEX: ClassVar[str] = papers.URAY_2024
     LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio")
@@ -145,14 +157,10 @@ class STIN(SlopeMirroring):
         super().check()
         if self.final_cell > self.seed_cell:
             raise ParameterError(f"STIN(final_cell={self.final_cell!r}): must not exceed seed_cell={self.seed_cell!r}")
-        if self.vertex_spacing > 0:
-            raise ParameterError(
-                f"STIN(vertex_spacing={self.vertex_spacing!r}): must be 0, the vertices keep the spacing of final_cell"
-            )
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
-        fixed = super().from_spacing(spacing, largest_building) | {"vertex_spacing": 0.0}
+        fixed = super().from_spacing(spacing, largest_building)
         return fixed if largest_building is None else fixed | {"final_cell": min(2.0, largest_building)}
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:

@@ -270,9 +270,9 @@ def _surroundings(lowest: np.ndarray, cells: Cells, suspect: np.ndarray, bottom:
 def bar_outliers(
     points: Points,
     *,
-    radius: float,
-    min_neighbours: int,
     clusters: bool,
+    radius: float = 0.0,
+    min_neighbours: int = 1,
     neighbours: int = 0,
     workers: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -24,8 +24,8 @@ from ..engines.tin.network import border_positions, labels_of, one_network
 from ..engines.tin.vertices import choice_of
 from .outliers import bar_outliers
 
-FATES = ("barred", "removed")
-"""What becomes of outliers: they are tested like other points, or labelled non-ground for good."""
+_DENSE = 0.5
+"""Metres between points: with less a cloud is dense."""
 _BYTES = 250
 """About so many of memory per point and growth."""
 _NODES = 131072
@@ -46,19 +46,16 @@ class TinFilter(Filter):
     no others start from the same triangulation.
     """
 
-    radius: float = static(default=0.0, symbol="r", unit="m", ge=0, doc="radius of the outlier test; 0 = off")
-    min_neighbours: int = static(
-        default=10, symbol="n", ge=1, le=4096, doc="a point with fewer neighbours within the radius is no seed"
+    low_clusters: bool = static(
+        default=True, choices=(True, False), doc="clusters of low points are kept out of the seeds"
     )
-    low_clusters: bool = static(default=True, choices=(True, False), doc="bar clusters of low outliers from the seeds")
-    outlier_fate: str = static(default="barred", choices=FATES, doc="outliers are no seeds, or never ground")
     noise_floor: float = param(
-        default=0.0, unit="m", ge=0, doc="accept points this close to their facet at any angle; 0 = off"
+        default=0.0,
+        unit="m",
+        ge=0,
+        doc="a point is ground, whatever its angle, if it lies this close to its facet; 0 = off",
     )
-    vertex_spacing: float = static(
-        default=0.0, unit="m", ge=0, doc="at most one vertex per square of this size; 0 = all points"
-    )
-    max_rounds: int = static(default=100, ge=1, doc="limit of densification rounds")
+    max_rounds: int = static(default=100, ge=1, doc="the growth ends after this many rounds at the latest")
 
     LIMITS: ClassVar[tuple[str, ...]] = Rule._fields
     WINDOW: ClassVar[str] = "seed_cell"
@@ -67,9 +64,9 @@ class TinFilter(Filter):
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Above four points per square metre, ranging noise makes steep angles at short range."""
-        dense = spacing < 0.5
+        dense = spacing < _DENSE
         window = {} if largest_building is None else {cls.WINDOW: largest_building}
-        return {"noise_floor": 0.1 if dense else 0.0, "vertex_spacing": 0.7 if dense else 0.0, **window}
+        return {"noise_floor": 0.1 if dense else 0.0, **window}
 
     def halo(self) -> float:
         """The half diagonal of a seed cell and its eight neighbours: how far facets between seeds reach."""
@@ -113,7 +110,6 @@ class TinFilter(Filter):
         policies: dict[str, Any] = {
             "rule": self.limits(),
             "mirror": self.mirroring(network),
-            "vertices": Vertices(self.vertex_spacing),
             "adaptive": self.adaptive(),
             "border_follows": getattr(self, "refresh_border", False),
             "max_rounds": self.max_rounds,
@@ -141,24 +137,15 @@ class TinFilter(Filter):
                 yield numbers[i], ground
 
     def settled(self, network: Network) -> Network:
-        """The network with the nodes that are open to this filter: without outliers, if they are removed."""
-        if self.outlier_fate != "removed" or network.barred is None:
-            return network
-        return dataclasses.replace(network, open=network.open & ~network.barred[network.row])
+        """The network with the nodes that are open to this filter: all that are open."""
+        return network
 
     def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
         """bool[m] points that must not be seeds, and bool[m] those among them that lie in clusters of low points.
 
         ``tests``: further ones, see :func:`jaxfilter.steps.outliers.bar_outliers`.
         """
-        return bar_outliers(
-            points,
-            radius=self.radius,
-            min_neighbours=self.min_neighbours,
-            clusters=self.low_clusters,
-            workers=workers,
-            **tests,
-        )
+        return bar_outliers(points, clusters=self.low_clusters, workers=workers, **tests)
 
     def network(
         self, points: Points, seeds: np.ndarray, spacing: float, barred: np.ndarray, late: np.ndarray, **more: Any
@@ -225,11 +212,78 @@ def _grown_each(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mirroring(TinFilter):
+class VertexSpacing(TinFilter):
+    """A TIN filter of which the ground points, or one per square, are vertices."""
+
+    vertex_spacing: float = static(
+        default=0.0,
+        unit="m",
+        ge=0,
+        doc="a square of this size holds one vertex at most; 0 = every ground point is a vertex",
+    )
+
+    @classmethod
+    def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
+        """One vertex per 0.7 m in dense clouds bounds the number of vertices by the area."""
+        return super().from_spacing(spacing, largest_building) | {"vertex_spacing": 0.7 if spacing < _DENSE else 0.0}
+
+    def schedule(self, network: Network, **changes: Any) -> Growth:
+        return super().schedule(network, **{"vertices": Vertices(self.vertex_spacing), **changes})
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OutlierRadius(TinFilter):
+    """A TIN filter that also takes points with few neighbours for outliers."""
+
+    radius: float = static(
+        default=0.0,
+        symbol="r",
+        unit="m",
+        ge=0,
+        doc="the outlier test counts the points within this distance; 0 = no test",
+    )
+    min_neighbours: int = static(
+        default=10,
+        symbol="n",
+        ge=1,
+        le=4096,
+        doc="a point is no seed if it has fewer neighbours than this within the radius",
+    )
+
+    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
+        """As in the other TIN filters, and points with few neighbours."""
+        return super().outliers(points, workers, radius=self.radius, min_neighbours=self.min_neighbours, **tests)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OutlierFate(TinFilter):
+    """A TIN filter whose paper removes outliers."""
+
+    outlier_fate: str = static(
+        default="barred",
+        choices=("barred", "removed"),
+        doc="outliers are no seeds but may become ground (barred), or they are never ground (removed)",
+    )
+
+    def settled(self, network: Network) -> Network:
+        """The network with the nodes that are open to this filter: without outliers, if they are removed."""
+        network = super().settled(network)
+        if self.outlier_fate != "removed" or network.barred is None:
+            return network
+        return dataclasses.replace(network, open=network.open & ~network.barred[network.row])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TerrainAngle(VertexSpacing):
     """A TIN filter that mirrors points over steep facets about the highest vertex, and tests the image in their place."""
 
     max_terrain_angle: float = static(
-        default=88.0, symbol="t", unit="degrees", gt=0, le=90, doc="mirror over steeper facets"
+        default=88.0,
+        symbol="t",
+        unit="degrees",
+        gt=0,
+        le=90,
+        doc="a point is mirrored if its facet is steeper than this",
     )
 
     def mirroring(self, network: Network) -> Mirror | None:
@@ -237,11 +291,22 @@ class Mirroring(TinFilter):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Mirroring(OutlierFate, TerrainAngle):
+    """The same for methods whose papers remove outliers."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class SlopeMirroring(TinFilter):
     """A TIN filter that may give points over steep facets a second chance: their image about the nearest vertex."""
 
-    max_terrain_slope: float = static(default=10.0, unit="%", gt=0, doc="mirror over steeper facets")
-    mirror: str = static(default="off", choices=("nearest", "off"), doc="vertex that points are mirrored about")
+    max_terrain_slope: float = static(
+        default=10.0, unit="%", gt=0, doc="a point is mirrored if its facet is steeper than this"
+    )
+    mirror: str = static(
+        default="off",
+        choices=("nearest", "off"),
+        doc="a point over a steep facet is also tested at its mirror image about the nearest vertex, or it is not",
+    )
 
     def mirroring(self, network: Network) -> Mirror | None:
         slope = math.degrees(math.atan(self.max_terrain_slope / 100.0))
