@@ -231,7 +231,6 @@ class Trial:
     def pytest(self, tests: list[str], limit: float, *more: str) -> int:
         """Its exit code; negative after the time limit or a crash."""
         arguments = [
-            "-x",
             "-p",
             "no:cacheprovider",
             "--tb=line",

@@ -12,7 +12,7 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.growth import Mirror, Network
 from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
-from ..steps.tin_filter import Mirroring, OutlierRadius
+from ..steps.tin_filter import OutlierFate, OutlierRadius, TerrainAngle
 from . import papers
 
 _PAPER = {
@@ -32,7 +32,7 @@ _TABLE1 = {
 
 
 @filter_params
-class AGPTD(OutlierRadius, Mirroring):
+class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     """Adaptive grid-based progressive TIN densification.
 
     J. Zheng, M. Xiang, T. Zhang, J. Zhou (2024): An improved adaptive grid-based progressive triangulated irregular

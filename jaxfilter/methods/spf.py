@@ -17,7 +17,7 @@ from ..steps.outliers import isolated_low
 from ..steps.seed_clusters import clustered_seeds
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
-from ..steps.tin_filter import Mirroring, facet_reach
+from ..steps.tin_filter import OutlierFate, TerrainAngle, facet_reach
 from . import papers
 
 FILLS = ("neighbours", "zero")
@@ -27,7 +27,7 @@ _TAIL = 1e-3
 
 
 @filter_params
-class SPF(Mirroring):
+class SPF(OutlierFate, TerrainAngle):
     """Seed points filtering: progressive TIN densification from many seeds.
 
     N. Chen, N. Wang, Y. He, X. Ding, J. Kong (2023): An improved progressive triangular irregular network densification

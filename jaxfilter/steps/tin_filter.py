@@ -291,11 +291,6 @@ class TerrainAngle(VertexSpacing):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mirroring(OutlierFate, TerrainAngle):
-    """The same for methods whose papers remove outliers."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class SlopeMirroring(TinFilter):
     """A TIN filter that may give points over steep facets a second chance: their image about the nearest vertex."""
 
