@@ -111,10 +111,14 @@ def test_sets_of_a_sweep_that_grow_downward_differently_are_those_of_calls_alone
 @pytest.mark.parametrize("spacing", [5e-4, 2e-3, 0.007])
 def test_border_points_that_would_fall_together_are_refused_by_name(spacing):
     xyz = surface(500, 20)
-    with pytest.raises(jf.InputError, match=rf"IPTD\(border_spacing\)={spacing:g} m: puts .* simulated points.*larger"):
+    with pytest.raises(
+        jf.InputError, match=rf"IPTD\(border_spacing\)={spacing:g} m: this puts .* simulated points.*larger"
+    ):
         jf.IPTD(border_spacing=spacing)(xyz)
     assert jf.IPTD(border_spacing=0.008)(xyz).ground.any()
-    with pytest.raises(jf.InputError, match=r"IPTD\(border_spacing\)=0.05 m: puts 3.99e.05 .*200,000 are possible"):
+    with pytest.raises(
+        jf.InputError, match=r"IPTD\(border_spacing\)=0.05 m: this puts 3.99e.05 .*may be 200,000 at most"
+    ):
         jf.IPTD(border_spacing=0.05, cell=50.0, window=100.0)(xyz * [250, 250, 1])
 
 

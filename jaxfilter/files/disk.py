@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the handle by which a cloud remembers where it came from."""
+"""Files that appear whole or not at all, and by what a file is known again."""
 
 from __future__ import annotations
 

@@ -79,11 +79,13 @@ class CSF(Filter):
         default=0.65, doc="a step takes this time (no unit); gravity is 0.2 m per its square", symbol="dT", gt=0, le=10
     )
     gravity: str = static(
-        default="equation", doc="a step is a fall by 0.2 dT^2, or 0.2 dT^4 (program)", choices=("equation", "program")
+        default="equation",
+        doc="a particle falls by 0.2 dT^2 per step, or 0.2 dT^4 (program)",
+        choices=("equation", "program"),
     )
     smooth: bool = static(default=True, doc="a free particle joins ground beside it if no step is between", symbol="ST")
     max_step: float = param(
-        default=0.3, doc="a difference in elevation is a step from this on", symbol="hcp", unit="m", gt=0
+        default=0.3, doc="an elevation difference of this much or more is a step", symbol="hcp", unit="m", gt=0
     )
     surface: str = static(
         default="lowest", doc="a particle falls onto its nearest or lowest point", choices=("nearest", "lowest")

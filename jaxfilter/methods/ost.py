@@ -131,7 +131,7 @@ class OST(Filter):
         default=8.0, unit="degrees", gt=0, lt=90, doc="a point joins if its angle to its facet is less than this"
     )
     angle_relief: float = param(
-        default=60.0, unit="degrees", ge=0, doc="that angle grows with the slope of the landscape by this"
+        default=60.0, unit="degrees", ge=0, doc="the largest angle grows by this times the slope of the landscape"
     )
     noise: float = param(
         default=0.1, unit="m", ge=0, doc="a point joins at any angle if it is this near to the plane of its facet"
@@ -147,7 +147,7 @@ class OST(Filter):
         default=3.0,
         unit="sigma/m",
         gt=0,
-        doc="a vertex that is dropped also exceeds this many times the scatter around it, times the spacing up to 1 m",
+        doc="a vertex is dropped only beyond this many times the scatter around it, too, times the spacing (at most 1 m)",
     )
 
     DOUBTS: ClassVar[bool] = True

@@ -81,7 +81,9 @@ class PMF(GridFilter):
         default=True, doc="each window is twice as wide as the one before; if false, four cells wider"
     )
     last_window: str = static(
-        default="exact", choices=("exact", "within", "beyond"), doc="the last one meets, keeps to or passes max_window"
+        default="exact",
+        choices=("exact", "within", "beyond"),
+        doc="the last window is max_window, or the last step within or beyond it",
     )
     reading: str = static(
         default="grid", choices=("grid", "points"), doc="windows lie on a grid of minima, or around every point"

@@ -92,7 +92,7 @@ class PPDF(Filter):
         default=2.5,
         unit="m",
         gt=0,
-        doc="a point is no seed if a disk lowers its cell by more than this, or if it is as far above its lowest point",
+        doc="a point is no seed if a disk lowers its cell by more than this, or if it is so much above the lowest point there",
     )
     low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the planes")
     reach: float = static(

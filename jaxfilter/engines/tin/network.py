@@ -47,8 +47,8 @@ def border_positions(
     if nx + ny > _MOST // 2 or (nx + ny > 2 and size < apart):
         width, height = high - low
         raise InputError(
-            f"{name}={size:g} m: puts {2 * (nx + ny):.3g} simulated points around an extent of {width:.6g} x {height:.6g} m, "
-            f"{size:g} m apart; {_MOST:,} are possible, {apart:g} m apart: use a larger one"
+            f"{name}={size:g} m: this puts {2 * (nx + ny):.3g} simulated points around {width:.6g} x {height:.6g} m; "
+            f"there may be {_MOST:,} at most, and they must be at least {apart:g} m apart: use a larger value"
         )
     sides = []
     for axis, n in ((0, nx), (1, ny)):
