@@ -24,22 +24,11 @@ from .frame import (
 from .inputs import COLUMNS, as_column, class_numbers, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
 from .markup import sheet
+from .reading import KEPT_CLASSES as KEPT_CLASSES
 from .units import UNITS, Units, parse_crs, parse_units
 
 OVERLAP_CLASS = 12
 """ASPRS class of points in the overlap of flight lines, up to LAS 1.3."""
-
-
-class _KeptClasses(tuple[int, ...]):
-    """Short where signatures show it as a default."""
-
-    def __repr__(self) -> str:
-        return "(7, 9, 17, 18, ..., 255)"
-
-
-KEPT_CLASSES = _KeptClasses((7, 9, *range(17, 256)))
-"""ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
-by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
 
 
 @dataclasses.dataclass(frozen=True)

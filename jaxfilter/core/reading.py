@@ -1,0 +1,79 @@
+"""Which points of a cloud are judged, and how its coordinates are understood: one value, made once and handed on whole."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+from .errors import InputError
+from .frame import checked_anchor
+from .inputs import class_numbers
+from .units import Units, parse_units
+
+ECHOES = ("first", "intermediate", "last", "only")
+"""Kinds of echoes that can be judged."""
+
+
+class _KeptClasses(tuple[int, ...]):
+    """Short where signatures show it as a default."""
+
+    def __repr__(self) -> str:
+        return "(7, 9, 17, 18, ..., 255)"
+
+
+KEPT_CLASSES = _KeptClasses((7, 9, *range(17, 256)))
+"""ASPRS classes that are set aside by default: noise (7, 18), water (9), bridge decks (17), and all above, which producers give
+by rules of their own (ignored ground, snow, artefacts). No ground filter sees what they were given for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """How points are read: the arguments of :func:`jaxfilter.read` that decide on labels.
+
+    Attributes:
+        returns: echoes that are judged: ``all``, or some of ``first``, ``intermediate``, ``last`` and ``only``, with commas.
+        ignore_classes: points of these classes are not judged and keep their class.
+        ignore_overlap: points of the overlap of flight lines are not judged either.
+        keep_withheld: points that carry the withheld flag are judged as well.
+        drop_invalid: points with NaN or infinite coordinates, or far from all others, become non-ground instead of an error.
+        units: of the coordinates; None = what the CRS says, and metres where it says nothing.
+        anchor: (x, y) in file units from which all grids count.
+
+    Raises: InputError for returns, classes, units or an anchor that there are not.
+
+    >>> jf.Reading(returns="all", ignore_classes=[7]).ignore_classes
+    (7,)
+    """
+
+    returns: str = "last,only"
+    ignore_classes: Iterable[int] = KEPT_CLASSES
+    ignore_overlap: bool = False
+    keep_withheld: bool = False
+    drop_invalid: bool = False
+    units: str | Units | None = None
+    anchor: Iterable[float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        wanted = set(_words(self.returns)) if isinstance(self.returns, str) else set()
+        if not wanted or wanted - {*ECHOES, "all"}:
+            raise InputError(
+                f"returns={self.returns!r}: use a text that lists some of {', '.join(ECHOES)}, with commas, or 'all'"
+            )
+        checked: dict[str, Any] = {
+            "returns": ",".join(sorted(wanted)),
+            "ignore_classes": class_numbers(self.ignore_classes),
+            "units": None if self.units is None else parse_units(self.units),
+            "anchor": tuple(checked_anchor(self.anchor).tolist()),  # type: ignore[union-attr]
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def echoes(self) -> frozenset[str]:
+        """The kinds of echoes that are judged, ``{"all"}`` for all."""
+        return frozenset(_words(self.returns))
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip().lower() for word in text.split(",") if word.strip()]
