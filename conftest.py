@@ -37,7 +37,7 @@ NOT_RUN = {
     ): "tests/test_calibrate.py drives a Study with Optuna; here 256 sets on a large scene",
     (
         "docs/from_one_tile_to_a_country.md",
-        'report = jf.ground("survey/"',
+        "run = jf.RunOptions(workers=8",
     ): "docs/examples/tutorials/f_survey.py does it",
     ("docs/examples/tutorials/c_paper_table.py", "samples = {"): "the ISPRS samples may not be passed on",
     ("docs/examples/tutorials/e_few_clicks.py", "clicks, kinds = [], []"): "somebody has to click",
@@ -190,7 +190,7 @@ class Here:
         return 1 - len(self.done)
 
     def submit(self, tag: Any, function: Any, *arguments: Any) -> None:
-        from jaxfilter.surveys.pool import attempt
+        from jaxfilter.surveys.executors import attempt
 
         self.done.append((tag, attempt(function, arguments)))
 
@@ -226,7 +226,7 @@ def run_shell(example: Example) -> None:
 
     example.namespace.pop("_said", None)
     found = commands(str(example.parsed))
-    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.folder.Pool", Here):
+    with tempfile.TemporaryDirectory() as folder, mock.patch("jaxfilter.surveys.options.Pool", Here):
         if any(why_not(page(example), command) is None for command in found):
             shutil.copytree(files_for_commands(), folder, dirs_exist_ok=True)
         with contextlib.chdir(folder):

@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 import jaxfilter as jf
 
 ARRAYS = (
-    "engines.cloth.coloured",
+    "engines.cloth.surface",
     "engines.grid.cells",
     "engines.grid.cones",
     "engines.grid.inpaint",

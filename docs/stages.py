@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 
 import jaxfilter as jf
 from jaxfilter.core.grid import Grid
+from jaxfilter.engines.tin.triangulation import triangulated
 from jaxfilter.methods.ost import RIM
 from jaxfilter.steps.grid_filter import GridFilter
-from jaxfilter.steps.ground_tin import GroundTin
 from jaxfilter.steps.tin_filter import TinFilter
 from jaxfilter.steps.voids import filled_by
 
@@ -130,8 +130,7 @@ def segmented(filter_: jf.OST) -> list[Stage]:
     points = filter_.points_of(scene().cloud)
     cells, lowest = filter_.lowest_points(points, filter_.low(points))
     longest = max(float(filter_.void), 4 * points.spacing())
-    with GroundTin(points.xyz[lowest], np.arange(len(lowest)), None) as tin:
-        z = filled_by(tin.tin, cells, math.ceil(RIM / filter_.cell - 1e-6), longest)
+    z = filled_by(triangulated(points.xyz[lowest]), cells, math.ceil(RIM / filter_.cell - 1e-6), longest)
     objects, drop, _ = filter_.objects(z, cells)
     share, grid = inner(np.minimum(np.asarray(drop), 3.0), cells)
     is_object = inner(objects, cells)[0]

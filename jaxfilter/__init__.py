@@ -16,54 +16,54 @@ if TYPE_CHECKING:
     from .core.cloud import PointCloud
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
     from .core.filter import Filter
+    from .core.reading import Reading
     from .core.result import Decision, FilterResult, GroundFilter, Status
-    from .files.reading import class_changes, info, read, write
+    from .files.reading import Classes, class_changes, info, read, write
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
     from .pdal import from_pdal
-    from .reports import report, review
+    from .reports import ReportOptions, report, review
     from .scoring import Scores, evaluate
     from .steps.grid_filter import soft_labels
     from .surveys.border import CutObject, cut_objects
     from .surveys.collection import Collection, open
-    from .surveys.ground import ground
+    from .surveys.ground import Review, ground
     from .surveys.heights import heights
     from .surveys.model import terrain_model
     from .surveys.options import RunOptions
-    from .sweeps.calibrate import Calibration, Study, calibrate
+    from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
-    from .sweeps.sweep import sweep
+    from .sweeps.sweep import SweepOptions, sweep
+    from .terrain.interpolation import Interpolation
     from .terrain.models import dtm, dtm_rmse, height_above_ground
     from .terrain.raster import Raster
 
 _HOMES = {
-    "citing": ("citation",),
-    "core.cloud": ("PointCloud",),
+    "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",),
     "core.errors": ("ForkError", "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"),
     "core.filter": ("Filter",), "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"),
     "methods": (
         "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
     ),
-    "methods.default": ("default_filter",),
-    "files.reading": ("class_changes", "info", "read", "write"),
-    "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
-    "surveys.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
-    "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "Study", "calibrate"),
-    "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("sweep",),
-    "terrain.models": ("dtm", "dtm_rmse", "height_above_ground"),
-    "surveys.collection": ("Collection", "open"), "reports": ("report", "review"),
-    "surveys.ground": ("ground",), "surveys.heights": ("heights",), "surveys.options": ("RunOptions",),
-    "surveys.model": ("terrain_model",),
+    "methods.default": ("default_filter",), "files.reading": ("Classes", "class_changes", "info", "read", "write"),
+    "terrain.raster": ("Raster",), "pdal": ("from_pdal",), "surveys.options": ("RunOptions",),
+    "surveys.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",), "scoring": ("Scores", "evaluate"),
+    "sweeps.calibrate": ("Calibration", "CrossValidation", "Study", "calibrate"),
+    "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("SweepOptions", "sweep"),
+    "terrain.interpolation": ("Interpolation",), "terrain.models": ("dtm", "dtm_rmse", "height_above_ground"),
+    "reports": ("ReportOptions", "report", "review"), "surveys.collection": ("Collection", "open"),
+    "surveys.ground": ("Review", "ground"), "surveys.heights": ("heights",), "surveys.model": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Collection", "Comparison", "CutObject", "Decision", "Filter", "FilterResult", "ForkError", "GroundFilter",
-    "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "RunOptions",
-    "Scores", "Status", "Study", "calibrate", "citation", "class_changes", "compare", "cut_objects", "default_filter", "dtm",
-    "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "info", "open", "plots", "read",
-    "report", "review", "scenes", "soft_labels", "sweep", "terrain_model", "write",
+    "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "CutObject", "Decision", "Filter",
+    "FilterResult", "ForkError", "GroundFilter", "InputError", "Interpolation", "JaxfilterError", "JaxfilterWarning",
+    "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "Review", "RunOptions",
+    "Scores", "Status", "Study", "SweepOptions", "calibrate", "citation", "class_changes", "compare", "cut_objects",
+    "default_filter", "dtm", "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "info",
+    "open", "plots", "read", "report", "review", "scenes", "soft_labels", "sweep", "terrain_model", "write",
 ]  # fmt: skip
 
 

@@ -37,13 +37,19 @@ def data():
 
 @pytest.fixture(scope="session")
 def sample(data):
-    """Reads an ISPRS sample by its number. Arrays of all samples get one shape, so that they share compilations."""
+    """Reads an ISPRS sample by its number. Arrays of all samples get one shape, so that they share compilations.
+
+    ``own_corner``: its grids count from its lower left corner, as in the papers whose figures are compared with.
+    """
     import jaxfilter as jf
     from jaxfilter.core.cloud import Whole
 
     @functools.cache
-    def read(number, anchor=None):
-        cloud = jf.read(data / "isprs" / f"samp{number}.txt", anchor=anchor)
+    def read(number, own_corner=False):
+        path = data / "isprs" / f"samp{number}.txt"
+        cloud = jf.read(path)
+        if own_corner:
+            cloud = jf.read(path, anchor=cloud.coordinates()[:, :2].min(axis=0))
         return dataclasses.replace(cloud, whole=Whole(width=480.0, height=480.0))
 
     return read

@@ -13,7 +13,6 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.surveys.ground import ground as classify
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 ROOF = (0.0, 20.0, 12.0, 30.0)
@@ -135,7 +134,7 @@ def test_a_neighbour_in_the_halo_decides(tmp_path):
     assert cut.is_ground and cut.area == pytest.approx(300, rel=0.1) and cut.bounds[2] == pytest.approx(30, abs=1)
     both = [tmp_path / "west.laz", tmp_path / "east.laz"]
     reports = [
-        classify(files, tmp_path / str(k), filter_, tile=tile, workers=1, executor=Here())
+        jf.ground(files, tmp_path / str(k), filter_, run=jf.RunOptions(tile=tile, executor=Here()))
         for k, (files, tile) in enumerate(((both[0], 30.0), (both, 30.0), (both[0], 15.0)))
     ]
     expected = [dataclasses.asdict(cut) | {"bounds": list(cut.bounds)}]
@@ -154,5 +153,5 @@ def test_the_command_tells_of_cut_roofs(tmp_path):
         dataclasses.asdict(one) | {"bounds": list(one.bounds)} for one in cut
     ] and [one.is_ground for one in cut] == [False, True]
     text = CliRunner().invoke(main, words)
-    assert "1 object that the border of the data cuts is not ground" in text.stderr
-    assert "1 object at the border of the data may be a cut roof and became ground: 288 m2 at" in text.stderr
+    assert "1 object cut by the edge of the data was classified as non-ground; please check it" in text.stderr
+    assert "1 object at the edge of the data may be a cut roof and was classified as ground: 288 m2 at" in text.stderr

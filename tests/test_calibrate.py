@@ -8,7 +8,6 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.sweeps.best import best_sets
-from jaxfilter.sweeps.calibrate import _folds
 from jaxfilter.sweeps.ranges import RANGES, Range, search_ranges
 
 
@@ -23,6 +22,11 @@ def patches(scene):
     xy = scene.cloud.xyz[:, :2]
     near = [np.abs(xy - centre).max(axis=1) < 12 for centre in ((25, 25), (90, 30), (30, 95), (85, 85))]
     return np.any(near, axis=0) & scene.cloud.candidate
+
+
+def known(truth, where):
+    """Labels of which only some are known."""
+    return np.where(where, truth, -1).astype(int)
 
 
 def test_calibrated_parameters_are_better_than_bad_ones_on_the_points_without_labels(scene, patches):
@@ -40,7 +44,7 @@ def test_calibrated_parameters_are_better_than_bad_ones_on_the_points_without_la
 
 
 def test_trials_are_scored_as_evaluate_does(scene, patches):
-    study = jf.Study(jf.SMRF(), scene.cloud, np.where(patches, scene.truth, -1).astype(int))
+    study = jf.Study(jf.SMRF(), scene.cloud, known(scene.truth, patches))
     sets = [{"slope": 0.1, "threshold": 0.4}, {"slope": 0.3, "threshold": 0.9}]
     scores = study.evaluate(sets)
     for one, score in zip(sets, scores, strict=True):
@@ -55,15 +59,16 @@ def test_labels_of_a_fold_do_not_choose_the_set_that_it_is_scored_with(scene, pa
     sets = [{"slope": s, "threshold": t} for s in (0.05, 0.15, 0.4) for t in (0.3, 0.8, 2.0)]
 
     def evaluated(truth):
-        study = jf.Study(jf.SMRF(), scene.cloud, truth, labelled=patches, score=score, folds=3)
+        validation = jf.CrossValidation(folds=3)
+        study = jf.Study(jf.SMRF(), scene.cloud, known(truth, patches), score=score, validation=validation)
         study.evaluate(sets)
         return study
 
-    study, known = evaluated(scene.truth), np.flatnonzero(patches)
+    study, rows = evaluated(scene.truth), np.flatnonzero(patches)
     assert study.folds == 3
     called = np.zeros(len(scene.truth), bool)
     for fold in range(3):
-        held = known[study.fold == fold]
+        held = rows[study.fold == fold]
         without = study.expected([fold])
         called[held] = jf.SMRF(**sets[int(study.best(without)[0])])(scene.cloud).ground[held]
         wrong = scene.truth.copy()
@@ -82,7 +87,7 @@ def test_labels_of_a_fold_do_not_choose_the_set_that_it_is_scored_with(scene, pa
 
 
 def test_kappa_is_maximised(scene, patches):
-    study = jf.Study(jf.SMRF(), scene.cloud, scene.truth, labelled=patches, score="kappa")
+    study = jf.Study(jf.SMRF(), scene.cloud, known(scene.truth, patches), score="kappa")
     scores = study.evaluate([{"slope": s} for s in (0.02, 0.15, 0.9)])
     assert study.result().filter.slope == (0.02, 0.15, 0.9)[int(np.argmax(scores))]
 
@@ -90,7 +95,7 @@ def test_kappa_is_maximised(scene, patches):
 def test_an_optimiser_drives_a_study_in_batches(scene, patches):
     optuna = pytest.importorskip("optuna")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = jf.Study(jf.SMRF(), scene.cloud, scene.truth, labelled=patches)
+    study = jf.Study(jf.SMRF(), scene.cloud, known(scene.truth, patches))
     optimiser = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=1))
     for _ in range(3):
         trials = [optimiser.ask() for _ in range(12)]
@@ -131,7 +136,7 @@ def test_the_best_set_is_that_of_the_cloud_not_that_of_the_patches(seed):
     place = scenes.make("mixed", size=120.0, density=1.5, seed=seed)
     cloud, truth = place.cloud, place.truth
     patches = [np.abs(cloud.xyz[:, :2] - at).max(axis=1) < 6 for at in ((25, 25), (90, 30), (30, 95), (85, 85))]
-    study = jf.Study(jf.SMRF(), cloud, truth, labelled=np.any(patches, axis=0) & cloud.candidate)
+    study = jf.Study(jf.SMRF(), cloud, known(truth, np.any(patches, axis=0) & cloud.candidate))
     axes = itertools.product((0.05, 0.1, 0.2, 0.4, 0.8), (0.15, 0.3, 0.6, 1.2), (0.0, 1.5, 3.0))
     naive = study.evaluate([dict(zip(("slope", "threshold", "scaling"), values, strict=True)) for values in axes])
 
@@ -165,7 +170,7 @@ def test_trials_are_tabled_and_stored(scene, patches, tmp_path):
 def test_labels_that_say_nothing_are_refused_or_warned_of(scene):
     cloud = scene.cloud
     with pytest.raises(jf.InputError, match="set aside"):
-        jf.Study(jf.SMRF(), cloud, np.arange(len(cloud)) % 2 == 0, labelled=~cloud.candidate)
+        jf.Study(jf.SMRF(), cloud, known(np.arange(len(cloud)) % 2 == 0, ~cloud.candidate))
     line = np.column_stack([np.arange(40.0), np.zeros(40), np.arange(40) % 2])
     with pytest.warns(jf.JaxfilterWarning, match="SMRF"):
         found = jf.calibrate(jf.SMRF(), line, np.arange(40) % 2 == 0, size=4, rounds=1)
@@ -175,12 +180,12 @@ def test_labels_that_say_nothing_are_refused_or_warned_of(scene):
 @pytest.mark.parametrize("count", [2, 5])
 def test_folds_are_whole_blocks_of_about_the_same_size(count, rng):
     xyz = (rng.random((900, 3)) * [200, 80, 9]).astype(np.float32)
-    fold = _folds(xyz, count, 20.0)
+    fold = jf.CrossValidation(count, 20.0).assign(xyz)
     block = np.floor(xyz[:, :2] / 20).astype(int) @ [1000, 1]
     assert all(len(set(fold[block == b])) == 1 for b in set(block.tolist()))
     sizes = np.bincount(fold)
     assert len(sizes) == count and sizes.max() < 1.5 * sizes.min()
-    assert int(_folds(xyz, count, None).max()) + 1 == count
+    assert int(jf.CrossValidation(count).assign(xyz).max()) + 1 == count
 
 
 def test_bad_labels_and_arguments_are_named(scene, patches):

@@ -98,7 +98,7 @@ def test_flags_cover_every_field_once(method):
 def test_fields_of_every_kind_become_flags():
     @dataclasses.dataclass(frozen=True)
     class Toy(Filter):
-        number: float = dataclasses.field(default=1.0, metadata={"doc": "a number", "unit": "m", "gt": 0})
+        number: float = dataclasses.field(default=1.0, metadata={"doc": "a number", "unit": "m", "range": "> 0"})
         count: int = 3
         switch: bool = True
         mode: str = dataclasses.field(default="a", metadata={"choices": ("a", "b")})
@@ -261,7 +261,7 @@ def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
     plain = ground(folder, source="survey.las", target="out.las", method="smrf").stdout
     rows = [[word.strip(" ┃│") for word in line.split("│")[1:4]] for line in plain.splitlines() if "│" in line]
     assert ["9", "kept", f"{(survey == 9).sum():,}"] in rows
-    assert "keep class 2 without being found ground" in plain
+    assert "points that were not judged keep class 2; the file now has " in " ".join(plain.split())
     every = ("--ignore-class", "none", "--returns", "all", "--keep-withheld")
     report = json.loads(ground(folder, *every, "--json", source="survey.las", target="all.las", method="smrf").stdout)
     assert report["candidates"] == len(survey) and report["of_ground_class"] == report["ground"]
@@ -471,9 +471,7 @@ def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, wor
         assert command in main.commands
 
 
-def test_names_of_files_in_python_are_answered_with_the_call_that_takes_them(folder):
-    with pytest.raises(jf.ParameterError, match=r"out.laz: .*jaxfilter\.write\(OUT, cloud, filter\(cloud\)\)"):
-        jf.ground(folder / "scene.laz", folder / "out.laz", units="m")
+def test_names_of_files_in_python_are_answered_with_the_call_that_takes_them():
     with pytest.raises(jf.InputError, match=r"pass jaxfilter\.read\('in.laz'\)"):
         jf.SMRF()("in.laz")
 

@@ -1,4 +1,4 @@
-"""``ground`` and ``dtm`` of collections on the command line."""
+"""``ground``, ``dtm`` and ``height`` of collections on the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.cli.runs import Bytes, is_collection
+from jaxfilter.cli.values import Bytes
 
 pytestmark = pytest.mark.usefixtures("compilation_cache")
 
@@ -65,13 +65,13 @@ def test_a_folder_that_holds_something_is_refused_and_resumed(survey, done):
     again = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume", "--workers", 1)
     assert again.exit_code == 0 and "east.laz: is missing, so it had to be made again" in " ".join(again.stderr.split())
     assert (done[0] / "east.laz").read_bytes() == written
-    journal = done[0] / "jaxfilter-run.sqlite"
-    sound = journal.read_bytes()
-    journal.write_bytes(b"no journal")
+    facts = done[0] / ".jaxfilter-run" / "run.json"
+    sound = facts.read_bytes()
+    facts.write_bytes(b"no facts")
     damaged = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume")
-    assert damaged.exit_code == 1 and "run.sqlite: the journal is damaged" in damaged.stderr
+    assert damaged.exit_code == 1 and "run.json: is damaged" in damaged.stderr
     assert "pass --overwrite to begin the run anew" in damaged.stderr
-    journal.write_bytes(sound)
+    facts.write_bytes(sound)
     other = run("ground", "pmf", survey, done[0], "--max-window", 11, "--resume")
     assert other.exit_code == 1 and "results are not mixed" in other.stderr
 
@@ -90,13 +90,13 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
     [
         (("smfr", "{survey}", "out"), "smfr: no such file or folder, and no method: choose one of agptd"),
         (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
-        (("pmf", "{survey}", "out", "--bounds", 0, 0, 1, 1), "--bounds is for a single file"),
+        (("pmf", "{survey}", "out", "--bounds", 2, 0, 1, 1), "bounds=(2.0, 0.0, 1.0, 1.0)"),
         (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
         (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--halo", 5), "--halo is for a collection"),
-        (("smfr", "out.laz"), "does not exist. It is no method either"),
-        (("pmf", "{survey}", "out.laz"), "out.laz: a collection is written into a folder"),
-        (("absent.laz", "out.laz"), "ground [OPTIONS] IN... OUT"),
+        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1MB"), "memory=1e+06 bytes do not suffice"),
+        (("smfr", "out.laz"), "smfr: no such file or folder, and no method: choose one of agptd"),
+        (("pmf", "{survey}", "out.laz"), "out.laz: 2 files are written into a folder"),
+        (("absent.laz", "out.laz"), "absent.laz: no such file or folder"),
     ],
 )
 def test_wrong_usage_ends_before_anything_is_written(survey, tmp_path, monkeypatch, words, message):
@@ -123,7 +123,7 @@ def test_a_terrain_model_of_a_folder(done, tmp_path):
     assert run("dtm", done[0], tmp_path / "dtm.tif", "--log", log).exit_code == 2, "exists"
     said = log.read_text()
     for words in (
-        " INFO tiles: ",
+        " INFO run: ",
         f"through {report['ground']:,} ground points",
         "INFO done in",
         "ERROR",
@@ -149,27 +149,12 @@ def test_heights_of_a_folder(done, tmp_path):
     assert f"{report['points']:,} points above {report['ground']:,} ground points" in log.read_text()
     assert run("height", done[0], tmp_path / "out").exit_code == 1, "not empty"
     for words, message in (
-        ((done[0], tmp_path / "new", "--in-place"), "--in-place is for a single file"),
-        ((done[0] / "west.laz", tmp_path / "a.laz", "--work", "x"), "--work is for a collection"),
+        ((done[0], tmp_path / "new", "--in-place"), "new: no such file or folder"),
         ((done[0], "s3://bucket/out"), "pass --work"),
-        ((done[0], tmp_path / "a.laz"), "a.laz: a collection is written into a folder"),
+        ((done[0], tmp_path / "a.laz"), "a.laz: 2 files are written into a folder"),
     ):
         wrong = run("height", *words)
         assert wrong.exit_code == 2 and message in wrong.stderr, wrong.output
-
-
-def test_what_is_a_collection(tmp_path):
-    (tmp_path / "a.laz").touch()
-    one = str(tmp_path / "a.laz")
-    assert not is_collection([one, "out.laz"]) and not is_collection([one])
-    for words in ([one, one, "out"], [str(tmp_path), "out"], ["*.laz", "out"], ["all.vpc", "out"], [one, "out/"]):
-        assert is_collection(words), words
-    assert is_collection(["s3://bucket/a.laz", "out"]) and is_collection([one, str(tmp_path)])
-    assert is_collection([one, "s3://bucket/out"]) and is_collection(["s3://bucket/", "out.laz"])
-    for out in ("s3://bucket/out.laz", "s3://bucket/out.csv", "s3://bucket/out.TIF"):
-        assert not is_collection([one, out]), out
-    assert not is_collection(["s3://bucket/a.laz", "out.laz"])
-    assert is_collection(["s3://bucket/a.laz", "dtm.tif"]), "read in windows"
 
 
 @pytest.mark.parametrize("text, size", [("4GB", 4e9), ("512MiB", 2**29), ("1e9", 1e9), ("1.5 g", 1.5e9), ("7", 7.0)])

@@ -18,6 +18,7 @@ from jaxfilter.cli import main
 from jaxfilter.cli.session import Rate, Session, memory, short
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError
+from jaxfilter.core.filter import ground_each
 from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.labels import labels_from, point_labels, within
@@ -218,16 +219,15 @@ class Counted:
 
     def __init__(self, monkeypatch, stop=None):
         self.sets = 0
-        original = jf.SMRF.ground_each
 
-        def ground_each(filter_, *arguments, **options):
-            for each in original(filter_, *arguments, **options):
+        def counted(*arguments, **options):
+            for each in ground_each(*arguments, **options):
                 if self.sets == stop:
                     raise KeyboardInterrupt
                 self.sets += 1
                 yield each
 
-        monkeypatch.setattr(jf.SMRF, "ground_each", ground_each)
+        monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", counted)
 
 
 def test_an_interrupted_sweep_resumes_without_computing_again(folder, monkeypatch):

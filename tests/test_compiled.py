@@ -19,7 +19,7 @@ from jaxfilter.cli.session import Session
 from jaxfilter.core import compilation
 from jaxfilter.engines import compiled as module
 from jaxfilter.engines.compiled import compiled
-from jaxfilter.surveys.task import heard
+from jaxfilter.surveys.report import collected_warnings
 
 
 def collatz(n):
@@ -212,7 +212,7 @@ def test_damage_in_the_cache_of_jax_is_told_of_once_and_repaired(kernels):
         damage(entry)
     jax.clear_caches()
     compilation._troubles.clear()
-    with heard() as remarks:
+    with collected_warnings() as remarks:
         assert float(jax.jit(plus)(1.0)) == 2.0 and float(jax.jit(times)(1.0)) == 3.0
     assert len(remarks) == 1 and "cannot be read or kept here" in remarks[0]
 

@@ -5,18 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
 import jaxfilter as jf
-from jaxfilter.engines.cloth import wavefront as module
-from jaxfilter.engines.cloth.coloured import fill_along_lines, lowest_below, settle
-from jaxfilter.engines.cloth.wavefront import drape, join_slopes
-from jaxfilter.steps.grid_filter import Surface
-from jaxfilter.steps.surfaces import Cells
+from jaxfilter.engines.cloth import drape as module
+from jaxfilter.engines.cloth.drape import drape, join_slopes
+from jaxfilter.engines.cloth.surface import fill_along_lines, lowest_below
 
 MOVES = {1: (0.3, 0.3), 2: (0.51, 0.42), 3: (0.657, 0.468)}
 RING = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1), (1, 0), (0, 1), (1, 1)]
@@ -34,23 +31,13 @@ numpy.savez(sys.argv[2], **labels)
 """
 
 
-def by_rows(rows, columns):
-    return np.ndindex(rows, columns)
-
-
-def by_colours(rows, columns):
-    nodes = np.array(list(np.ndindex(rows, columns)))
-    y, x = nodes.T
-    return nodes[np.lexsort((x, y, x % 5, y % 5))]
-
-
-def one_by_one(limit, moves, fall, tolerance, iterations, order=by_rows):
+def one_by_one(limit, moves, fall, tolerance, iterations):
     """The cloth with plain loops, in double precision."""
     rows, columns = limit.shape
     z, before, pinned = np.zeros(limit.shape), np.zeros(limit.shape), np.zeros(limit.shape, bool)
     for taken in range(1, iterations + 1):  # noqa: B007
         z, before = np.where(pinned, z, z + 0.99 * (z - before) - fall), np.where(pinned, before, z)
-        for y, x in order(rows, columns):
+        for y, x in np.ndindex(rows, columns):
             for dx, dy in RING + [(2 * dx, 2 * dy) for dx, dy in RING]:
                 v, u = y + dy, x + dx
                 if not (0 <= v < rows and 0 <= u < columns):
@@ -107,89 +94,6 @@ def test_a_cloth_that_is_not_at_rest_takes_the_steps_that_are_asked_for(rng, mon
     cloth = drape(limit, MOVES[3], 0.0357, 0.0, 19)
     assert cloth.steps == 19
     np.testing.assert_allclose(cloth.height, z, atol=1e-4)
-
-
-@pytest.mark.parametrize("rigidness, shape, iterations", [(1, (11, 14), 500), (3, (5, 21), 8), (2, (1, 3), 500)])
-def test_the_cloth_in_array_operations_is_that_of_one_colour_after_the_other(rng, rigidness, shape, iterations):
-    limit = ragged(rng, *shape)
-    z, pinned, steps = one_by_one(limit.astype(float), MOVES[rigidness], 0.0357, 0.005, iterations, by_colours)
-    beyond = [(0, most - n) for n, most in zip(shape, (20, 24), strict=True)]  # a shape that other tests compile too
-    padded, inside = np.pad(limit, beyond, constant_values=9), np.pad(np.ones(shape, bool), beyond)
-    cloth = jax.tree.map(np.asarray, settle(padded, inside, MOVES[rigidness], 0.0357, 0.005, iterations))
-    assert cloth.steps == steps and steps > 5
-    np.testing.assert_allclose(cloth.height[: shape[0], : shape[1]], z, atol=1e-4)
-    assert (cloth.pinned[: shape[0], : shape[1]] == pinned).all() and pinned.any()
-    assert not cloth.pinned[~inside].any() and not cloth.height[~inside].any()
-
-
-def cells_over(z, seen):
-    extent, frame = np.array(z.shape, np.int32), np.array([100, 200, 2], np.float32)
-    return Cells(z, seen, jnp.ones(z.shape, bool), extent, frame)
-
-
-def test_the_model_runs_over_parameters_and_clouds_at_once(rng):
-    z = -np.stack([ragged(rng, 20, 24) for _ in range(3)])
-    seen = rng.random(z.shape) < 0.8
-    xyz = np.column_stack([rng.uniform(101, 139, (50, 2)) + [0, 100], rng.uniform(0, 9, 50)]).astype(np.float32)
-
-    def labels(time_step, threshold, z, seen):
-        params = jf.CSF(rigidness=3, iterations=60).replace(time_step=time_step, threshold=threshold)
-        cells = cells_over(z, seen)
-        surface = params.model(cells)
-        tested = params.test(surface, xyz)
-        return tested.height, tested.margin, surface
-
-    time_steps, thresholds = jnp.array([0.4, 0.65]), jnp.array([0.3, 0.9])
-    over_clouds = jax.vmap(labels, in_axes=(None, None, 0, 0))
-    found = jax.jit(jax.vmap(over_clouds, in_axes=(0, 0, None, None)))(time_steps, thresholds, z, seen)
-    alone = jax.jit(labels)
-    for i, k in np.ndindex(2, 3):
-        one = alone(time_steps[i], thresholds[i], z[k], seen[k])
-        for many, single in zip(jax.tree.leaves(found), jax.tree.leaves(one), strict=True):
-            np.testing.assert_allclose(many[i, k], single, atol=1e-4)
-    height, margin, surface = found
-    np.testing.assert_allclose(margin, np.abs(height) - np.array([0.3, 0.9])[:, None, None], atol=1e-6)
-    lowest = np.where(seen, z, np.inf).min(axis=(1, 2))
-    assert (surface.z <= z.max() + 1e-4).all() and (surface.z > lowest[:, None, None] - 0.06).all()
-
-
-def test_heights_of_the_model_are_over_the_middle_of_cells():
-    y, x = np.mgrid[:20, :24]
-    cells = cells_over(jnp.zeros((20, 24)), jnp.ones((20, 24), bool))
-    z = jnp.asarray(0.5 * (101 + 2 * x) - 0.2 * (201 + 2 * y), jnp.float32)
-    plane = Surface(z, jnp.zeros_like(z), cells.extent, cells.frame)
-    xyz = np.array([[103.3, 206.9, 4.0], [110.1, 208.2, -1.0]], np.float32)
-    tested = jf.CSF(threshold=0.5).test(plane, xyz)
-    height, margin = tested.height, tested.margin
-    np.testing.assert_allclose(height, xyz[:, 2] - 0.5 * xyz[:, 0] + 0.2 * xyz[:, 1], atol=1e-4)
-    np.testing.assert_allclose(margin, np.abs(height) - 0.5, atol=1e-6)
-
-
-def test_margins_of_the_model_have_gradients(rng):
-    z = -ragged(rng, 20, 24)
-    cells = cells_over(jnp.asarray(z), jnp.ones(z.shape, bool))
-    xyz = np.column_stack([rng.uniform(101, 139, (50, 2)) + [0, 100], rng.uniform(0, 9, 50)]).astype(np.float32)
-    cloth = jf.CSF().model(cells)
-
-    def margins(threshold, z):
-        return jf.CSF().replace(threshold=threshold).test(cloth, xyz.at[:, 2].set(z)).margin.sum()
-
-    xyz = jnp.asarray(xyz)
-    threshold, elevations = jax.jit(jax.grad(margins, argnums=(0, 1)))(0.5, xyz[:, 2])
-    assert threshold == -50
-    np.testing.assert_array_equal(elevations, np.sign(jf.CSF().test(cloth, xyz).height))
-
-
-def test_what_cannot_be_draped_is_said():
-    none, some = np.zeros((20, 24), bool), np.ones((20, 24), bool)
-    assert np.isnan(jf.CSF().model(cells_over(jnp.zeros((20, 24)), none)).z).all()
-    assert np.isnan(jf.CSF().model(cells_over(jnp.full((20, 24), jnp.nan), some)).z).all()
-    limit = np.full((20, 24), -1, np.float32)
-    limit[1, 2] = np.nan
-    cloth = settle(limit, some, MOVES[1], 0.1, 0.005, 50)
-    assert np.isfinite(cloth.height).all() and (np.asarray(cloth.pinned) == ~np.isnan(limit)).all()
-    with pytest.raises(jf.InputError, match=r"limit \(20, 24\) and inside \(24, 20\)"):
-        settle(limit, some.T, MOVES[1], 0.1, 0.005, 50)
 
 
 def test_a_cloth_in_free_fall_follows_gravity():
@@ -282,7 +186,8 @@ def test_isprs_samples_get_the_labels_of_the_package(data: Path, tmp_path):
     xyz = {name: np.loadtxt(data / "isprs" / f"{name}.txt")[:, :3] for name in ("samp21", "samp24", "samp31")}
     expected = package_labels(xyz, tmp_path)
     for name in xyz:
-        assert (jf.CSF.preset("wheel")(xyz[name]).ground == expected[name]).mean() >= 0.98, name
+        cloud = jf.PointCloud.from_arrays(xyz[name], anchor=xyz[name][:, :2].min(axis=0))  # where their cloth begins
+        assert (jf.CSF.preset("wheel")(cloud).ground == expected[name]).mean() >= 0.98, name
 
 
 def test_gravity_of_the_program_is_weaker_than_that_of_the_equation():

@@ -14,13 +14,14 @@ from triangulation import Mesh
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.grid import grid_over
 from jaxfilter.core.points import canonical_points
-from jaxfilter.core.result import Decision
-from jaxfilter.engines.tin import densify as densify_module
+from jaxfilter.core.result import Decision, Status
+from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import flips, walks
+from jaxfilter.engines.tin import ground as ground_module
 from jaxfilter.engines.tin import triangulation as tin_module
-from jaxfilter.engines.tin.densify import densify
 from jaxfilter.engines.tin.facets import Rule
-from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Network, Vertices
+from jaxfilter.engines.tin.ground import GroundTin
+from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Network, Outliers, Vertices
 from jaxfilter.engines.tin.network import block_networks, border_positions, one_network
 from jaxfilter.engines.tin.triangulation import lattice
 
@@ -47,17 +48,23 @@ def seeds_of(points, barred=None, cell=15.0):
 
 def network_of(points, late=None):
     late = np.zeros(len(points), bool) if late is None else late
-    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
-    return one_network(points, seeds_of(points, late), border, late, late)
+    border = border_positions(*points.extent, 30.0, points.anchored())
+    return one_network(points, seeds_of(points, late), border, Outliers(late, late))
+
+
+def densify(net, growth, max_rounds=100, workers=None, keep_labels=False):
+    """The outcome of a growth, and whether it ended by itself."""
+    with GroundTin.start(net, growth, workers=workers) as out:
+        out.converged = grow(out, max_rounds, keep_labels=keep_labels) is Status.CONVERGED
+        out.finish()
+    return out
 
 
 def grown(net, max_rounds=100, workers=None, keep_labels=False, follow=False, spacing=0.0, **policies):
     """The outcome of a growth with the rule, and what else is given."""
     fields = {name: policies.pop(name) for name in ("mirror", "adaptive", "one_per_facet") if name in policies}
-    growth = Growth(
-        Rule(**policies), **fields, vertices=Vertices(spacing), border_follows=follow, max_rounds=max_rounds
-    )
-    return densify(net, growth, workers=workers, keep_labels=keep_labels)
+    growth = Growth(Rule(**policies), **fields, vertices=Vertices(spacing), border_follows=follow)
+    return densify(net, growth, max_rounds, workers, keep_labels)
 
 
 def plain(
@@ -144,20 +151,20 @@ def test_two_sided_rule_with_mirroring_equals_plain_loop(nearest):
 
 
 def blocks_of(points, reach=63.6):
-    border = border_positions(points.xyz[:, :2].min(0).astype(float), points.xyz[:, :2].max(0).astype(float), 30.0)
+    border = border_positions(*points.extent, 30.0, points.anchored())
     none = np.zeros(len(points), bool)
-    return block_networks(points, seeds_of(points), border, none, none, size=30.0, overlap=5.0, reach=reach)
+    return block_networks(points, seeds_of(points), border, Outliers(none, none), size=30.0, overlap=5.0, reach=reach)
 
 
 @pytest.mark.parametrize("sides", [(95.0, 30.0), (59.9, 120.0), (10.0, 61.0)])
-def test_border_nodes_stand_a_block_apart_and_the_last_block_takes_what_is_left_over(sides):
+def test_border_nodes_stand_a_block_apart_counted_from_the_anchor(sides):
     blocks = 0
     for width, height in (sides, sides[::-1]):
-        border = border_positions(np.zeros(2), np.array([width, height]), 30.0)
-        gaps = np.diff(np.sort(border[border[:, 1] < -0.1, 0].clip(0, width)))  # along the southern side
-        np.testing.assert_allclose(gaps[:-1], 30.0, atol=1e-4)
-        assert min(30.0, width) <= gaps[-1] + 1e-4 < 60
-        blocks += len(gaps)
+        border = border_positions(np.zeros(2), np.array([width, height]), 30.0, np.array([100.0, 100.0]))
+        along = np.sort(border[border[:, 1] < -0.1, 0].clip(0, width))  # of the southern side
+        nodes = np.arange(20.0, width, 30.0)  # 120 m, 150 m, ... from the anchor
+        np.testing.assert_allclose(along, [0.0, *nodes, width], atol=1e-4)
+        blocks += len(along) - 1
     assert len(border) == 2 * blocks
 
 
@@ -195,7 +202,7 @@ def test_a_block_is_completed_where_seeds_do_not_surround_all_points_of_its_over
     points = canonical_points(PointCloud.from_arrays(np.column_stack([xy, np.zeros(len(xy))])))
     rows = cKDTree(points.xyz[:, :2]).query(xy[:5])[1]
     none, nowhere = np.zeros(len(xy), bool), np.zeros((0, 2))
-    net = block_networks(points, np.sort(rows), nowhere, none, none, size=10.0, overlap=2.0, reach=12.0)
+    net = block_networks(points, np.sort(rows), nowhere, Outliers(none, none), size=10.0, overlap=2.0, reach=12.0)
     sheets = [net.row[net.sheet == number] for number in range(int(net.sheet[-1]) + 1)]
     (middle,) = (sheet for sheet in sheets if np.isin(rows, sheet).all())
     assert (middle < 0).sum() == corners
@@ -229,11 +236,11 @@ def test_blocks_together_equal_each_alone(policy):
     if policy == "grids":
         grids = [grid_over(points.xyz, cell, points.offset(cell), name="cell") for cell in (8.0, 4.0, 2.0)]
         policies = {"vertices": Vertices(grids=grids)}
-    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True), max_rounds=1000, **policies)
-    out = densify(net, growth, workers=3)
+    growth = Growth(Rule(max_angle=14, max_distance=0.8), Mirror(10.0, nearest=True), **policies)
+    out = densify(net, growth, 1000, workers=3)
     assert out.converged
     numbers = range(int(net.sheet[-1]) + 1)
-    alone = [densify(sheet_of(net, number), growth, workers=1) for number in numbers]
+    alone = [densify(sheet_of(net, number), growth, 1000, workers=1) for number in numbers]
     assert len(numbers) > 3 and len({len(one.trace) for one in alone}) > 1
     for name in ("ground", "decision"):
         assert np.array_equal(getattr(out, name), np.concatenate([getattr(one, name) for one in alone]))
@@ -406,10 +413,11 @@ def lawn():
     seed = np.arange(k + 4) >= k
     points = canonical_points(PointCloud.from_arrays(xyz[::1000]))
     row, late = np.where(seed, -1, 0), np.zeros(k + 4, bool)
-    return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late)
+    none = Outliers(np.zeros(len(points), bool), np.zeros(len(points), bool))
+    return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late, none)
 
 
-STEPS = {"judge": (densify_module, "judge"), "locate": (walks, "locate"), "insert": (flips, "insert")}
+STEPS = {"judge": (ground_module, "judge"), "locate": (walks, "locate"), "insert": (flips, "insert")}
 """What is called again and again with a bounded number of nodes: nothing can interrupt it."""
 
 
@@ -482,5 +490,5 @@ def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
     for name in STEPS:
         watched(name)
     densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
-    for name, bound in (("judge", max(densify_module._BATCHES)), ("locate", 1024), ("insert", 1024)):
+    for name, bound in (("judge", max(ground_module._BATCHES)), ("locate", 1024), ("insert", 1024)):
         assert 0 < max(sizes[name]) <= bound and sum(sizes[name]) >= 50_000, name

@@ -18,7 +18,7 @@ import pytest
 
 from jaxfilter import FILTERS, plots
 from jaxfilter.core.params import declared
-from jaxfilter.engines.cloth import coloured
+from jaxfilter.engines.cloth import surface
 from jaxfilter.engines.grid import cells as grid
 from jaxfilter.engines.grid import cones, inpaint, morphology, sampling, spread, windows
 from jaxfilter.engines.tin import facets
@@ -167,8 +167,8 @@ def test_help_on_a_filter_has_unit_range_and_default_of_every_field(name):
         assert facts, field.name
         assert f"default {field.default!r}" in facts[1]
         assert (meta.get("unit") or "") in facts[1]
-        for key, sign in (("gt", "> "), ("ge", ">= "), ("lt", "< "), ("le", "<= ")):
-            assert meta.get(key) is None or f"{sign}{meta[key]:g}" in facts[1], (field.name, key)
+        for sign, bound in meta["limits"].items():
+            assert f"{sign} {bound:g}" in facts[1], (field.name, sign)
 
 
 GRID = np.random.default_rng(1).normal(size=(24, 20)).astype(np.float32)
@@ -208,7 +208,7 @@ DERIVED = {
     ("inpaint.fill_membrane", "z"): (lambda z: inpaint.fill_membrane(z, KNOWN, INSIDE, 1e-6).z, GRID),
     ("inpaint.fill_nearest", "z"): (lambda z: inpaint.fill_nearest(z, KNOWN, INSIDE), GRID),
     ("spread.fill_from_neighbours", "z"): (lambda z: spread.fill_from_neighbours(z, KNOWN, INSIDE, 3)[0], GRID),
-    ("coloured.fill_along_lines", "z"): (lambda z: coloured.fill_along_lines(z, KNOWN, INSIDE), GRID),
+    ("surface.fill_along_lines", "z"): (lambda z: surface.fill_along_lines(z, KNOWN, INSIDE), GRID),
     ("sampling.bilinear", "grid"): (lambda z: sampling.bilinear(XYZ[:, :2], EXTENT, 20)(z), GRID),
     ("sampling.bilinear", "at"): (lambda at: sampling.bilinear(at, EXTENT, 20)(jnp.asarray(GRID)), XYZ[:, :2]),
     ("cells.block_minima", "z"): (lambda z: grid.block_minima(CELL, z, 480)[0][CELL], XYZ[:, 2]),

@@ -375,7 +375,7 @@ def test_a_file_that_is_no_raster_is_an_input_error(tmp_path, rasterio):
 
 @EVERY
 def test_the_reference_has_no_error_against_itself(town, method):
-    errors = jf.dtm_rmse(town.cloud, town.truth, town.truth, cell=2.0, method=method)
+    errors = jf.dtm_rmse(town.cloud, town.truth, town.truth, cell=2.0, interpolation=jf.Interpolation(method))
     assert (errors.rmse, errors.mean, errors.largest, errors.missing) == (0.0, 0.0, 0.0, 0) and errors.cells > 1000
 
 

@@ -23,8 +23,8 @@ from experiments.faults import run as faults
 from experiments.faults.worker import SCALE, rule
 from jaxfilter.cli.commands import main
 from jaxfilter.core.errors import InputError, OutputError
+from jaxfilter.files import blocks, records, text
 from jaxfilter.files import disk as files
-from jaxfilter.files import records, text
 from jaxfilter.files.disk import new_file
 from jaxfilter.terrain.raster import Raster
 
@@ -115,7 +115,8 @@ def test_input_that_changes_while_it_is_copied(tmp_path, monkeypatch, suffix, ch
     source = make(tmp_path / f"in{suffix}")
     cloud = read(source)
     monkeypatch.setattr(records, "CHUNK", 100)
-    at_call(monkeypatch, files.Replay, "add", 0 if suffix == ".xyz" else chunk, lambda: change(source))
+    monkeypatch.setattr(blocks, "RUN", 100)
+    at_call(monkeypatch, files.Tally, "add", chunk if suffix == ".las" else 0, lambda: change(source))
     target = tmp_path / ("out.laz" if chunk else f"out{suffix}")
     with (
         contextlib.suppress(InputError)
@@ -152,10 +153,11 @@ def test_input_that_changes_while_it_is_read(tmp_path, monkeypatch, suffix, chan
     source = make(tmp_path / f"in{suffix}")
     with monkeypatch.context() as patch:
         patch.setattr(records, "CHUNK", 100)
+        patch.setattr(blocks, "RUN", 100)
         if suffix == ".xyz":
             at_call(patch, text, "read_text", 0, lambda: change(source))
         else:
-            at_call(patch, files.Tally, "add", 2, lambda: change(source))
+            at_call(patch, files.Tally, "add", 2 if suffix == ".las" else 0, lambda: change(source))
         if change is not rewritten:
             with pytest.raises(InputError, match=r"in\..*changed while it was read"):
                 read(source)

@@ -48,12 +48,33 @@ def drawn(count, **ranges):
 )
 def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
     points, _ = small
-    cells = filter_.cells(points, filter_.barred(points, None))
+    cells = filter_.cells(points)
     many = jax.vmap(lambda fields: passed(dataclasses.replace(filter_, **fields), cells, points.xyz))(sets)
     each = [dict(zip(sets, values, strict=True)) for values in zip(*sets.values(), strict=True)]
     single = [dataclasses.replace(filter_, **fields)(points.cloud).ground[points.index] for fields in each]
     np.testing.assert_array_equal(many, single)
     assert len({one.tobytes() for one in single}) > len(single) / 2  # the sets do differ
+
+
+CSF = jf.CSF(resolution=1.5)
+BARE = [
+    jf.SMRF(window=8.0, cell=1.5),
+    PMF.replace(low_clusters=False),
+    MSF.replace(low_clusters=False),
+    CSF.replace(low_clusters=False),
+]
+
+
+@pytest.mark.parametrize("filter_", BARE, ids=["smrf", "pmf", "msf", "csf"])
+def test_a_shift_by_whole_cells_gives_the_same_labels(filter_):
+    """Grids count from zero of the coordinates, and the search for low clusters has a grid of its own."""
+    scene = scenes.make("town", size=(60, 50), density=1.0, seed=4)
+    xyz, side = scene.cloud.coordinates().round(2), filter_.lattice()
+    expected = filter_(xyz).ground
+    for shift in ((side, 0.0, 0.0), (-7 * side, 3 * side, -40.0), (200_000 * side, -3_000_000 * side, 900.0)):
+        np.testing.assert_array_equal(filter_(xyz + shift).ground, expected)
+    other = filter_(xyz + (side / 3, side / 2, 0.0)).ground
+    assert 0 < (other != expected).mean() < 0.03
 
 
 @pytest.mark.parametrize("filter_", [SMRF, PMF, MSF], ids=["smrf", "pmf", "msf"])
@@ -145,7 +166,7 @@ def test_soft_labels_have_no_jumps_in_the_slope(small, filter_):
     prepared = filter_.prepare(filter_.cells(points).checked())
 
     def soft_error(slope):
-        return ((dataclasses.replace(filter_, slope=slope).soft(prepared, points.xyz, 0.1) - truth) ** 2).mean()
+        return ((dataclasses.replace(filter_, slope=slope)._soft(prepared, points.xyz, 0.1) - truth) ** 2).mean()
 
     slopes = np.linspace(0.1, 0.4, 121, dtype=np.float32)
     error, gradient = map(np.asarray, jax.lax.map(jax.value_and_grad(soft_error), slopes))

@@ -182,10 +182,10 @@ def test_what_cannot_be_is_said(tmp_path):
     las.write(tmp_path / "none.las")
     for arguments, code, words in (
         ([tmp_path / "none.las", tmp_path / "out.las"], 1, "no point is ground"),
-        ([tmp_path / "in.las", tmp_path / "out.txt"], 2, "suffix"),
+        ([tmp_path / "in.las", tmp_path / "out.txt"], 2, "out.txt: heights need .las or .laz"),
         ([tmp_path / "in.las", tmp_path / "in.las"], 2, "--in-place"),
         ([tmp_path / "in.las"], 2, "OUT is missing"),
-        ([tmp_path / "in.las", tmp_path / "out.las", "--filter", "nothing"], 2, "no filter 'nothing'"),
+        ([tmp_path / "in.las", tmp_path / "out.las", "--filter", "nothing"], 2, "no method 'nothing'"),
     ):
         result = run("height", *arguments)
         assert result.exit_code == code and words in result.stderr and result.stderr.count("\n") == 1, result.output

@@ -17,13 +17,15 @@ import pytest
 from las_files import OFFSETS, SCALES, make_copc, make_las, patch
 
 from jaxfilter.core import frame
-from jaxfilter.core.cloud import PointCloud, Units, parse_units
+from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, ParameterError
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
+from jaxfilter.core.reading import Reading
+from jaxfilter.core.result import FilterResult
+from jaxfilter.core.units import Units, parse_units
 from jaxfilter.files import records
-from jaxfilter.files.reading import class_changes, info, open_las, read, write
-from jaxfilter.surveys.task import labelled
+from jaxfilter.files.reading import Classes, class_changes, info, open_las, read, write
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 
@@ -221,19 +223,20 @@ def test_classes_of_choice(tmp_path):
 def test_low_noise_is_barred_below_the_surface_and_no_ground():
     ground = np.array([False, False, False, False, True, False])
     one = dataclasses.replace(
-        labelled(ground, np.array([True, True, True, False, True, True])),
+        FilterResult.of_labels(ground, np.array([True, True, True, False, True, True])),
+        low_noise=None,
         height=np.array([-5.0, 5.0, np.nan, -5.0, -0.1, -9.0], np.float32),
     )
     np.testing.assert_array_equal(one.low_noise, [True, False, False, False, False, True])
     classes = np.array([2, 2, 1, 5, 0, 9], np.uint8)  # water is not judged
     cloud = PointCloud.from_arrays(np.arange(18.0).reshape(6, 3), classification=classes)
     kept = {(1, 1): 1, (5, 5): 1, (9, 9): 1, (0, 2): 1}
-    assert class_changes(cloud, one, noise_class=18) == {(2, 18): 1, (2, 1): 1, **kept}
+    assert class_changes(cloud, one, Classes(noise_class=18)) == {(2, 18): 1, (2, 1): 1, **kept}
     assert class_changes(cloud, one) == {(2, 1): 2, **kept}
     with pytest.raises(ParameterError, match="noise_class=7: labels alone"):
-        class_changes(cloud, ground, noise_class=7)
+        class_changes(cloud, ground, Classes(noise_class=7))
     with pytest.raises(ParameterError, match="noise_class=256"):
-        class_changes(cloud, one, noise_class=256)
+        class_changes(cloud, one, Classes(noise_class=256))
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
@@ -298,7 +301,7 @@ def test_many_chunks(tmp_path, monkeypatch, suffix):
 
 
 def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
-    n = 200_000
+    n = 800_000  # chunks of 50,000 are the least that is read
     make_las(tmp_path / "in.laz", 6, n=n)
     monkeypatch.setattr(records, "CHUNK", 10_000)
     monkeypatch.setattr(frame, "_ROWS", 10_000)
@@ -320,14 +323,14 @@ def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("units", ["m", "us-ft,ft"])
-@pytest.mark.parametrize("anchor", [None, (439000.25, 4751000.0)])
+@pytest.mark.parametrize("anchor", [(0, 0), (439000.25, 4751000.0)])
 @pytest.mark.parametrize("scale", [0.01, 0.00025, 1e-7])
 def test_from_integers_is_from_arrays(units, anchor, scale):
     rng = np.random.default_rng(3)
     ticks = rng.integers(-(2**31), 2**31, (5000, 3)).astype(np.int32) // (1000 if scale > 1e-4 else 1)
     scales = np.array([scale, scale, scale / 2])
     arrays = PointCloud.from_arrays(ticks * scales + OFFSETS, units=units, anchor=anchor)
-    cloud = PointCloud.from_integers(ticks, scales, OFFSETS, units=units, anchor=anchor)
+    cloud = PointCloud.from_integers(ticks, scales, OFFSETS, Reading(units=units, anchor=anchor))
     assert cloud.xyz.tobytes() == arrays.xyz.tobytes()
     assert cloud.origin.tolist() == arrays.origin.tolist()
     assert np.shares_memory(cloud.xyz, ticks)
@@ -518,8 +521,11 @@ def test_units_of_wkt(tmp_path, crs, xy, z):
     las = make_las(tmp_path / "in.las", 6, crs=crs)
     cloud = read(tmp_path / "in.las")
     np.testing.assert_allclose([cloud.units.xy, cloud.units.z], [xy, z], rtol=1e-12)
-    local = (np.stack([las.x, las.y, las.z], axis=1) - [las.x.min(), las.y.min(), las.z.min()]) * [xy, xy, z]
+    local = (np.stack([las.x, las.y, las.z], axis=1) - cloud.origin) * [xy, xy, z]
     np.testing.assert_allclose(cloud.xyz, local, atol=6e-4)
+    metres = cloud.origin * [xy, xy, z]
+    np.testing.assert_allclose(metres, np.rint(metres), atol=1e-6)
+    assert (local.min(axis=0) >= 0).all() and (local.min(axis=0) < 1).all()
     assert cloud.crs == pyproj.CRS.from_user_input(crs)
 
 
@@ -684,7 +690,7 @@ def test_info(tmp_path):
 
 
 def test_an_interrupt_is_no_damage_of_the_file():
-    with pytest.raises(KeyboardInterrupt), records.reading(Path("in.laz")):
+    with pytest.raises(KeyboardInterrupt), records.reading_errors(Path("in.laz")):
         raise KeyboardInterrupt
 
 
@@ -694,7 +700,7 @@ def test_the_day_of_a_file(tmp_path):
     for day, year, said in ((60, 2024, "2024-02-29"), (366, 2024, "2024-12-31"), (0, 2024, None), (1, 0, None)):
         struct.pack_into("<2H", content, 90, day, year)
         (tmp_path / "in.las").write_bytes(content)
-        assert open_las(tmp_path / "in.las")[0].date == said
+        assert open_las(tmp_path / "in.las").header.date == said
 
 
 @pytest.mark.parametrize(

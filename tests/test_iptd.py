@@ -6,6 +6,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 import jaxfilter as jf
+from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.local_planes import over_local_planes
 
@@ -100,7 +101,7 @@ def test_sets_of_a_sweep_that_grow_downward_differently_are_those_of_calls_alone
     changes = ({}, {"noise_floor": 0.3}, {"max_angle": 1.0})
     sets = [jf.IPTD(max_distance=0.05, **change) for change in changes]
     points = canonical_points(jf.PointCloud.from_arrays(surface(3000, 60)))
-    found = dict(sets[0].ground_each(points, sets, key=None, workers=2, memory=1e9))
+    found = dict(ground_each(sets[0], points, sets, key=None, workers=2, memory=1e9))
     alone = [
         one.classify(points, key=None, workers=1, progress=lambda share, step: None, trace=False).ground for one in sets
     ]
@@ -131,7 +132,7 @@ def test_presets_hold_the_printed_parameters():
 
 @pytest.mark.data
 def test_the_operators_parameters_reach_the_printed_mean(sample):
-    clouds = {s: sample(s) for s in PRINTED}
+    clouds = {s: sample(s, own_corner=True) for s in PRINTED}
     total = {s: jf.evaluate(jf.IPTD.preset(f"samp{s}")(c), c.reference).total for s, c in clouds.items()}
     assert np.mean(list(total.values())) <= 7.0
     assert max(abs(total[s] - PRINTED[s]) for s in PRINTED) < 2.0

@@ -15,7 +15,7 @@ PACKAGE = Path(jaxfilter.__file__).parent
 ROOT = PACKAGE.parent
 FLOORS = {
     "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4, "citing": 4, "pdal": 4,
-    "terrain": 5, "scoring": 5, "sweeps": 6, "plots": 7, "surveys": 8, "reports": 8, "cli": 9, "__main__": 10,
+    "terrain": 5, "scoring": 5, "sweeps": 6, "plots": 7, "reports": 8, "surveys": 9, "cli": 10, "__main__": 11,
 }  # fmt: skip
 PATHS = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path

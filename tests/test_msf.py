@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 from scipy.spatial.distance import cdist
-from test_pmf import hamlet
+from test_pmf import hamlet, moved
 
 import jaxfilter as jf
 from jaxfilter.core.errors import ParameterError
@@ -15,8 +15,8 @@ from jaxfilter.scoring import evaluate
 
 
 def lowest_points(xyz, cell):
-    """Rows of the lowest points of cells that start at the corner of the points; their cells, i64[n, 2], for all points."""
-    cells = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell).astype(int)
+    """Rows of the lowest points of cells that count from zero; their cells, i64[n, 2], for all points."""
+    cells = np.floor(xyz[:, :2] / cell).astype(int)
     order = np.lexsort((xyz[:, 1], xyz[:, 0], xyz[:, 2]))
     _, first = np.unique(cells[order], axis=0, return_index=True)
     return order[first], cells
@@ -85,7 +85,7 @@ def test_ground_is_found_and_a_shuffled_cloud_gets_the_same():
         assert evaluate(result.ground, truth).kappa > 75
         np.testing.assert_array_equal(result.ground, result.margin <= 0)
         order = np.random.default_rng(1).permutation(len(xyz))
-        shuffled = f(xyz[order] + [500000.37, 4800000.81, 300.0])
+        shuffled = f(moved(xyz[order]))
         np.testing.assert_array_equal(shuffled.ground, result.ground[order])
         np.testing.assert_array_equal(shuffled.margin, result.margin[order])
 

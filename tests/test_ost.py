@@ -13,13 +13,18 @@ import jaxfilter as jf
 from jaxfilter.core.points import Points, canonical_points
 from jaxfilter.engines.grid import shapes
 from jaxfilter.engines.grid.morphology import ring_minimum
+from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import rings
+from jaxfilter.engines.tin.ground import GroundTin
+from jaxfilter.engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
+from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.scenes import Kind
-from jaxfilter.steps.ground_tin import GroundTin, lowest_of_each
+from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
 from jaxfilter.steps.outliers import ring_low
+from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.surfaces import lowest_cells
 from jaxfilter.steps.voids import filled_by
 
@@ -30,10 +35,21 @@ def points_of(xyz):
     return canonical_points(jf.PointCloud.from_arrays(xyz)).xyz
 
 
-def cells_of(xyz, cell=1.0):
+def rows_of(xyz):
     every = np.arange(len(xyz))
-    points = Points(jf.PointCloud.from_arrays(xyz), xyz, every, every, np.ones(len(xyz), np.int32))
-    return lowest_cells(points, cell, "cell", corner=(0.0, 0.0))
+    return Points(jf.PointCloud.from_arrays(xyz), xyz, every, every, np.ones(len(xyz), np.int32))
+
+
+def cells_of(xyz, cell=1.0):
+    return lowest_cells(rows_of(xyz), cell, "cell", corner=(0.0, 0.0))
+
+
+def ground_of(xyz, seeds, rule, workers=1):
+    """The growth of OST, before its first step."""
+    none = np.zeros(len(xyz), bool)
+    network = one_network(rows_of(xyz), seeds, np.zeros((0, 2)), Outliers(none, none))
+    growth = Growth(rule, vertices=Vertices(sinks=False), kept=("margin", "height", "slope"))
+    return GroundTin.start(network, growth, workers=workers)
 
 
 def nodes(side, z):
@@ -168,12 +184,12 @@ def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scip
 
 @pytest.mark.parametrize("houses", [False, True])
 def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
-    row, column = np.mgrid[:101, :101].astype(np.float32)
-    z, objects = 0.3 * column + 0.4 * row, np.zeros((101, 101), bool)
+    row, column = np.mgrid[:100, :100].astype(np.float32)
+    z, objects = 0.3 * column + 0.4 * row, np.zeros((100, 100), bool)
     if houses:
         objects[20:32, 20:32] = objects[60:75, 50:58] = True
         z = z + 8 * objects
-    cells = cells_of(nodes(101, z))
+    cells = cells_of(nodes(100, z))
     wide, marked = np.zeros(cells.lowest.shape, np.float32), np.zeros(cells.lowest.shape, bool)
     inside = slice(0, 100), slice(0, 100)
     wide[inside], marked[inside] = z[inside], objects[inside]
@@ -248,17 +264,20 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
 def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     xy = rng.uniform(0, 50, (2000, 2)).round(2)
     plane = points_of(np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 2000)]))
-    with GroundTin(plane, np.arange(len(plane)), 2) as ground:
+    with ground_of(plane, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         before = ground.tin.vertex.sum()
-        assert ground.prune(12.0, 3.0) == 0 and ground.tin.vertex.sum() == before and ground.ground.all()
+        scatter = Scatter.of(ground.tin)
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0) == 0
+        assert ground.tin.vertex.sum() == before and ground.ground.all()
     spiked = plane.copy()
     spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
     spiked[spike, 2] += 0.8
-    with GroundTin(spiked, np.arange(len(plane)), 2) as ground:
-        assert ground.prune(12.0, 3.0) == 1
+    with ground_of(spiked, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
+        scatter = Scatter.of(ground.tin)
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
-        residual, roughness = ground.scatter_of_all()  # it is no vertex any more
-        assert ground.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
+        residual, roughness = scatter.of_all(ground.tin)  # it is no vertex any more
+        assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 
 def test_low_roofs_close_together_do_not_pass_for_relief():
@@ -299,19 +318,21 @@ def test_points_are_taken_in_by_height_and_by_distance_and_angle():
     xyz = points_of(np.array(corners + over, float))
     seeds = np.flatnonzero(((xyz[:, 0] % 20 == 0) & (xyz[:, 1] % 20 == 0)) & (xyz[:, 2] == 0))
     full = np.ones(len(xyz), np.float32)
-    with GroundTin(xyz, seeds, 1) as ground:
-        ground.admit(0.3 * full, 1.0, but=np.zeros(len(xyz), bool))
+    with ground_of(xyz, seeds, HeightRule(0.3 * full, 1.0)) as ground:
+        ground.step()
         assert sorted(xyz[ground.ground, 2].round(2).tolist()) == pytest.approx([0, 0, 0, 0, 0.15, 0.2])
     low = points_of(np.array([*corners, [10, 3, -0.2], [10, 6, -0.6]], float))
     z = low[:, 2] - low[:, 2].max()
     for but, taken in ((z > 0, [-0.2]), (z < -0.1, [])):
-        with GroundTin(low, np.flatnonzero(z > -0.1), 1) as ground:
-            ground.admit(np.full(len(low), 0.3, np.float32), 1.0, but=but)
+        rule = HeightRule(np.full(len(low), 0.3, np.float32), 1.0)
+        with ground_of(low, np.flatnonzero(z > -0.1), rule) as ground:
+            ground.change(rule, but=but)
+            ground.step()
             assert sorted(z[ground.ground].tolist()) == pytest.approx([*taken, 0, 0, 0, 0], abs=1e-3)
     angle = [math.degrees(math.atan2(z, min(math.dist((x, y), c[:2]) for c in corners))) for x, y, z in over]
     for noise in (0.0, 0.1, 0.2):
-        with GroundTin(xyz, seeds, 1) as ground:
-            ground.densify(0.7 * full, 8.0 * full, noise, 1)
+        with ground_of(xyz, seeds, AngleRule(0.7 * full, 8.0 * full, noise)) as ground:
+            grow(ground, 1)
             taken = [z <= 0.7 and (a < 8 or z <= noise) for (_, _, z), a in zip(over, angle, strict=True)]
             expected = sorted(p[2] for p, yes in zip(over, taken, strict=True) if yes)
             assert sorted(xyz[ground.ground & (xyz[:, 2] > 0.1), 2].tolist()) == pytest.approx(expected, abs=1e-3)
@@ -326,8 +347,8 @@ def test_points_in_the_plane_of_a_facet_that_stands_upright_do_not_join(rng):
         xyz = points_of(np.array([*corners, [10, width / 2, slope * width / 2 + off]]))
         seeds = np.flatnonzero(xyz[:, 1] != width / 2)
         full = np.ones(len(xyz), np.float32)
-        with GroundTin(xyz, seeds, 1) as ground:
-            ground.densify(0.2 * full, 60.0 * full, 0.0, 1)
+        with ground_of(xyz, seeds, AngleRule(0.2 * full, 60.0 * full, 0.0)) as ground:
+            grow(ground, 1)
             assert ground.ground.all() == joins
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tarfile
 import tomllib
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -96,9 +97,9 @@ def test_dependencies_and_extras_are_used():
 
 
 def natural():
-    from jaxfilter.terrain.interpolation import interpolator
+    from jaxfilter.terrain.interpolation import Interpolation, surface_through
 
-    interpolator("natural", np.zeros((3, 3), np.float32))
+    surface_through(np.zeros((3, 3), np.float32), Interpolation("natural"))
 
 
 def cluster():
@@ -130,10 +131,14 @@ def test_the_source_distribution_is_light_and_the_wheel_typed(tmp_path):
     assert source.stat().st_size < 1_000_000
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"jaxfilter/py.typed", "tests/test_packaging.py", "experiments/README.md", "LICENSE"} <= names
+    shipped = {f"jaxfilter/{name}" for name in ("py.typed", "methods/papers.bib", "reports/page.html")}
+    assert shipped | {"tests/test_packaging.py", "experiments/README.md", "LICENSE"} <= names
     assert not [name for name in names if "/results/" in name and name.startswith("experiments/")]
     assert "experiments/isprs/published/zheng2024_table1.csv" in names, "the tests need it"
-    metadata = WheelBuilder(str(ROOT)).metadata.core
+    wheel = WheelBuilder(str(ROOT))
+    with zipfile.ZipFile(next(wheel.build(directory=str(tmp_path)))) as archive:
+        assert shipped <= set(archive.namelist())
+    metadata = wheel.metadata.core
     assert metadata.version == jf.__version__ and "Typing :: Typed" in metadata.classifiers
 
 

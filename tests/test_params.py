@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxfilter as jf
 from jaxfilter.citing import citation
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.core.params import check_fields, filter_params, param, static
-from jaxfilter.methods import FILTERS, SMRF, papers
+from jaxfilter.methods import FILTERS, SMRF
+from jaxfilter.methods.papers import bibtex
 
 METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FILTERS))
 
@@ -23,11 +26,11 @@ METHODS = pytest.mark.parametrize("method", list(FILTERS.values()), ids=list(FIL
 class Toy:
     """A parameter set of every kind; without ``classify`` it stays out of the registry."""
 
-    angle: float = param(default=20.0, doc="steepest angle", symbol="a", unit="degrees", gt=0, le=90)
-    floor: float = param(default=0.0, doc="noise floor", unit="m", ge=0)
-    window: float | None = static(default=18.0, doc="window", unit="m", gt=0, optional=True)
-    rounds: int = static(default=10, doc="rounds", ge=1, lt=1000)
-    mode: str = static(default="global", doc="mode", choices=("global", "blocks"))
+    angle: float = param("steepest angle", "a > 0 and <= 90 degrees", default=20.0)
+    floor: float = param("noise floor", ">= 0 m", default=0.0)
+    window: float | None = static("window", "> 0 m", default=18.0, optional=True)
+    rounds: int = static("rounds", ">= 1 and < 1000", default=10)
+    mode: str = static("mode", default="global", choices=("global", "blocks"))
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -54,6 +57,17 @@ class Toy:
 def test_values_out_of_range_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
         Toy(**changes)
+
+
+def test_a_domain_is_a_symbol_limits_and_a_unit():
+    facts = [
+        param("doc", domain, default=1.0).metadata for domain in ("a >= 0 and < 1e3 m/m", "> -1", "<= 9 %", "n", "")
+    ]
+    assert [(f["symbol"], f["unit"]) for f in facts] == [("a", "m/m"), ("", ""), ("", "%"), ("n", ""), ("", "")]
+    assert [f["limits"] for f in facts] == [{">=": 0, "<": 1000}, {">": -1}, {"<=": 9}, {}, {}]
+    for domain in ("> 0 or < 1 m", ">= 0 m per m", "a > x", "== 3"):
+        with pytest.raises(ValueError):
+            param("doc", domain, default=1.0)
 
 
 def test_limits_are_inclusive_where_declared_and_optional_fields_may_be_none():
@@ -237,10 +251,13 @@ def test_an_unknown_citation_names_the_known_ones():
 
 
 def test_every_paper_is_written_once_and_cited():
-    entries = [entry for name, entry in vars(papers).items() if name.isupper()]
-    keys = [re.match(r"@article\{(\w+),\n", entry)[1] for entry in entries]
+    keys = re.findall(
+        r"^@article\{(\w+),$", (Path(jf.__file__).parent / "methods" / "papers.bib").read_text(), re.MULTILINE
+    )
     assert len(set(keys)) == len(keys) == 12
     cited = [key for name in FILTERS for key in re.findall(r"^@article\{(\w+),$", citation(name), re.MULTILINE)]
     assert set(cited) == set(keys) and len(cited) == 18
     blocks = {block for name in FILTERS for block in citation(name).split("\n\n")}
-    assert blocks == set(entries)
+    assert blocks == {bibtex(key) for key in keys}
+    with pytest.raises(KeyError, match="nosuch"):
+        bibtex("nosuch")

@@ -12,7 +12,7 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.steps.consensus import batches, cells_of, consensus_planes, rows_of
 from jaxfilter.steps.quadrants import Buckets, nearest_in_quadrants, rings
 from jaxfilter.steps.references import NearestReferences, QuadrantReferences, local_planes
-from jaxfilter.steps.scaled_planes import progressive_planes
+from jaxfilter.steps.scaled_planes import PlaneSearch, progressive_planes
 
 DRAWS = jax.random.uniform(jax.random.key(0), (128, 3))
 
@@ -203,8 +203,8 @@ def test_a_cell_is_divided_where_the_ground_lies_below_its_plane(rng):
     points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([xy, z.round(2)])))
     everything = np.ones(len(points), bool)
     options = {"cell": 10.0, "min_points": 20, "inlier_distance": 0.3, "max_slope": 75.0}
-    found = progressive_planes(points, everything, DRAWS, division_distance=1.0, **options)
-    whole = progressive_planes(points, everything, DRAWS, division_distance=5.0, **options)
+    found = progressive_planes(points, everything, DRAWS, PlaneSearch(division_distance=1.0, **options))
+    whole = progressive_planes(points, everything, DRAWS, PlaneSearch(division_distance=5.0, **options))
     assert whole.divided == 0 and whole.accepted == 16
     assert found.divided >= 4 and found.accepted > 16
     trench = (points.xyz[:, 0] > 32.6) & (points.xyz[:, 0] < 34.9)
@@ -225,7 +225,7 @@ def test_a_cell_is_divided_into_four_from_the_division_distance_on(share, divide
     low = (x == 1.0) & (y == 1.0)
     points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, -1.5 * share * low])))
     options = {"cell": 8.0, "min_points": 20, "inlier_distance": 0.3, "max_slope": 75.0, "division_distance": 1.5}
-    found = progressive_planes(points, np.ones(len(points), bool), DRAWS, **options)
+    found = progressive_planes(points, np.ones(len(points), bool), DRAWS, PlaneSearch(**options))
     small = (points.xyz[:, :2] < 4).all(axis=1)
     assert (found.divided > 0) == bool(divided) and (found.size[~small] == (4.0 if divided else 8.0)).all()
     sides = np.unique(found.size[small & ~np.isnan(found.size)]).tolist()

@@ -13,9 +13,13 @@ import pytest
 from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patch
 
 import jaxfilter as jf
+from jaxfilter.core.reading import Reading
+from jaxfilter.core.units import Units
 from jaxfilter.files import blocks, windows
 from jaxfilter.files.blocks import Blocks
-from jaxfilter.files.windows import blocks_of, read_window
+from jaxfilter.files.sources import describe_file
+from jaxfilter.files.windows import blocks_of, file_cloud, read_window
+from jaxfilter.files.writing import write_cloud
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
 X, Y = OFFSETS[:2]
@@ -105,13 +109,100 @@ def test_points_on_borders_belong_to_one_box(tmp_path):
     assert max(len(w.record) for w in found) < 100
 
 
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz"])
+def test_a_whole_file_is_read_once(tmp_path, monkeypatch, name):
+    """Without a box, or with one that holds it: no pass for an index, the points of ``read``, and their checksum."""
+    path, index = tmp_path / name, tmp_path / "index"
+    make_copc(path) if "copc" in name else make_las(path, 6, n=3000)
+    source = source_of(path, units="m")
+    monkeypatch.setattr(windows, "_measured", None)
+    plain = jf.read(path, units="m")
+    low, high = np.array(source.bounds[:2]), np.array(source.bounds[2:])
+    for box in (None, tuple(np.concatenate([low, high + 0.001]))):
+        window = read_window(source, box, index)
+        np.testing.assert_array_equal(window.record, np.arange(len(plain)))
+        assert window.cloud.xyz.tobytes() == plain.xyz.tobytes() and not index.exists()
+        assert window.cloud.source.checksum == plain.source.checksum
+    monkeypatch.undo()
+    part = read_window(source, (*low, *(low + 30)), index)
+    assert len(part.record) < len(plain) and index.exists()
+    assert read_window(source, None, index).cloud.xyz.tobytes() == plain.xyz.tobytes()
+
+
+def test_windows_of_text(tmp_path, monkeypatch):
+    """Read once for all boxes, and the points of ``read``."""
+    path, rng = tmp_path / "in.csv", np.random.default_rng(1)
+    xyz = rng.uniform((X, Y, 0), (X + 100, Y + 80, 20), (500, 3)).round(2)
+    classes = rng.integers(0, 8, 500)
+    lines = [f"{x:.2f},{y:.2f},{z:.2f},{c}" for (x, y, z), c in zip(xyz, classes, strict=True)]
+    path.write_text("\n".join(["x,y,z,class", *lines]) + "\n")
+    source = describe_file(path, Units())
+    assert source.format == "text" and source.count == 500 and source.crs is None
+    assert source.bounds == (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
+    assert source.z == (xyz[:, 2].min(), xyz[:, 2].max())
+    monkeypatch.setattr("jaxfilter.files.reading.open_text", None)
+    for box in (None, *boxes_of(source.bounds)):
+        window, lag = read_window(source, box, reading=Reading(ignore_classes=(3,))), (0 if box is None else 1)
+        monkeypatch.undo()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            cut = jf.read(path, bounds=box, ignore_classes=(3,))
+        x, y = xyz[:, 0], xyz[:, 1]
+        inside = np.ones(500, bool) if not lag else (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
+        np.testing.assert_array_equal(window.record, np.flatnonzero(inside))
+        assert window.cloud.xyz.tobytes() == cut.xyz.tobytes() and window.cloud.units == cut.units
+        np.testing.assert_array_equal(window.cloud.classification, classes[inside])
+        np.testing.assert_array_equal(window.cloud.candidate, cut.candidate)
+        monkeypatch.setattr("jaxfilter.files.reading.open_text", None)
+    monkeypatch.undo()
+    path.write_text(path.read_text().replace(lines[7], lines[7].replace(f"{xyz[7, 2]:.2f}", "nan")))
+    with pytest.raises(jf.InputError, match=r"in\.csv: the file has changed since the collection was opened"):
+        read_window(source)
+    with pytest.raises(jf.InputError, match=r"in\.csv: line 9: z is nan"):
+        read_window(describe_file(path))
+    assert len(read_window(describe_file(path), reading=Reading(drop_invalid=True)).cloud) == 500
+
+
+@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz", "in.csv"])
+@pytest.mark.parametrize("bounds", [None, (X + 10, Y + 10, X + 60, Y + 70)])
+@pytest.mark.parametrize("suffix", [".laz", ".csv"])
+def test_a_file_is_written_without_its_cloud(tmp_path, name, bounds, suffix):
+    """The same bytes as by its cloud; points that changed since they were read are refused."""
+    path = tmp_path / name
+    if name == "in.csv":
+        make_las(tmp_path / "all.las", 6, n=400)
+        xyz, las = whole(tmp_path / "all.las")
+        kinds = np.stack([las.classification, las.return_number], axis=1).tolist()
+        lines = [f"{x:.3f},{y:.3f},{z:.3f},{c},{r}" for (x, y, z), (c, r) in zip(xyz, kinds, strict=True)]
+        path.write_text("\n".join(["x,y,z,class,return_number", *lines]) + "\n")
+    else:
+        make_copc(path) if "copc" in name else make_las(path, 6, n=400)
+    source = describe_file(path, Units())
+    window = read_window(source, bounds)
+    ground = np.arange(len(window.cloud)) % 2 == 0
+    write_cloud(tmp_path / f"one{suffix}", window.cloud, ground)
+    checksum = window.cloud.source.checksum
+    for number, known in enumerate((None, checksum)):
+        stand_in = file_cloud(source, window.cloud.candidate, tmp_path / "index", bounds=bounds, checksum=known)
+        write_cloud(target := tmp_path / f"two{number}{suffix}", stand_in, ground)
+        if suffix == ".csv" or name != "in.csv" or bounds is None:
+            assert target.read_bytes() == (tmp_path / f"one{suffix}").read_bytes()
+        else:  # offsets are those of the whole file
+            for axis in ("x", "y", "z", "classification", "return_number"):
+                np.testing.assert_array_equal(whole(target)[1][axis], whole(tmp_path / f"one{suffix}")[1][axis])
+    other = file_cloud(source, window.cloud.candidate, bounds=bounds, checksum=checksum ^ 1)
+    with pytest.raises(jf.InputError, match="the file has changed since the cloud was read"):
+        write_cloud(tmp_path / f"other{suffix}", other, ground)
+    assert not (tmp_path / f"other{suffix}").exists()
+
+
 def test_feet_and_options_as_in_read(tmp_path):
     path = tmp_path / "in.las"
     make_las(path, 6, n=400, crs=2225)  # US survey feet
     source, box = source_of(path), (X + 10, Y + 10, X + 60, Y + 70)
     assert source.metre == pytest.approx(1200 / 3937)
     options = {"returns": "first", "ignore_classes": (3,), "keep_withheld": True, "anchor": (X, Y)}
-    window, cut = read_window(source, box, **options), jf.read(path, bounds=box, **options)
+    window, cut = read_window(source, box, reading=Reading(**options)), jf.read(path, bounds=box, **options)
     assert window.cloud.xyz.tobytes() == cut.xyz.tobytes()
     np.testing.assert_array_equal(window.cloud.candidate, cut.candidate)
     np.testing.assert_array_equal(window.cloud.anchor, (X, Y))
@@ -225,8 +316,8 @@ def test_a_truncated_file_is_refused(tmp_path, name):
 def bytes_read(monkeypatch, call):
     """What ``call`` returns, and the bytes that were read from files among the points and tables for it."""
     counted = []
-    ranges = blocks.read_ranges
-    monkeypatch.setattr(blocks, "read_ranges", lambda *a: counted.append(sum(a[3])) or ranges(*a))
+    packed = blocks._packed
+    monkeypatch.setattr(blocks, "_packed", lambda *a: counted.append(a[2].size.sum()) or packed(*a))
     return call(), sum(counted)
 
 

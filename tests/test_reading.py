@@ -185,6 +185,7 @@ def test_large_offsets_are_none_of_these(offset):
     xyz = np.rint(hills() * 4) / 4
     cloud = jf.PointCloud.from_arrays(xyz + [offset, -offset, 0])
     assert cloud.xyz.tobytes() == jf.PointCloud.from_arrays(xyz).xyz.tobytes()
+    assert (cloud.origin == jf.PointCloud.from_arrays(xyz).origin + [offset, -offset, 0]).all()
 
 
 @pytest.mark.parametrize("anchor", [3, (1, 2, 3), (np.nan, 0), (1e300, 0), "ab"])

@@ -225,9 +225,11 @@ def west_and_east(tmp_path_factory):
     return folder
 
 
+PMF = {"max_window": 9.0, "low_clusters": False}
+
+
 def into(west_and_east, out, **how):
-    filter_ = jf.PMF(max_window=9.0, low_clusters=False)
-    return jf.ground(west_and_east, out, filter_, tile=30.0, executor=Here(), **how)
+    return jf.ground(west_and_east, out, jf.PMF(**PMF), run=jf.RunOptions(tile=30.0, executor=Here(), **how))
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -257,13 +259,10 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     assert into(west_and_east, out, work=work, resume=True).complete and bucket.faults.failures == []
     same = {path.name: path.read_bytes() for path in local.glob("*.laz")}
     assert {name: data for name, data in stored().items() if name.endswith(".laz")} == same
-    assert [path.name for path in work.iterdir()] == ["jaxfilter-run.sqlite"]
+    assert [path.name for path in work.iterdir()] == [".jaxfilter-run"]
     assert into(west_and_east, out, work=work, overwrite=True).complete
     with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
         into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")
-
-
-PMF = {"max_window": 9.0, "low_clusters": False}
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -272,7 +271,8 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     target, work, local = "s3://surveys/dtm/all.tif", tmp_path / "work", tmp_path / "local.tif"
 
     def model(target, executor, **how):
-        return jf.terrain_model(west_and_east, target, jf.PMF, PMF, cell=0.5, tile=30.0, executor=executor, **how)
+        run = jf.RunOptions(tile=30.0, executor=executor, **how)
+        return jf.terrain_model(west_and_east, target, jf.PMF(**PMF), cell=0.5, run=run)
 
     def stored():
         bucket.invalidate_cache()

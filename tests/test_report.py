@@ -102,7 +102,7 @@ def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, monkeypa
     found = steps_of(jf.MSF()(cloud), None, workers=None, progress=silent)
     assert found.field is None and "each step would be a classification" in found.reason
     result = jf.CSF()(cloud)
-    monkeypatch.setattr(jf.CSF, "passed", lambda self, labels: np.abs(labels.height) > self.threshold)
+    monkeypatch.setattr("jaxfilter.reports.steps.passed", lambda one, labels: np.abs(labels.height) > one.threshold)
     found = steps_of(result, None, workers=None, progress=silent)
     assert found.field is None and "not so at all larger ones" in found.reason
 
@@ -137,7 +137,9 @@ def test_counts_classes_and_scores_of_every_step_are_those_of_the_library(cloud,
 
 def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_path):
     reference = np.where(cloud.classification == 6, -1, cloud.reference).astype(np.int8)
-    path = jf.report(cloud, result, tmp_path / "page.html", max_points=2000, reference=reference)
+    path = jf.report(
+        cloud, result, tmp_path / "page.html", reference=reference, options=jf.ReportOptions(max_points=2000)
+    )
     sample, step = facts_of(path)["sample"], np.array(facts_of(path)["sample"]["step"])
     assert (sample["number"], sample["of"]) == (2000, len(cloud))
     xyz = np.column_stack([array_of(path, axis) for axis in "xyz"]) * step + sample["low"]
@@ -248,7 +250,7 @@ class Page(HTMLParser):
 
 def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
     title = 'Tile <7> & "west"'
-    path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, title=title)
+    path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, options=jf.ReportOptions(title=title))
     page = Page(path.read_text())
     assert page.open == [] and page.links == ["data:,"] and len(page.ids) == len(set(page.ids))
     for words in (
@@ -318,7 +320,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(cloud, result, tmp_pa
     with pytest.raises(jf.InputError, match=r"result: bool\[\d+\]"):
         jf.report(cloud, np.ones(3, bool), tmp_path / "other.html")
     with pytest.raises(jf.ParameterError, match=r"steps=-1"):
-        jf.report(cloud, result, tmp_path / "other.html", steps=-1)
+        jf.ReportOptions(steps=-1)
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"page.html": "mine"}
 
 

@@ -8,9 +8,9 @@ from scipy import ndimage
 
 from jaxfilter import scenes
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.scenes import LAYOUTS, Kind, Layout, lattice
+from jaxfilter.scenes import LAYOUTS, Kind, SceneLayout, lattice
 
-BARE = Layout(relief=20, forest=0, trees=0, low_vegetation=0)
+BARE = SceneLayout(relief=20, forest=0, trees=0, low_vegetation=0)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_echoes_of_a_pulse_are_complete_and_in_order(ready):
 
 
 def test_ground_shows_through_a_canopy_as_often_as_asked():
-    layout = Layout(relief=5, forest=1, low_vegetation=0, penetration=0.4)
+    layout = SceneLayout(relief=5, forest=1, low_vegetation=0, penetration=0.4)
     scene = scenes.make(layout, size=200, density=10)
     hit = scene.kind == Kind.HIGH_VEGETATION
     under = np.append(False, hit[:-1]) & scene.truth & (scene.return_number > 1)
@@ -331,7 +331,9 @@ def test_terrain_grid_samples_cell_centres_of_the_clouds_grid(ready):
     x = scene.cloud.origin[0] + grid.x0 + (i + 0.5) * 3
     y = scene.cloud.origin[1] + grid.y0 + (j + 0.5) * 3
     assert z[j, i] == pytest.approx(float(scene.terrain(x, y)), abs=1e-9)
-    assert (grid.nx, grid.ny) == (150, 134)
+    xy = scene.cloud.coordinates()[:, :2]
+    cells = np.ceil(xy.max(axis=0) / 3) - np.floor(xy.min(axis=0) / 3)  # of a lattice that counts from zero
+    assert (grid.nx, grid.ny) == tuple(cells)
     cell = grid.flat(scene.cloud.xyz)[scene.truth]
     seen = np.unique(cell)
     mean = ndimage.mean(scene.xyz[scene.truth, 2], cell, seen)
@@ -376,4 +378,4 @@ def test_bad_arguments_are_named(options, message):
 )
 def test_bad_layouts_are_named(options, message):
     with pytest.raises(ParameterError, match=message):
-        Layout(**options)
+        SceneLayout(**options)

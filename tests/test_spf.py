@@ -1,7 +1,5 @@
 """SPF against closed forms, SciPy and constructed scenes, and its published figure."""
 
-import math
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -20,7 +18,7 @@ def lattice(nx, ny, step=1.0):
     rng = np.random.default_rng(3)
     x, y = (v.ravel() for v in np.meshgrid(np.arange(nx) * step, np.arange(ny) * step))
     off = rng.uniform(-0.2, 0.2, (2, nx * ny)) * step
-    return np.column_stack([x + off[0] + step, y + off[1] + step, 0 * x]).astype(np.float32)
+    return np.column_stack([x + off[0] + 1.5 * step, y + off[1] + 1.5 * step, 0 * x]).astype(np.float32)
 
 
 def potential(f, xyz):
@@ -93,7 +91,7 @@ def test_openings_mark_the_cells_that_scipy_marks(rng):
 
 def test_zero_elevation_in_empty_cells_pulls_the_surface_down():
     xyz = lattice(80, 80)
-    gap = (xyz[:, 0] % 16 < 9) & (xyz[:, 1] % 16 < 9)  # one in every large window
+    gap = (xyz[:, 0] % 16 < 10) & (xyz[:, 1] % 16 < 10)  # one in every large window
     xyz = xyz[~gap] + np.float32([0, 0, 300])
     xyz[:, 2] += 0.01 * xyz[:, 0]
     neighbours, zero = (len(potential(jf.SPF(window=20.0, fill=f), xyz)[1]) for f in ("neighbours", "zero"))
@@ -166,9 +164,9 @@ def test_edges_of_seeds_are_long_beyond_the_window_and_two_cells(monkeypatch):
     assert given == [22.0, 23.0]
 
 
-def test_halo_covers_the_largest_opening():
+def test_halo_is_four_windows():
     f = jf.SPF(window=40.0, cell=2.0)
-    assert f.halo() == pytest.approx(2 * 21 * 2 + 1.5 * math.sqrt(2) * 40)
+    assert f.halo() == 4 * 40 > 2 * 21 * 2  # the largest opening, there and back
 
 
 # Published

@@ -9,6 +9,7 @@ from triangulation import Mesh
 
 import jaxfilter as jf
 from jaxfilter.core.cloud import Whole
+from jaxfilter.core.filter import of_scene
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines.tin.triangulation import lattice
 from jaxfilter.steps.trend import quadratic_trend
@@ -186,7 +187,7 @@ def test_parts_of_a_scene_do_as_many_rounds_as_the_whole():
         stages = [step["stage"] for step in result.trace]
         return [stages.count(stage) for stage in range(4)]
 
-    whole, found = f(cloud), f.of_scene(lambda points: [cloud])
+    whole, found = f(cloud), of_scene(f, lambda points: [cloud])
     planned = list(found["rounds"][:4])
     assert rounds(whole) == [1, *planned[1:]] and max(planned[1:]) < f.max_rounds == planned[0], "one was enough"
     told = dataclasses.replace(cloud, whole=Whole(**found))
@@ -194,8 +195,8 @@ def test_parts_of_a_scene_do_as_many_rounds_as_the_whole():
     part = jf.PointCloud.from_arrays(rough, anchor=(0.0, 0.0))
     alone, beside = f(part), f(dataclasses.replace(part, whole=told.whole))
     assert rounds(beside)[1:] == planned[1:] != rounds(alone)[1:]
-    apart = f.of_scene(lambda points: [part, dataclasses.replace(part, origin=part.origin + [9e5, 6e4, 0.0])])
-    assert apart == f.of_scene(lambda points: [part]), "windows far apart are put side by side"
+    apart = of_scene(f, lambda points: [part, dataclasses.replace(part, origin=part.origin + [9e5, 6e4, 0.0])])
+    assert apart == of_scene(f, lambda points: [part]), "windows far apart are put side by side"
 
 
 def test_what_contradicts_the_method_is_an_error():

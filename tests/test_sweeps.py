@@ -12,9 +12,10 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
+from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.grid.inpaint import fill_membrane
-from jaxfilter.steps import tin_filter
+from jaxfilter.engines.tin.ground import GroundTin
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def labels_of(filter_, sets, cloud):
     points = plain_points(cloud) if filter_.ORDER_FREE else canonical_points(cloud)
     out = np.zeros((len(sets), len(cloud)), bool)
     numbers = []
-    for number, ground in filter_.ground_each(points, sets, key=None, workers=None, memory=2e9):
+    for number, ground in ground_each(filter_, points, sets, key=None, workers=None, memory=2e9):
         out[number, points.index] = ground[points.member]
         numbers.append(number)
     assert sorted(numbers) == list(range(len(sets))), "every set once: votes are counted"
@@ -110,7 +111,7 @@ def test_slopes_of_smrf_share_a_terrain_if_no_cell_lies_between_them(cloud):
     tie = drops[(drops > 0.1) & (drops < 0.3)][0]  # at this slope the cell is kept, at the next smaller one it is not
     slopes = [*np.linspace(0.1, 0.3, 300), np.nextafter(tie, np.float32(0)), tie]
     sets = [smrf.replace(slope=float(slope)) for slope in slopes]
-    keys = np.array(sets[0].deciding(opened, sets))
+    keys = np.array(sets[0]._deciding(opened, sets))
     known = [np.asarray(opened.bare & ~(opened.steepest > np.float32(one.slope))).tobytes() for one in sets]
     numbers = np.unique(known, return_inverse=True)[1]
     assert ((keys[:, None] == keys) == (numbers[:, None] == numbers)).all()
@@ -164,20 +165,21 @@ def test_sets_stop_at_the_limit_of_rounds(limit, hills):
 def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory, at_once, count, hills, monkeypatch):
     sets = product(jf.FPTD(window=30.0), max_angle=(4.0, 15.0, 30.0), max_elevation=(0.4, 1.4))
     alone = [one(hills).ground for one in sets]
-    starts, growths, start, densify = [], [], jf.FPTD.start, tin_filter.densify
+    starts, growths, start, begin = [], [], jf.FPTD.start, GroundTin.start
 
     def started(self, *arguments):
         starts.append(self)
         return start(self, *arguments)
 
-    def grown(*arguments, **options):
-        growths.append(options["workers"])
-        return densify(*arguments, **options)
+    def grown(network, growth, tin=None, workers=None):
+        if tin is not None:
+            growths.append(workers)
+        return begin(network, growth, tin, workers)
 
     monkeypatch.setattr(jf.FPTD, "start", started)
-    monkeypatch.setattr(tin_filter, "densify", grown)
+    monkeypatch.setattr(GroundTin, "start", grown)
     points = canonical_points(hills)
-    found = dict(sets[0].ground_each(points, sets, key=None, workers=workers, memory=memory))
+    found = dict(ground_each(sets[0], points, sets, key=None, workers=workers, memory=memory))
     assert len(starts) == 1 and growths == [workers // at_once] * count
     for number, ground in enumerate(alone):
         assert np.array_equal(found[number][points.member], ground[points.index])
@@ -214,15 +216,15 @@ def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(work
     monkeypatch.setattr(jf.CSF, "classify", counted)
     monkeypatch.setattr(ThreadPoolExecutor, "submit", submitted)
     points = canonical_points(hills)
-    reader = sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9)
+    reader = ground_each(sets[0], points, sets, key=None, workers=workers, memory=2e9)
     assert [next(reader)[0] for _ in range(3)] == [0, 1, 2]
     assert len(handed) == 3 + workers, "no more are begun until the reader takes another"
     reader.close()
     assert 3 <= len(begun) <= 3 + workers and {w for _, w in begun} == {1}
     with pytest.raises(RuntimeError, match="fails"):
-        list(sets[0].ground_each(points, sets, key=None, workers=workers, memory=2e9))
+        list(ground_each(sets[0], points, sets, key=None, workers=workers, memory=2e9))
     begun.clear()
-    list(sets[0].ground_each(points, sets[:2], key=None, workers=workers, memory=1.0))
+    list(ground_each(sets[0], points, sets[:2], key=None, workers=workers, memory=1.0))
     assert {w for _, w in begun} == {workers}, "one at a time, with all threads, where memory is short"
 
 
@@ -339,7 +341,7 @@ def test_designs(cloud):
     ],
 )
 def test_bad_axes_are_named_before_anything_runs(axes, options, named, cloud, monkeypatch):
-    monkeypatch.setattr(jf.SMRF, "ground_each", None)
+    monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", None)
     with pytest.raises(jf.ParameterError, match=named):
         jf.sweep(jf.SMRF(), cloud, axes, **options)
 
@@ -357,14 +359,14 @@ def test_only_instances_of_filters_are_swept_and_calibrated(filter_, cloud):
 def test_an_interrupted_sweep_resumes(cloud, hills, tmp_path, monkeypatch):
     path, axes = tmp_path / "sweep.npz", {"cell": [1.0, 2.0], "threshold": [0.3, 0.5, 0.9]}
     whole = jf.sweep(jf.SMRF(), [cloud, hills], axes, votes=True)
-    computed, original = [], jf.SMRF.ground_each
+    computed = []
 
-    def counting(self, points, sets, **options):
-        for number, ground in original(self, points, sets, **options):
+    def counting(filter_, points, sets, **options):
+        for number, ground in ground_each(filter_, points, sets, **options):
             computed.append(number)
             yield number, ground
 
-    monkeypatch.setattr(jf.SMRF, "ground_each", counting)
+    monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", counting)
 
     def interrupt(fraction, step):
         if fraction > 0.6:
@@ -407,7 +409,7 @@ def test_a_sweep_compiles_nothing_more_than_a_shorter_one(cloud):
 
 
 def test_labels_of_one_class_are_named_before_anything_runs(cloud, monkeypatch):
-    monkeypatch.setattr(jf.SMRF, "ground_each", None)
+    monkeypatch.setattr("jaxfilter.sweeps.sweep.ground_each", None)
     bad = jf.PointCloud.from_arrays(cloud.coordinates(), reference=np.ones(len(cloud), bool))
     with pytest.raises(jf.InputError, match="bad has the reference label object"):
         jf.sweep(jf.SMRF(), {"good": cloud, "bad": bad}, {"slope": [0.1]})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
-from jaxfilter.surveys.plan import plan_tiles
+from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
 
 
 def survey(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -23,9 +23,9 @@ def survey(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     "how",
     [
-        {"halo": 35.0, "lattice": 10.0, "most_points": 2e6},
-        {"halo": 0.0, "most_points": 1e6},
-        {"halo": 60.0, "lattice": 7.0, "grid": 5.0, "cuts": 9},
+        {"halo": 35.0, "lattice": 10.0},
+        {"halo": 0.0},
+        {"halo": 60.0, "lattice": 7.0},
         {"halo": 100.0, "lattice": 1.0, "side": 333.0, "metre": 0.3048},
     ],
 )
@@ -51,8 +51,9 @@ def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
     assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
     around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
     assert (around >= halo - 1e-4).all() and (around < halo + lattice / metre + 1e-4).all()
-    if "most_points" in how:
-        assert plan.points.max() <= how["most_points"]
+    if "side" not in how:
+        density = counts.sum() / ((bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1]))[counts > 0].sum()
+        assert len(plan) > 1 and plan.points.max() <= max(POINTS, density * (HALOS * how["halo"]) ** 2)
     width, height = plan.largest()
     sides = windows[:, 2:] - windows[:, :2]
     assert (sides <= np.array([width, height]) + 1e-4).all()
@@ -67,16 +68,18 @@ def test_expected_points_are_those_of_evenly_filled_files():
 
 
 def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
-    bounds, counts = np.array([[5.0, 5.0, 1000.0, 1000.0]]), np.array([1000])
-    assert len(plan_tiles(bounds, counts, metre=1.0, halo=0.0, lattice=10.0, cuts=4)) == 4 * 4
+    bounds = np.array([[5.0, 5.0, 1000.0, 1000.0]])
+    assert len(plan_tiles(bounds, np.array([WHOLE]), halo=0.0, lattice=10.0)) == 1
+    assert len(plan_tiles(bounds, np.array([WHOLE + 1]), halo=0.0, lattice=10.0)) == 4
+    assert len(plan_tiles(bounds, np.array([4 * POINTS - POINTS // 5]), halo=0.0, lattice=10.0)) == 4
 
 
 def test_what_cannot_be_planned_is_refused():
     bounds, counts = np.array([[0.0, 0, 1000, 1000]]), np.array([10**9])
-    with pytest.raises(jf.ParameterError, match="more than the 100,000 that the memory"):
-        plan_tiles(bounds, counts, metre=1.0, halo=100.0, most_points=1e5)
+    with pytest.raises(jf.ParameterError, match="halo=inf"):
+        plan_tiles(bounds, counts, halo=np.inf)
     with pytest.raises(jf.ParameterError, match=r"tile=0\.0"):
         plan_tiles(bounds, counts, metre=1.0, halo=0.0, side=0.0)
     with pytest.raises(jf.InputError, match="stray points"):
         plan_tiles(np.array([[0.0, 0, 1e7, 1e7]]), np.array([10]), metre=1.0, halo=0.0, side=1.0)
-    assert len(plan_tiles(np.full((1, 4), np.nan), np.array([0]), metre=1.0, halo=10.0, most_points=1e6)) == 0
+    assert len(plan_tiles(np.full((1, 4), np.nan), np.array([0]), metre=1.0, halo=10.0)) == 0

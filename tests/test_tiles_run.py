@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import dataclasses
 import json
 import multiprocessing
 import os
@@ -19,22 +20,21 @@ import pytest
 from las_files import make_copc
 
 import jaxfilter as jf
-from experiments.faults.surveys import JOURNALS, damage_journal
-from jaxfilter.core.cloud import Whole
+from experiments.faults.surveys import RUNS
 from jaxfilter.core.points import canonical_points
 from jaxfilter.files.windows import read_window
-from jaxfilter.surveys import dask, setup, task
+from jaxfilter.surveys import dask, tiles
 from jaxfilter.surveys.dask import Cluster
-from jaxfilter.surveys.folder import SCRATCH
-from jaxfilter.surveys.ground import ground
-from jaxfilter.surveys.outputs import target_names
-from jaxfilter.surveys.pool import Outcome, Pool, Task, attempt, carried_out
-from jaxfilter.surveys.task import ANCHOR, filter_tile, joined
+from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
+from jaxfilter.surveys.product import do_tile
+from jaxfilter.surveys.targets import target_names
+from jaxfilter.surveys.tiles import joined
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 PMF_FIELDS = {"max_window": 10.0, "low_clusters": False}
 PMF = jf.PMF(**PMF_FIELDS)
-LEFT = ["jaxfilter-run.json", "jaxfilter-run.png", "jaxfilter-run.sqlite"]
+LEFT, KEPT = [".jaxfilter-run", "jaxfilter-run.json", "jaxfilter-run.png"], ".jaxfilter-run"
+ANCHOR = (0.0, 0.0)
 HOW = {"tile": 25.0, "halo": 20.0, "workers": 1}
 
 
@@ -85,8 +85,25 @@ def files(tmp_path_factory):
     return folder
 
 
+def values(how):
+    """The arguments of a run from plain options."""
+    names = {kind: {f.name for f in dataclasses.fields(kind)} for kind in (jf.RunOptions, jf.Reading, jf.Classes)}
+    made = {kind: kind(**{k: v for k, v in how.items() if k in own}) for kind, own in names.items()}
+    rest = {k: v for k, v in how.items() if not any(k in own for own in names.values())}
+    classes = {"classes": made[jf.Classes]} if any(k in names[jf.Classes] for k in how) else {}
+    return {"run": made[jf.RunOptions], "reading": made[jf.Reading]} | classes | rest
+
+
+def model(what, target, *ground, **how):
+    return jf.terrain_model(what, target, *ground, **values(how))
+
+
+def heights(what, out, *ground, **how):
+    return jf.heights(what, out, *ground, **values(how))
+
+
 def run(files, out, executor=None, filter_=PMF, **how):
-    return ground(files, out, filter_, executor=executor or Here(), **HOW | how)
+    return jf.ground(files, out, filter_, **values({"executor": executor or Here()} | HOW | how))
 
 
 def contents(folder):
@@ -154,11 +171,11 @@ def test_a_run_that_is_stopped_goes_on_and_repeats_nothing(files, done, tmp_path
         try:
             report = run(files, tmp_path / "out", executor, resume=True)
         except KeyboardInterrupt:
-            assert (tmp_path / "out" / SCRATCH).is_dir()
+            assert (tmp_path / "out" / KEPT).is_dir()
         tasks += executor.calls
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
     assert (report.points, report.classes) == (done[1].points, done[1].classes)
-    assert not (tmp_path / "out" / SCRATCH).exists() and len(tasks) == len(set(tasks))
+    assert not (tmp_path / "out" / KEPT / "index").exists() and len(tasks) == len(set(tasks))
     last = Here()
     assert run(files, tmp_path / "out", last, resume=True).complete and last.calls == []
 
@@ -167,7 +184,7 @@ def test_labels_that_are_lost_are_made_again(files, done, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         run(files, out, Here(3, stop_after=8), resume=True)
-    shutil.rmtree(out / SCRATCH / "labels")
+    shutil.rmtree(out / KEPT / "tiles")
     assert run(files, out, resume=True).complete and contents(out) == contents(done[0])
 
 
@@ -175,13 +192,11 @@ def test_what_fails_is_tried_three_times_and_set_aside_with_its_reason(files, do
     tried = []
 
     def fail(function, tile):
-        if function is filter_tile and tile.number == 0:
+        if function is do_tile and tile.number == 0:
             tried.append(tile.patient)
             return "no luck"
         return (
-            "once"
-            if len(tried) == 1 and function is filter_tile and tile.number == 5 and not tried.append(None)
-            else None
+            "once" if len(tried) == 1 and function is do_tile and tile.number == 5 and not tried.append(None) else None
         )
 
     report = run(files, tmp_path / "out", Here(fail=fail))
@@ -219,7 +234,7 @@ def test_nothing_is_mixed_with_a_run_of_other_parameters(files, done, tmp_path, 
     shutil.copytree(done[0], tmp_path / "out")
     with pytest.raises(jf.InputError, match=f"begun with other {what}"):
         run(files, tmp_path / "out", resume=True, **changes)
-    assert contents(tmp_path / "out") == contents(done[0]) and not (tmp_path / "out" / SCRATCH).exists()
+    assert contents(tmp_path / "out") == contents(done[0])
 
 
 def test_inputs_that_have_changed_are_noticed(files, tmp_path):
@@ -253,25 +268,18 @@ def higher(records):
     records[:, 8] ^= 64
 
 
-@pytest.mark.parametrize("change, sampled", [(turned, True), (turned, False), (higher, False)])
-def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path, monkeypatch, change, sampled):
+@pytest.mark.parametrize("change", [turned, higher])
+def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path, change):
     """Size, header and time stay. No file is written with labels of points that it does not hold."""
     survey, out = tmp_path / "survey", tmp_path / "out"
     shutil.copytree(las_files, survey)
-    if not sampled:  # as of most files of a large survey
-        monkeypatch.setattr(setup, "sampled", lambda *_: setup.Sample([], Whole(1.0)))
-        monkeypatch.setattr("jaxfilter.surveys.ground.sampled", setup.sampled)
     with pytest.raises(KeyboardInterrupt):
         run(survey, out, Here(3, stop_after=13))
     rewritten(survey / "01.las", change)
     changed = r"01\.las: the file has changed since its points were first read; .* overwrite=True"
-    if sampled:
-        with pytest.raises(jf.InputError, match=changed):
-            run(survey, out, resume=True)
-    else:
-        report = run(survey, out, resume=True)
-        assert [re.search(changed, one["reason"]) is not None for one in report.failed] == [True]
-        assert not report.complete and sorted(contents(out)) == ["00.las", "10.las", "11.las"]
+    report = run(survey, out, resume=True)
+    assert [re.search(changed, one["reason"]) is not None for one in report.failed] == [True]
+    assert not report.complete and sorted(contents(out)) == ["00.las", "10.las", "11.las"]
     assert run(survey, out, overwrite=True).complete
     run(survey, tmp_path / "fresh")
     assert contents(out) == contents(tmp_path / "fresh")
@@ -282,7 +290,8 @@ def test_chunks_of_copc_and_laz_that_change_are_noticed(files, tmp_path):
     shutil.copy(files / "00.laz", tmp_path / "b.laz")
     for path in tmp_path.glob("*.laz"):
         before, index = path.stat(), tmp_path / "index"
-        source, box = jf.open(str(path), units="m")[0], (-1e9, -1e9, 1e9, 1e9)
+        source = jf.open(str(path), units="m")[0]
+        box = (-1e9, -1e9, source.bounds[2], source.bounds[3])  # half open
         assert len(read_window(source, box, index).cloud)
         with laspy.open(path) as file:
             start = file.header.offset_to_point_data
@@ -326,7 +335,7 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         run(files, out, Here(3, stop_after=8))
-    kept = sorted((out / SCRATCH / "labels").rglob("*.npz"))
+    kept = sorted((out / KEPT / "tiles").rglob("*.tile"))
     os.truncate(kept[0], 100)
     kept[1].write_bytes(kept[1].read_bytes()[:-30] + bytes(30))
     assert len(kept) > 2 and run(files, out, resume=True).complete and contents(out) == contents(done[0])
@@ -340,12 +349,12 @@ def one_tile(files, tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("kind", JOURNALS)
-def test_damaged_journals_are_named_and_begun_anew(files, one_tile, tmp_path, kind):
+@pytest.mark.parametrize("kind", RUNS)
+def test_what_decides_on_a_run_is_not_believed_if_it_is_damaged(files, one_tile, tmp_path, kind):
     out, executor = tmp_path / "out", Here()
     shutil.copytree(one_tile, out)
-    damage_journal(out / "jaxfilter-run.sqlite", kind, np.random.default_rng(0))
-    with pytest.raises(jf.InputError, match=r"jaxfilter-run\.sqlite: the journal .* pass overwrite=True to begin"):
+    RUNS[kind](out / KEPT / "run.json", np.random.default_rng(0))
+    with pytest.raises(jf.InputError, match=r"run\.json: is damaged.* pass overwrite=True to begin"):
         run(files / "00.laz", out, executor, tile=100.0, resume=True)
     assert executor.calls == [] and contents(out) == contents(one_tile)
     report = run(files / "00.laz", out, tile=100.0, overwrite=True)
@@ -390,14 +399,14 @@ def test_what_was_written_before_a_kill_is_not_done_again(files, done, tmp_path)
 
 
 def test_folders_that_hold_something_are_refused(files, done, tmp_path):
-    with pytest.raises(jf.OutputError, match=r"is not empty, it holds 00\.laz and 6 more"):
+    with pytest.raises(jf.OutputError, match=r"is not empty, it holds 00\.laz and 5 more"):
         run(files, done[0])
     with pytest.raises(jf.OutputError, match="is an input"):
         run(files, files, overwrite=True)
     other = tmp_path / "other"
     shutil.copytree(files, other)
-    with pytest.raises(jf.ParameterError, match=r"one\.laz: a collection is written into a folder"):
-        jf.heights(files, tmp_path / "one.laz")
+    with pytest.raises(jf.ParameterError, match=r"one\.laz: 4 files are written into a folder"):
+        heights(files, tmp_path / "one.laz")
     with pytest.raises(jf.ParameterError, match="filter_='smrf': is no filter"):
         jf.ground(files, tmp_path / "out", "smrf")
     assert not (tmp_path / "one.laz").exists() and not (tmp_path / "out").exists()
@@ -427,8 +436,6 @@ def test_low_outliers_get_the_class_of_noise(tmp_path):
     one = jf.PMF(max_window=10.0)
     whole = one(jf.read(tmp_path / "in.laz", anchor=ANCHOR))
     assert whole.low_noise[len(xyz) :].all() and not (whole.low_noise & whole.ground).any()
-    doubt = np.ones(2, np.float32)
-    assert task.labelled(doubt > 0, doubt < 0, {"doubt": doubt}).doubt is doubt
     for extra in ((), ("height",)):
         out = tmp_path / "-".join(("out", *extra))
         report = run(tmp_path / "in.laz", out, filter_=one, noise_class=7, extra=extra, tile=50.0)
@@ -506,7 +513,8 @@ def test_a_dask_cluster_writes_the_same_bytes(files, done, tmp_path):
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        report = ground(files, tmp_path / "out", PMF, client=client, **HOW)
+        how = {k: v for k, v in HOW.items() if k != "workers"}
+        report = jf.ground(files, tmp_path / "out", PMF, run=jf.RunOptions(client=client, **how))
     assert report.complete and contents(tmp_path / "out") == contents(done[0])
 
 
@@ -546,7 +554,7 @@ def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_al
 
 
 def test_a_terrain_model_has_no_heights_where_there_is_no_ground(odd, tmp_path):
-    report = jf.terrain_model(odd, tmp_path / "a.tif", jf.PMF, PMF_FIELDS, cell=1.0, tile=40.0, executor=Here())
+    report = model(odd, tmp_path / "a.tif", PMF, cell=1.0, tile=40.0, executor=Here())
     values = jf.Raster.read(tmp_path / "a.tif").values
     assert report.complete and report.points == sum(len(laspy.read(path)) for path in odd.glob("*.laz"))
     assert np.isnan(values[:, -50:]).all() and np.isfinite(values[10:80, 10:90]).all()
@@ -557,14 +565,14 @@ def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
     for name, crs in (("m", "EPSG:25832"), ("ft", "EPSG:2263")):
         cloud = jf.read(files / "00.laz", units="m")
         jf.write(tmp_path / "in" / f"{name}.laz", jf.PointCloud.from_arrays(cloud.coordinates(), crs=crs), None)
-    for function in (jf.ground, jf.heights, jf.terrain_model):
+    for function in (run, heights, model):
         with pytest.raises(jf.InputError, match="different units"):
             function(tmp_path / "in", tmp_path / "out.tif", executor=Here())
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
 UNGUARDED = """
-from jaxfilter.surveys.pool import Pool, check_main
+from jaxfilter.surveys.executors import Pool, check_main
 print("begun", flush=True)
 check_main()
 Pool(2).close()
@@ -584,11 +592,12 @@ def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypa
     assert not (tmp_path / "out").exists()
 
 
-def test_options_of_runs_are_known_by_name(files, tmp_path):
-    for function in (jf.ground, jf.heights, jf.terrain_model):
-        with pytest.raises(TypeError, match=rf"{function.__name__}\(\) got an unexpected keyword argument 'tiel'"):
-            function(files, tmp_path / "out.tif", tiel=25.0)
-    assert not list(tmp_path.iterdir())
+def test_options_of_runs_are_known_by_name():
+    with pytest.raises(TypeError, match="unexpected keyword argument 'tiel'"):
+        jf.RunOptions(tiel=25.0)
+    for wrong in ({"workers": 0}, {"memory": 0.0}):
+        with pytest.raises(jf.ParameterError, match=next(iter(wrong))):
+            jf.RunOptions(**wrong)
 
 
 class Scheduler:
@@ -673,7 +682,7 @@ def test_a_report_and_a_map_lie_beside_the_files(done):
 def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
     rasterio = pytest.importorskip("rasterio")
     out, _ = done
-    report = jf.terrain_model(jf.open(str(out)), tmp_path / "dtm.tif", cell=0.5, tile=25.0, executor=Here(width=5))
+    report = model(jf.open(str(out)), tmp_path / "dtm.tif", cell=0.5, tile=25.0, executor=Here(width=5))
     whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(out.glob("*.laz"))])
     expected = jf.dtm(whole, whole.classification == 2, cell=0.5)
     with rasterio.open(tmp_path / "dtm.tif") as file:
@@ -689,12 +698,12 @@ def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
 
 def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
     how = {"cell": 1.0, "tile": 40.0}
-    found = jf.terrain_model(jf.open(str(files)), tmp_path / "a.tif", jf.PMF, PMF_FIELDS, executor=Here(), **how)
-    made = jf.terrain_model(jf.open(str(done[0])), tmp_path / "b.tif", executor=Here(), **how)
+    found = model(jf.open(str(files)), tmp_path / "a.tif", PMF, executor=Here(), **how)
+    made = model(jf.open(str(done[0])), tmp_path / "b.tif", executor=Here(), **how)
     a, b = (jf.Raster.read(tmp_path / name).values for name in ("a.tif", "b.tif"))
     assert found.ground == made.ground and np.array_equal(a, b, equal_nan=True)
     with pytest.raises(jf.InputError, match="no point is ground"):
-        jf.terrain_model(jf.open(str(files)), tmp_path / "c.tif", executor=Here(), **how)
+        model(jf.open(str(files)), tmp_path / "c.tif", executor=Here(), **how)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.tif", "b.tif"]
 
 
@@ -739,14 +748,14 @@ def test_a_run_that_is_refused_leaves_nothing_behind(files, tmp_path):
 
 
 def test_files_that_could_not_be_reached_are_tried_again(files, done, tmp_path, monkeypatch):
-    reach = task.read_window
+    reach = tiles.read_window
 
     def broken(source, *arguments, **options):
         if source.uri.endswith("10.laz"):
             raise jf.InputError("no connection")
         return reach(source, *arguments, **options)
 
-    monkeypatch.setattr(task, "read_window", broken)
+    monkeypatch.setattr(tiles, "read_window", broken)
     report = run(files, tmp_path / "out")
     assert [one["reason"] for one in report.failed] == ["no connection"] and len(report.files) == 3
     assert contents(tmp_path / "out") != {n: b for n, b in contents(done[0]).items() if n != "10.laz"}, "no halo there"
@@ -768,11 +777,11 @@ def test_heights_of_tiles_are_those_of_the_whole_and_go_on_after_a_stop(done, tm
     paths, out = sorted(done[0].glob("*.laz")), tmp_path / "out"
     first = Here(2, stop_after=7)
     with pytest.raises(KeyboardInterrupt):
-        jf.heights(str(done[0]), out, tile=40.0, executor=first)
+        heights(str(done[0]), out, tile=40.0, executor=first)
     with pytest.raises(jf.InputError, match="begun with other heights"):
-        jf.heights(str(done[0]), out, tile=40.0, executor=Here(), resume=True, replace_z=True)
+        heights(str(done[0]), out, tile=40.0, executor=Here(), resume=True, replace_z=True)
     second = Here(3)
-    report = jf.heights(str(done[0]), out, tile=40.0, executor=second, resume=True)
+    report = heights(str(done[0]), out, tile=40.0, executor=second, resume=True)
     assert report.complete and not set(first.calls) & set(second.calls)
     whole = joined([jf.read(path, anchor=ANCHOR) for path in paths])
     expected, inner = jf.height_above_ground(whole, whole.classification == 2), far_from_the_edge(whole)
@@ -788,8 +797,8 @@ def test_heights_of_tiles_are_those_of_the_whole_and_go_on_after_a_stop(done, tm
 
 
 def test_heights_find_the_ground_and_take_the_place_of_z(files, done, tmp_path):
-    found = jf.heights(str(files), tmp_path / "a", jf.PMF, PMF_FIELDS, replace_z=True, tile=60.0, executor=Here())
-    made = jf.heights(str(done[0]), tmp_path / "b", replace_z=True, tile=60.0, executor=Here())
+    found = heights(str(files), tmp_path / "a", PMF, replace_z=True, tile=60.0, executor=Here())
+    made = heights(str(done[0]), tmp_path / "b", replace_z=True, tile=60.0, executor=Here())
     assert contents(tmp_path / "a") == contents(tmp_path / "b") and found.classes == done[1].classes
     assert found.heights == made.heights and made.classes == {}
     z = np.concatenate([laspy.read(path).z for path in sorted((tmp_path / "a").glob("*.laz"))])
@@ -797,7 +806,9 @@ def test_heights_find_the_ground_and_take_the_place_of_z(files, done, tmp_path):
 
 
 def test_tiles_without_any_ground_are_set_aside(files, tmp_path):
-    report = jf.heights(str(files / "00.laz"), tmp_path / "out", executor=Here())
+    with pytest.raises(jf.InputError, match=r"00\.laz: no point is ground; classify"):
+        heights(files / "00.laz", tmp_path / "one.laz")
+    report = heights(files, tmp_path / "out", executor=Here())
     assert not report.complete and not report.files and "is ground" in report.set_aside[0]["reason"]
 
 
@@ -806,18 +817,18 @@ def test_a_terrain_model_goes_on_after_a_stop(files, tmp_path):
     survey = jf.open(str(files))
     first, second = Here(1, stop_after=5), Here(2)
     with pytest.raises(KeyboardInterrupt):
-        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=first, **how)
+        model(survey, target, PMF, executor=first, **how)
     with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
-        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), **how)
-    with pytest.raises(jf.InputError, match="begun with other model"):
-        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), resume=True, fill=True, **how)
-    journal = tmp_path / ".dtm.tif.jaxfilter-run" / "jaxfilter-run.sqlite"
-    sound = journal.read_bytes()
-    damage_journal(journal, "zeros", np.random.default_rng(0))
-    with pytest.raises(jf.InputError, match=r"run\.sqlite: the journal is damaged.*pass overwrite=True"):
-        jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=Here(), resume=True, **how)
-    journal.write_bytes(sound)
-    report = jf.terrain_model(survey, target, jf.PMF, PMF_FIELDS, executor=second, resume=True, **how)
+        model(survey, target, PMF, executor=Here(), **how)
+    with pytest.raises(jf.InputError, match="begun with other interpolation"):
+        model(survey, target, PMF, executor=Here(), resume=True, interpolation=jf.Interpolation(fill=True), **how)
+    facts = tmp_path / ".dtm.tif.jaxfilter-run" / "run.json"
+    sound = facts.read_bytes()
+    RUNS["zeros"](facts, np.random.default_rng(0))
+    with pytest.raises(jf.InputError, match=r"run\.json: is damaged.*pass overwrite=True"):
+        model(survey, target, PMF, executor=Here(), resume=True, **how)
+    facts.write_bytes(sound)
+    report = model(survey, target, PMF, executor=second, resume=True, **how)
     assert len(first.calls) == 5 and len(first.calls) + len(second.calls) == report.tiles
     assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
     whole = joined([jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))])
@@ -846,7 +857,7 @@ def test_points_on_the_edge_of_a_terrain_model_need_no_cells(tmp_path):
     las.classification = np.full(len(x), 2)
     las.write(tmp_path / "in.laz")
     target = tmp_path / "dtm.tif"
-    report = jf.terrain_model(jf.open(str(tmp_path / "in.laz")), target, cell=2.0, tile=30.0, executor=Here())
+    report = model(jf.open(str(tmp_path / "in.laz")), target, cell=2.0, tile=30.0, executor=Here())
     assert report.tiles == 16 and report.complete and report.points == report.ground == len(x)
     centres = np.arange(1.0, 60.0, 2.0)
     np.testing.assert_allclose(jf.Raster.read(target).values, np.tile(0.1 * centres, (30, 1)), atol=1e-3)
@@ -861,7 +872,7 @@ def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_
     las.classification = np.where((x > 160) & (x < 280) | (abs(x - 200) > 190) | (abs(y - 60) > 50), 1, 2)
     las.write(tmp_path / "in.las")
     how = {"cell": 10.0, "units": "m", "tile": 80.0, "executor": Here()}
-    report = jf.terrain_model(str(tmp_path / "in.las"), tmp_path / "dtm.tif", **how)
+    report = model(str(tmp_path / "in.las"), tmp_path / "dtm.tif", **how)
     cloud = jf.read(tmp_path / "in.las", units="m", anchor=ANCHOR)
     expected = jf.dtm(cloud, cloud.classification == 2, cell=10.0)
     found = jf.Raster.read(tmp_path / "dtm.tif")
@@ -872,6 +883,6 @@ def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_
 
 def test_a_terrain_model_by_a_method_that_looks_at_the_whole_first(files, tmp_path):
     csf = {"iterations": 60, "smooth": False}
-    report = jf.terrain_model(jf.open(str(files)), tmp_path / "dtm.tif", jf.CSF, csf, tile=50.0, executor=Here())
+    report = model(jf.open(str(files)), tmp_path / "dtm.tif", jf.CSF(**csf), tile=50.0, executor=Here())
     clouds = [jf.read(path, anchor=ANCHOR) for path in sorted(files.glob("*.laz"))]
     assert report.complete and report.ground == jf.CSF(**csf)(joined(clouds)).ground.sum()

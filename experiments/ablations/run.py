@@ -25,13 +25,14 @@ from experiments.isprs import protocols, samples, search, spaces
 from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
-from jaxfilter.engines.tin.growth import Mirror
+from jaxfilter.engines.tin.facets import Rule
+from jaxfilter.engines.tin.growth import Growth, Mirror, Network, Outliers
 from jaxfilter.methods import smrf
 from jaxfilter.steps import outliers
 from jaxfilter.steps.grid_filter import Surface
 from jaxfilter.steps.seeds import lowest_per_cell, lowest_per_window
 from jaxfilter.steps.surfaces import Cells, steepest_drops
-from jaxfilter.steps.tin_filter import TinFilter
+from jaxfilter.steps.tin_filter import surrounded
 
 HERE = Path(__file__).parent
 QUICK = ("24", "41")
@@ -143,21 +144,22 @@ def _low_outliers() -> list[Variant]:
     return out
 
 
-def _few_neighbours(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
-    return TinFilter.outliers(self, points, workers, radius=5.0, min_neighbours=10)
+def _few_neighbours(self: Any, points: Points, workers: int | None) -> Outliers:
+    given = {"clusters": self.low_clusters, "radius": 5.0, "min_neighbours": 10}
+    return outliers.bar_outliers(points, **given, workers=workers)
 
 
-def _isolated(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _isolated(self: Any, points: Points, workers: int | None) -> Outliers:
     found = outliers.isolated_low(points.xyz, 8, 2.0, workers=workers)
-    return found, found
+    return Outliers(found, found)
 
 
-def _unlike(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _unlike(self: Any, points: Points, workers: int | None) -> Outliers:
     found = outliers.knn_outliers(points.xyz, points.weight, 8, workers=workers)
-    return found, found
+    return Outliers(found, found)
 
 
-def _lowest_of_all(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _lowest_of_all(self: Any, points: Points, workers: int | None) -> Outliers:
     """What would be the seeds, so that the next points become them. In cells these are the second-lowest; windows overlap,
     and lose all points that are the lowest of any. The points are tested with the others."""
     barred, late = np.zeros(len(points), bool), np.zeros(len(points), bool)
@@ -165,16 +167,16 @@ def _lowest_of_all(self: Any, points: Points, workers: int | None) -> tuple[np.n
         barred[lowest_per_window(points, self.window, self.stride, late)] = True
     else:
         barred[lowest_per_cell(points, self.seed_cell, late)] = True
-    return barred, late
+    return Outliers(barred, late)
 
 
-def _by_labels(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _by_labels(self: Any, points: Points, workers: int | None) -> Outliers:
     """Objects more than 1 m below the nearest reference ground: what a perfect manual removal would take out."""
     truth = np.zeros(len(points), bool)
     truth[points.member[points.cloud.reference[points.index]]] = True
     _, nearest = cKDTree(points.xyz[truth, :2]).query(points.xyz[:, :2])
     found = ~truth & (points.xyz[:, 2] < points.xyz[truth][nearest, 2] - 1.0)
-    return found, found
+    return Outliers(found, found)
 
 
 def _fate() -> list[Variant]:
@@ -190,9 +192,9 @@ def _fate() -> list[Variant]:
     ]
 
 
-def _at_once(self: Any, points: Points, workers: int | None) -> tuple[np.ndarray, np.ndarray]:
-    barred, _ = jf.FPTD.outliers(self, points, workers)
-    return barred, np.zeros_like(barred)
+def _at_once(self: Any, points: Points, workers: int | None) -> Outliers:
+    found = jf.FPTD.outliers(self, points, workers)
+    return found._replace(late=np.zeros_like(found.late))
 
 
 def _left_out(filter_: jf.Filter, cloud: jf.PointCloud) -> np.ndarray:
@@ -210,10 +212,6 @@ def _seed_density() -> list[Variant]:
         "max_angle": spaces.fixed("ptd", "samp11").max_angle,
         "max_distance": spaces.fixed("ptd", "samp11").max_distance,
     }
-
-    def rule(self: Any, **unused: float) -> Any:
-        return TinFilter.rule(self, **limits)
-
     how = "PTD's test"
     seeds = {
         "agptd": "cells divided on slopes (AGPTD)",
@@ -231,7 +229,7 @@ def _seed_density() -> list[Variant]:
             for stride in (60.0, 30.0, 20.0, 10.0, 5.0)
         ),
         Variant("3. seeds", f"{how}: cell minima (PTD)", _with("ptd"), baseline=True),
-        Variant("3. seeds", f"{how}: sliding windows (FPTD)", _modified("fptd", rule=rule)),
+        Variant("3. seeds", f"{how}: sliding windows (FPTD)", _modified("fptd", growth=_growing(Rule(**limits)))),
         *(
             Variant("3. seeds", f"{how}: {text}", _with(method, **limits))
             for method, text in seeds.items()
@@ -260,11 +258,12 @@ def _sign() -> list[Variant]:
     """5. Signed or not, and elevation over the highest vertex against distance to the plane."""
 
     def rule(signed: float, distance: bool) -> Callable[..., Any]:
-        def changed(self: Any, **limits: float) -> Any:
-            limits = limits | {"signed": signed}
+        def changed(self: Any, network: Network) -> Growth:
+            growth = _before(self).growth(self, network)
+            limits = growth.rule._replace(signed=signed)
             if distance:
-                limits["max_distance"] = limits.pop("max_elevation")
-            return jf.FPTD.rule(self, **limits)
+                limits = limits._replace(max_elevation=np.inf, max_distance=limits.max_elevation)
+            return dataclasses.replace(growth, rule=limits)
 
         return changed
 
@@ -272,10 +271,12 @@ def _sign() -> list[Variant]:
     return [
         Variant(choice, "FPTD: signed, elevation over the highest vertex", _with("fptd"), baseline=True),
         Variant(
-            choice, "FPTD: angle unsigned, elevation over the highest vertex", _modified("fptd", rule=rule(0.0, False))
+            choice,
+            "FPTD: angle unsigned, elevation over the highest vertex",
+            _modified("fptd", growth=rule(0.0, False)),
         ),
-        Variant(choice, "FPTD: signed, distance to the plane", _modified("fptd", rule=rule(1.0, True))),
-        Variant(choice, "FPTD: unsigned, distance to the plane, as PTD", _modified("fptd", rule=rule(0.0, True))),
+        Variant(choice, "FPTD: signed, distance to the plane", _modified("fptd", growth=rule(1.0, True))),
+        Variant(choice, "FPTD: unsigned, distance to the plane, as PTD", _modified("fptd", growth=rule(0.0, True))),
     ]
 
 
@@ -319,7 +320,7 @@ def _insertion() -> list[Variant]:
     choice = "8. insertion"
     out = []
     for method in TINS:
-        lowest = _modified(method, {"max_rounds": 1000}, schedule=_scheduled(one_per_facet=True))
+        lowest = _modified(method, {"max_rounds": 1000}, growth=_growing(one_per_facet=True))
         out += [
             Variant(choice, f"{method.upper()}: batch", _with(method), baseline=True),
             Variant(choice, f"{method.upper()}: one_per_facet", lowest),
@@ -327,9 +328,20 @@ def _insertion() -> list[Variant]:
     return out
 
 
-def _scheduled(**policies: Any) -> Callable[..., Any]:
-    """The ``schedule`` of a method, with other policies."""
-    return lambda self, network, **changes: type(self).__mro__[1].schedule(self, network, **changes | policies)
+def _before(self: Any) -> Any:
+    """The class of a method whose steps are replaced."""
+    return type(self).__mro__[1]
+
+
+def _growing(rule: Rule | None = None, **policies: Any) -> Callable[..., Any]:
+    """The ``growth`` of a method, with other limits, but for the noise floor, and other policies."""
+
+    def changed(self: Any, network: Network) -> Growth:
+        growth = _before(self).growth(self, network)
+        limits = growth.rule if rule is None else rule._replace(noise_floor=growth.rule.noise_floor)
+        return dataclasses.replace(growth, rule=limits, **policies)
+
+    return changed
 
 
 def _mirror() -> list[Variant]:
@@ -337,7 +349,7 @@ def _mirror() -> list[Variant]:
     choice = "9. mirroring"
 
     def nearest(angle: float) -> Maker:
-        return _modified("ptd", mirroring=lambda self, network: Mirror(angle, nearest=True))
+        return _modified("ptd", growth=_growing(mirror=Mirror(angle, nearest=True)))
 
     out = [Variant(choice, "PTD: off", _with("ptd", max_terrain_angle=90.0))]
     for angle in (88.0, 30.0, 10.0):
@@ -352,34 +364,34 @@ def _mirror() -> list[Variant]:
 def _border() -> list[Variant]:
     """10. Simulated border points: elevation and number."""
 
-    def corners(self: Any, points: Points, seeds: np.ndarray, spacing: float, *given: np.ndarray) -> Any:
-        return type(self).__mro__[1].network(self, points, seeds, 1e9, *given)
+    def every(spacing: float) -> Callable[..., Any]:
+        def start(self: Any, points: Points, *given: Any) -> Network:
+            network = _before(self).start(self, points, *given)
+            seeds = network.row[network.seed & network.real]
+            return surrounded(self, points, seeds, network.outliers, spacing)
 
-    def ring(self: Any, points: Points, seeds: np.ndarray, spacing: float, *given: np.ndarray) -> Any:
-        return type(self).__mro__[1].network(self, points, seeds, RING, *given)
+        return start
 
-    static = _scheduled(border_follows=False)
+    corners, ring, static = every(1e9), every(RING), _growing(border_follows=False)
     out = []
     for method in TINS:
         title = method.upper()
         out += [
             Variant("10. border points", f"{title}: every 60 m, follow the ground", _with(method), baseline=True),
-            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, schedule=static)),
-            Variant(
-                "10. border points", f"{title}: four corners, follow the ground", _modified(method, network=corners)
-            ),
+            Variant("10. border points", f"{title}: every 60 m, static", _modified(method, growth=static)),
+            Variant("10. border points", f"{title}: four corners, follow the ground", _modified(method, start=corners)),
             Variant(
                 "10. border points",
                 f"{title}: four corners, static",
-                _modified(method, network=corners, schedule=static),
+                _modified(method, start=corners, growth=static),
             ),
             Variant(
-                "10. border points", f"{title}: every {RING:g} m, follow the ground", _modified(method, network=ring)
+                "10. border points", f"{title}: every {RING:g} m, follow the ground", _modified(method, start=ring)
             ),
             Variant(
                 "10. border points",
                 f"{title}: every {RING:g} m, static",
-                _modified(method, network=ring, schedule=static),
+                _modified(method, start=ring, growth=static),
             ),
         ]
     return out
@@ -435,7 +447,7 @@ def _tiled(margin: float | None) -> Runner:
         for tile in np.unique(home, axis=0):
             corner = low + tile * side
             near = np.flatnonzero(((xy >= corner - halo) & (xy <= corner + side + halo)).all(axis=1))
-            part = jf.PointCloud.from_arrays(coordinates[near], anchor=cloud.origin[:2])
+            part = jf.PointCloud.from_arrays(coordinates[near], anchor=cloud.anchor)
             own = (home[near] == tile).all(axis=1)
             ground[near[own]] = filter_(part, workers=1).ground[own]
         return ground

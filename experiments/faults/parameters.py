@@ -59,14 +59,15 @@ def value(field: Any, rng: np.random.Generator) -> Any:
         return meta["choices"][rng.integers(len(meta["choices"]))]
     if meta.get("optional") and rng.random() < 0.3:
         return None
-    low = next((meta[key] for key in ("ge", "gt") if meta.get(key) is not None), -1e9)
-    high = next((meta[key] for key in ("le", "lt") if meta.get(key) is not None), 1e9)
+    limits = meta["limits"]
+    low = next((bound for sign, bound in limits.items() if ">" in sign), -1e9)
+    high = next((bound for sign, bound in limits.items() if "<" in sign), 1e9)
     scale = default if isinstance(default, int | float) and 0 < default < 1e9 else 1.0
     kind = rng.integers(5)
     drawn = [low, high][kind] if kind < 2 else scale * 10 ** rng.uniform(-4, 4)
-    if kind == 0 and meta.get("gt") is not None:
+    if kind == 0 and ">" in limits:
         drawn = low + 1e-6
-    if kind == 1 and meta.get("lt") is not None:
+    if kind == 1 and "<" in limits:
         drawn = high - 1e-6
     drawn = min(max(drawn, low), high)
     if field.type in ("int", int):

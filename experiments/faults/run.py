@@ -209,10 +209,9 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
     bench.suffix = SUFFIXES[bench.number % 2]
     source, ticks = bench.cloud("in", 20_000)
     target = bench.folder / f"out{bench.suffix}"
-    process = subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "ground", "pmf", str(source), str(target), "--cell", "10", "--units", "m", "--quiet"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words = ["ground", "pmf", str(source), str(target), "--cell", "10", "--units", "m", "--quiet"]
+    command = [sys.executable, "-c", COMMAND, *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         while not _catches(process, signal.SIGTERM) and process.poll() is None:
             time.sleep(0.002)
@@ -233,16 +232,13 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
     lines = [line for line in messages.splitlines() if not line.startswith("warning: ")]
     if number == signal.SIGKILL:
         outcome = "killed" if code == -number else outcome
-        if list(bench.folder.glob(".jaxfilter-*")):
+        if list(bench.folder.glob(".*jaxfilter-*")):
             outcome = "killed, left a hidden folder, which the next run removed"
         if target.exists():
             wrong = _unlike_the_source(target, ticks)
-        again(source, bench.folder / f"next{bench.suffix}", ticks)
-        return {
-            "outcome": outcome,
-            "wrong": wrong,
-            "left_over": bench.left_over(source, target, bench.folder / f"next{bench.suffix}"),
-        }
+        repeated = subprocess.run([*command, "--overwrite"], capture_output=True, text=True)
+        wrong = wrong or repeated.stderr or _unlike_the_source(target, ticks)
+        return {"outcome": outcome, "wrong": wrong, "left_over": bench.left_over(source, target)}
     if code == 128 + number:
         outcome = f"stopped within {seconds:.1f} s"
         if lines != [f"stopped by {number.name}"]:

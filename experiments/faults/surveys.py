@@ -1,4 +1,4 @@
-"""Runs over a survey whose journal, outputs, labels and inputs are damaged, 120 times; then ``resume``, then ``overwrite``.
+"""Runs over a survey whose outputs, inputs and own files are damaged, 120 times; then ``resume``, then ``overwrite``.
 
     python experiments/faults/surveys.py [--out DIR] [--seed 0] [--runs 120]
 
@@ -10,9 +10,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import shlex
 import shutil
-import sqlite3
 import struct
 import sys
 import tempfile
@@ -29,12 +29,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.report import Column, Row, machine, markdown, write_csv
-from jaxfilter.surveys.folder import MAP, REPORT, SCRATCH
-from jaxfilter.surveys.journal import NAME
-from jaxfilter.surveys.pool import attempt
+from jaxfilter.surveys.executors import attempt
+from jaxfilter.surveys.store import RUN
+from jaxfilter.surveys.targets import MAP, REPORT
 
 HERE = Path(__file__).parent
-HOW: dict[str, Any] = {"tile": 30.0, "units": "m"}
+STORE = ".jaxfilter-run"
 Damage = Callable[[Path, np.random.Generator], None]
 
 
@@ -126,39 +126,22 @@ def _patched(path: Path, at: int, content: bytes) -> None:
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-# what is done to a journal
+# what is done to run.json
 
 
-def row(path: Path, rng: np.random.Generator) -> None:
-    """A number in one of its rows is another; the base itself is sound."""
-    with sqlite3.connect(path) as base:
-        base.execute("update tiles set report = replace(report, '\"points\": ', '\"points\": 1')")
-    base.close()
+def number(path: Path, rng: np.random.Generator) -> None:
+    """A number in it is another; it is sound JSON."""
+    path.write_text(re.sub(r'"halo": [\d.]+', '"halo": 16.0', path.read_text()))
 
 
-def no_table(path: Path, rng: np.random.Generator) -> None:
-    """One of its tables is gone."""
-    with sqlite3.connect(path) as base:
-        base.execute(f"drop table {rng.choice(['facts', 'tiles', 'files'])}")
-    base.close()
-
-
-def other_base(path: Path, rng: np.random.Generator) -> None:
-    """A base of another program has its name."""
-    path.unlink()
-    with sqlite3.connect(path) as base:
-        base.execute("create table tiles (a text)")
-    base.close()
-
-
-def hot(path: Path, rng: np.random.Generator) -> None:
-    """Beside it lies a rollback journal of random bytes."""
-    Path(f"{path}-journal").write_bytes(bytes.fromhex("d9d505f920a163d7") + rng.bytes(5000))
+def other_json(path: Path, rng: np.random.Generator) -> None:
+    """JSON of another program has its name."""
+    path.write_text('{"name": "something else"}')
 
 
 BYTES: tuple[Damage, ...] = (missing, empty, cut, text, noise, zeros, flip, longer, folder)
-JOURNALS: dict[str, Damage] = {one.__name__: one for one in (empty, cut, text, zeros, noise, row, other_base)}
-"""Damages of the journal of a complete run that ``resume`` has to refuse."""
+RUNS: dict[str, Damage] = {one.__name__: one for one in (empty, cut, text, zeros, noise, number, other_json)}
+"""Damages of what decides on a run that ``resume`` has to refuse."""
 
 
 def turned(path: Path, rng: np.random.Generator) -> None:
@@ -169,15 +152,15 @@ def turned(path: Path, rng: np.random.Generator) -> None:
 
 
 WHAT: dict[str, tuple[Damage, ...]] = {
-    "journal": (*BYTES, row, no_table, other_base, hot),
+    "run.json": (*BYTES, number, other_json),
     "output": BYTES,
-    "labels": (missing, empty, cut, text, noise, zeros, flip, longer),
+    "tiles": (missing, empty, cut, text, noise, zeros, flip, longer),
     "index": (missing, empty, cut, text, noise),
     "report": (missing, empty, text, cut),
-    "scratch": (missing, text),
+    "folder": (missing, text),
     "input": (turned,),
 }
-"""What is damaged, and how. Labels, index and scratch are there only where a run was stopped."""
+"""What is damaged, and how. Tiles, index and folder are there only where a run was stopped."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -205,7 +188,7 @@ def ways() -> list[tuple[str, str, Damage]]:
     """State of the run, what is damaged and how: all that there are."""
     found = []
     for what, damages in WHAT.items():
-        states = {"journal": ("stopped", "complete"), "output": ("stopped", "complete"), "report": ("complete",)}
+        states = {"run.json": ("stopped", "complete"), "output": ("stopped", "complete"), "report": ("complete",)}
         for state in states.get(what, ("stopped",)):
             found += [(state, what, damage) for damage in damages]
     return found
@@ -264,7 +247,8 @@ def make_survey(place: Path) -> None:
 
 def ground(survey: Path, out: Path, executor: Stopping | None = None, **how: Any) -> Any:
     """One run."""
-    return jf.ground(survey, out, FILTER, halo=15.0, executor=executor or Stopping(), **HOW, **how)
+    run = jf.RunOptions(tile=30.0, halo=15.0, executor=executor or Stopping(), **how)
+    return jf.ground(survey, out, FILTER, reading=jf.Reading(units="m"), run=run)
 
 
 def contents(out: Path) -> dict[str, bytes]:
@@ -276,12 +260,12 @@ def chosen(here: Path, what: str, rng: np.random.Generator) -> Path | None:
     """The file to be damaged; None if there is none."""
     out = here / "out"
     found = {
-        "journal": [out / NAME],
+        "run.json": [out / STORE / RUN],
         "output": sorted(out.glob("*.las")),
-        "labels": sorted((out / SCRATCH / "labels").rglob("*.npz")),
-        "index": sorted((out / SCRATCH / "index").rglob("*.npz")),
+        "tiles": sorted((out / STORE / "tiles").rglob("*.tile")),
+        "index": sorted((out / STORE / "index").rglob("*.npz")),
         "report": [path for path in (out / REPORT, out / MAP) if path.exists()],
-        "scratch": [out / SCRATCH],
+        "folder": [out / STORE],
         "input": sorted((here / "survey").glob("*.las")),
     }[what]
     return found[int(rng.integers(len(found)))] if found else None
@@ -324,11 +308,6 @@ def tried(survey: Path, out: Path, expected: dict[str, bytes]) -> Row:
     if extra := {path.name for path in out.iterdir()} - {path.name for path in out.with_name("fresh").iterdir()}:
         wrong = wrong or f"left over {sorted(extra)}"
     return {"outcome": outcome, "wrong": wrong, "dead_end": dead_end}
-
-
-def damage_journal(path: Path, kind: str, rng: np.random.Generator) -> None:
-    """One of :data:`JOURNALS`."""
-    JOURNALS[kind](path, rng)
 
 
 def report(rows: list[Row], command: str) -> str:

@@ -227,7 +227,7 @@ def _compare_bytes(before: bytes, after: bytes, cloud: jf.PointCloud) -> None:
 
 
 def _compare_lines(before: bytes, after: bytes) -> None:
-    """Text keeps its lines: each is as it was, with one or two cells changed or one put behind it."""
+    """Text keeps its lines and cells: but for blanks and quotes, and one or two cells that change or are added."""
     old, new = (re.split(rb"\r\n|\r|\n", text) for text in (before, after))
     while old and not old[-1]:
         old.pop()
@@ -235,7 +235,7 @@ def _compare_lines(before: bytes, after: bytes) -> None:
         new.pop()
     if len(old) != len(new):
         raise Wrong(f"{len(new)} lines of {len(old)} come back")
-    for one, other in zip(old, new, strict=True):
+    for one, other in zip(*([re.sub(rb'[ \t"]+', b"", line) for line in lines] for lines in (old, new)), strict=True):
         head = next((i for i, (p, q) in enumerate(zip(one, other, strict=False)) if p != q), min(len(one), len(other)))
         if head < len(one) and len(other) - len(one) > 3:
             raise Wrong(f"a line has grown: {one[:60]!r}, {other[:60]!r}")

@@ -32,7 +32,7 @@ from experiments.fuzz import mutations
 from jaxfilter.core.errors import JaxfilterError
 from jaxfilter.files.header import RECORD_LENGTHS, read_header
 from jaxfilter.files.reading import read
-from jaxfilter.files.records import read_records, reading
+from jaxfilter.files.records import read_records, reading_errors
 
 REFUSED, SAME, OTHER, SOUND, FAILURE = "refused", "as LASzip", "other", "as before", "failure"
 """Outcomes: an error that names the file; the points of LASzip, which are those of the sound file, or others; LASzip does not
@@ -241,7 +241,7 @@ def ours(path: Path) -> Records:
         warnings.simplefilter("ignore")
         try:
             cloud = read(path, units="m", drop_invalid=True)
-            with reading(path):
+            with reading_errors(path):
                 header = read_header(path)
             records = np.concatenate([np.zeros((0, header.record_length), np.uint8), *read_records(header)])
         except JaxfilterError as error:

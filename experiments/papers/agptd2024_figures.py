@@ -143,7 +143,7 @@ def trial_maps(grid: xarray.Dataset, printed: Mapping[str, tuple[float, float]])
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True)
     for ax, name in zip(panels.ravel(), names, strict=False):
         plots.sweep_map(
-            above.sel(cloud=name), "max_angle", "max_distance", limits=SCALE, colour_bar=False, ax=ax,
+            above.sel(cloud=name), "max_angle", "max_distance", limits=SCALE, ax=ax,
             title=f"{name}: {float(least.sel(cloud=name)):.2f} %",
         )  # fmt: skip
         place = [

@@ -23,7 +23,7 @@ from jaxfilter import plots, scenes
 from jaxfilter.core.grid import Grid, grid_over
 from jaxfilter.core.points import canonical_points
 from jaxfilter.methods.ppdf import HYPOTHESES, INLIER_DISTANCE
-from jaxfilter.steps.scaled_planes import ScaledPlanes, progressive_planes
+from jaxfilter.steps.scaled_planes import PlaneSearch, ScaledPlanes, progressive_planes
 from jaxfilter.steps.seeds import lowest_on_grid, under_canopy
 from jaxfilter.sweeps.comparison import timed
 
@@ -455,11 +455,10 @@ def staged(cloud: jf.PointCloud) -> Stages:
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, grid.cell))))
     cells = grid_over(points.xyz, filter_.canopy_cell)
     under = under_canopy(points.xyz, np.ones(len(points), bool), cells, filter_.canopy_height)
-    planes = progressive_planes(
-        points, under, jax.random.uniform(jax.random.key(0), (HYPOTHESES, 3)), cell=filter_.cell,
-        min_points=filter_.min_points, inlier_distance=INLIER_DISTANCE,
-        division_distance=filter_.division_distance, max_slope=filter_.max_slope,
-    )  # fmt: skip
+    search = PlaneSearch(
+        filter_.cell, filter_.min_points, INLIER_DISTANCE, filter_.division_distance, filter_.max_slope
+    )
+    planes = progressive_planes(points, under, jax.random.uniform(jax.random.key(0), (HYPOTHESES, 3)), search)
     lowest = np.zeros(len(points), bool)
     lowest[lowest_on_grid(points, grid_over(points.xyz, filter_.cell), ~under)] = True
     return Stages(points.xyz, truth, (z, slope, grid), under, planes, np.abs(planes.distance) <= filter_.buffer, lowest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import sys
 from collections.abc import Sequence
@@ -32,8 +33,8 @@ of Table 2 that lost their decimal point in the scan are restored from the other
 class OnePerFacet(jf.SPF):
     """SPF that adds the lowest point over each facet in a round."""
 
-    def schedule(self, network: Any, **changes: Any) -> Any:
-        return super().schedule(network, one_per_facet=True, **changes)
+    def growth(self, network: Any) -> Any:
+        return dataclasses.replace(super().growth(network), one_per_facet=True)
 
 
 RUNS = {

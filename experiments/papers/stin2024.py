@@ -132,7 +132,7 @@ def measure(sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud) 
     if method in MODELLED:
         row |= {
             "rmse": jf.dtm_rmse(cloud, result).rmse,
-            "rmse_kriging": jf.dtm_rmse(cloud, result, method="kriging").rmse,
+            "rmse_kriging": jf.dtm_rmse(cloud, result, interpolation=jf.Interpolation("kriging")).rmse,
         }
     facets = [step["facets"] for step in result.trace if "facets" in step]
     if facets:

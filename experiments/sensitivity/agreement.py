@@ -20,6 +20,7 @@ import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.report import Row, machine, markdown, write_csv
 from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import declared
 from jaxfilter.sweeps.ranges import Range, around, search_ranges
 
@@ -141,7 +142,7 @@ def compared(sets: list[jf.Filter], cloud: jf.PointCloud) -> tuple[list[int], in
     points = sets[0].points_of(cloud)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        swept = dict(sets[0].ground_each(points, sets, key=None, workers=None, memory=2e9))
+        swept = dict(ground_each(sets[0], points, sets, key=None, workers=None, memory=2e9))
         alone = [one(cloud).ground for one in sets]
     assert sorted(swept) == list(range(len(sets)))
     differ = [int((points.spread(swept[number]) != ground).sum()) for number, ground in enumerate(alone)]

@@ -12,13 +12,14 @@ import numpy as np
 
 import jaxfilter as jf
 from experiments.report import Row
-from jaxfilter.core.cloud import Whole
+from jaxfilter.core.filter import lowest_among
 from jaxfilter.surveys.collection import Collection
-from jaxfilter.surveys.plan import Plan, plan_tiles
-from jaxfilter.surveys.setup import Sample, whole_for
-from jaxfilter.surveys.task import ANCHOR, Job, Tile, read_tile, survey_tile
+from jaxfilter.surveys.measures import Sampler
+from jaxfilter.surveys.plan import plan_tiles
+from jaxfilter.surveys.run import tile_of
+from jaxfilter.surveys.tiles import TileReader, joined
 
-READING = {"returns": "all", "ignore_classes": (7, 18), "keep_withheld": False, "drop_invalid": False}
+READING = jf.Reading(returns="all", ignore_classes=(7, 18), units="m")
 """What producers set apart is filtered like the rest."""
 LEFT_OUT = (0, 7, 9, 12, 18, 26, 65, 66, 67)
 """Classes that are not scored, as in ``experiments/tiles``."""
@@ -39,13 +40,13 @@ class Survey:
 def survey(name: str, paths: Sequence[Path]) -> Survey:
     """Open files, and read them whole."""
     collection = jf.open([str(path) for path in paths], units="m")
-    clouds = [jf.read(path, units="m", anchor=ANCHOR, **READING) for path in paths]
-    coordinates = np.concatenate([cloud.coordinates() for cloud in clouds])
-    classes = np.concatenate([cloud.classification for cloud in clouds])  # type: ignore[arg-type]
-    candidate = np.concatenate([cloud.candidate for cloud in clouds])
-    cloud = dataclasses.replace(jf.PointCloud.from_arrays(coordinates, anchor=ANCHOR), candidate=candidate)
+    how = {"returns": READING.returns, "ignore_classes": READING.ignore_classes}
+    clouds = [jf.read(path, units="m", **how) for path in paths]
+    cloud = joined(clouds)
+    assert cloud.classification is not None
+    scored = ~np.isin(cloud.classification, LEFT_OUT)
     first = np.cumsum([0, *(len(one) for one in clouds)])
-    return Survey(name, collection, cloud, classes == 2, ~np.isin(classes, LEFT_OUT), first)
+    return Survey(name, collection, cloud, cloud.classification == 2, scored, first)
 
 
 def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float | None], folder: Path) -> Iterator[Row]:
@@ -55,7 +56,7 @@ def rows(one: Survey, methods: Sequence[str], cuts: int, halos: Sequence[float |
         whole = filter_(one.cloud, workers=1).ground
         total = jf.evaluate(whole, one.truth, ignore=~one.scored).total
         for asked in halos:
-            halo = filter_.tile_halo() if asked is None else asked
+            halo = filter_.halo() if asked is None else asked
             start = time.process_time()
             ground, seen = tiled(one, filter_, cuts, halo, folder)
             differ = int((ground != whole).sum())
@@ -82,29 +83,29 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     A tile that sees all points tests nothing: it is the whole.
     """
     files = one.collection
+    low, high = np.reshape(files.bounds, (2, 2))
     plan = plan_tiles(
         files.footprints,
         files.counts,
         metre=files.metre,
         halo=halo,
         lattice=filter_.lattice(),
-        cuts=cuts,
+        side=float((high - low).max()) * files.metre / cuts,
     )
     width, height = plan.largest()
-    spacing = filter_.points_of(one.cloud).spacing()
-    sample = Sample([], Whole(spacing))
-    whole = whole_for(filter_, sample, files, READING)
+    whole = Sampler(files, READING, folder / "index").whole_for(filter_)
     whole = dataclasses.replace(whole, width=width * files.metre, height=height * files.metre)
-    job = Job(filter_, READING, {}, (), whole, folder, folder / "index")
-    tiles = [_tile(plan, files, number) for number in range(len(plan))]
-    if type(filter_).lowest is not jf.Filter.lowest:
-        lows = [low for tile in tiles if (low := survey_tile(job, tile)) is not None]
-        job = dataclasses.replace(job, whole=dataclasses.replace(whole, lowest=min(lows)))
+    lowest = lowest_among(filter_, points := filter_.points_of(one.cloud))
+    if lowest is not None:
+        height = float(points.xyz[lowest, 2].min())
+        whole = dataclasses.replace(whole, lowest=float(one.cloud.origin[2]) + height)
+    reader = TileReader(READING, whole, folder / "index")
+    tiles = [tile_of(plan, files, number) for number in range(len(plan))]
     ground = np.zeros(len(one.cloud), bool)
     times = np.zeros(len(one.cloud), np.int8)
     seen = []
     for tile in tiles:
-        around = read_tile(job, tile)
+        around = reader.read(tile)
         if not around.core.any():
             continue
         found = filter_(around.cloud, workers=1).ground[around.core]
@@ -138,8 +139,3 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     axes.set_ylabel("labels that differ from the whole, %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
     axes.figure.savefig(path, dpi=150)
-
-
-def _tile(plan: Plan, files: Collection, number: int) -> Tile:
-    near = tuple(plan.near[number].tolist())
-    return Tile(number, plan.core(number), plan.window(number), near, tuple(files[n] for n in near))

@@ -25,7 +25,7 @@ import psutil
 from experiments.report import Column, Row
 from experiments.tiling import scale
 from jaxfilter.surveys.dask import Cluster
-from jaxfilter.surveys.pool import Task, carried_out
+from jaxfilter.surveys.executors import Task, carried_out
 
 FLAGS = ["--tile", "150", "--halo", "40", "--quiet"]
 _KILL_EVERY = 20.0  # seconds

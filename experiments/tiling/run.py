@@ -87,7 +87,7 @@ def _halos(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     for method in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == method]
         table.append(
-            {"method": method, "own": jf.FILTERS[method]().tile_halo(), **{f"{r['halo']:g}": r["differ"] for r in own}}
+            {"method": method, "own": jf.FILTERS[method]().halo(), **{f"{r['halo']:g}": r["differ"] for r in own}}
         )
     write_csv(options.out / "halos-all.csv", rows)
     columns: list[Column] = [("method", "method", ""), ("own", "default halo, m", ".0f")]

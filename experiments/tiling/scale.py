@@ -109,8 +109,8 @@ def planning(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]
     if not path.exists():
         million(path, 1000)
     code = (
-        "import sys, time, resource, jaxfilter as jf; from jaxfilter.surveys.capacity import layout; t = time.process_time()\n"
-        "c = jf.open(sys.argv[1]); a = time.process_time(); p = layout(c, halo=90, lattice=1, memory=8e9, workers=2).plan\n"
+        "import sys, time, resource, jaxfilter as jf; from jaxfilter.surveys.plan import plan_tiles; t = time.process_time()\n"
+        "c = jf.open(sys.argv[1]); a = time.process_time(); p = plan_tiles(c.footprints, c.counts, halo=90)\n"
         "print(len(c), len(p), a - t, time.process_time() - a, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     found = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)

@@ -8,33 +8,33 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import building
-from .checks import check_reading, check_target
+from .answer import Answer, in_session
 from .commands import main
-from .output import json_text, print_json
-from .session import BadUsage, Session, session_options
+from .options import check_target, pairs, take_reading, take_recipe, with_options
+from .output import json_text, times
+from .session import BadUsage, Session
+from .sweeps import MEMORY, drawn_range
+from .values import CLASS, INPUT, OUTPUT
 
 if TYPE_CHECKING:
-    from ..files.disk import Bounds
     from ..sweeps.calibrate import Calibration
 
 
 @main.command()
-@building.method_argument
-@click.argument("source", metavar="IN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("method", metavar="METHOD")
+@click.argument("source", metavar="IN", type=INPUT)
 @click.option(
     "--labels",
     "labels_file",
     metavar="FILE",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="LAS or text with some of the points of IN and their classes or labels.  [default: those of IN]",
+    type=INPUT,
+    help="LAS or text file with some of the points of IN and their classes or labels.  [default: the classes or labels of IN]",
 )
 @click.option(
     "--unlabelled",
-    type=click.IntRange(0, 255),
+    type=CLASS,
     multiple=True,
     default=(0,),
-    show_default=True,
     metavar="CLASS",
     help="Points of this class have no label; may be repeated.",
 )
@@ -45,63 +45,44 @@ if TYPE_CHECKING:
     type=float,
     multiple=True,
     metavar="XMIN YMIN XMAX YMAX",
-    help="Only labels within count, file units; may be repeated.",
+    help="Take only the labels within, file units; may be repeated.",
 )
 @click.option(
     "--axis",
     "axes",
     metavar="FIELD=LOW..HIGH",
     multiple=True,
-    help="A field to search, and where; may be repeated.  [default: the thresholds of the method]",
+    help="Search this field between these values; may be repeated.  [default: the thresholds of the method]",
 )
-@click.option(
-    "--size", type=click.IntRange(1), default=256, show_default=True, help="Sets that are tried in each round."
-)
+@click.option("--size", type=click.IntRange(1), default=256, help="Number of sets that each round tries.")
 @click.option(
     "--rounds",
     type=click.IntRange(1),
     default=2,
-    show_default=True,
-    help="Each after the first is around the best so far.",
+    help="Rounds; all but the first search around the best set so far.",
 )
-@click.option("--score", type=click.Choice(["total", "kappa"]), default="total", show_default=True)
-@click.option("--folds", type=click.IntRange(2), default=5, show_default=True, help="Of the cross-validation.")
+@click.option("--score", type=click.Choice(["total", "kappa"]), default="total", help="The score that decides.")
+@click.option("--folds", type=click.IntRange(2), default=5, help="Number of parts for the cross-validation.")
 @click.option(
     "--block",
     type=click.FloatRange(0, min_open=True),
     metavar="METRES",
-    help="Side of the blocks that folds are made of.",
+    help="The parts are made of square blocks with this side.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@building.set_option
-@building.preset_option
-@building.largest_option
-@building.units_option
-@building.memory_option
-@building.workers_option
-@click.option(
-    "--out", metavar="FILE.json", type=click.Path(dir_okay=False, path_type=Path), help="Write what was found."
-)
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the sets that are drawn.")
+@with_options("set", "preset", "largest_building", "units", MEMORY, "threads")
+@click.option("--out", metavar="FILE.json", type=OUTPUT, help="Write the result to this file as well.")
 @click.option("--overwrite", is_flag=True, help="Replace the file of --out if it exists.")
+@in_session
 def calibrate(
-    method: str,
+    session: Session,
     source: Path,
     labels_file: Path | None,
-    unlabelled: tuple[int, ...],
-    patches: tuple[tuple[float, float, float, float], ...],
     axes: tuple[str, ...],
-    fixed: tuple[str, ...],
-    preset: str | None,
-    largest_building: float | None,
-    units: str | None,
-    memory: float,
     out: Path | None,
     overwrite: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-    **search: Any,
-) -> None:
+    **options: Any,
+) -> Answer:
     """Find the parameters that suit IN from the labels of some of its points.
 
     Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
@@ -115,68 +96,57 @@ def calibrate(
     from ..sweeps import labels as labelling
     from ..sweeps.design import make_design
 
-    with Session(quiet=quiet, debug=debug) as session:
-        build = building.builder(method, fixed, preset, largest_building)
-        ranges = {
-            name: building.drawn_range(build.method, name, text) for name, text in building.pairs("--axis", axes)
-        } or None
-        if ranges is not None:
-            make_design(build.alone(), ranges, "random", 1)  # checks fields and limits
-        check_reading(units, "last,only")
-        try:
-            bounds: list[Bounds] = [check_bounds(patch) for patch in patches]
-        except InputError as error:
-            raise BadUsage(str(error)) from error
-        if out is not None:
-            check_target(out, overwrite)
-        with session.reading(source):
-            cloud = read(source, units=units, progress=session.progress)
-            if labels_file is None:
-                labels = labelling.point_labels(cloud, unlabelled, str(source))
-            else:
-                some = read(labels_file, units=units or cloud.units)
-                own = labelling.point_labels(some, unlabelled, str(labels_file))
-                labels = labelling.labels_from(cloud, some, own, str(labels_file), search["workers"])
-            if bounds:
-                labels = labelling.within(cloud, bounds, labels)
-        filter_ = build.on(cloud)
-        with session.step("calibrate", search["size"] * search["rounds"], "sets"):
-            session.progress(0.0, "labels")
-            found = sweeps.calibrate(
-                filter_, cloud, labels, axes=ranges, memory=memory * 1e9, progress=session.progress, **search
-            )
-        report = _calibration(found, source, labels_file, labels, units) | session.as_dict()
-        if out is not None:
-            with new_file(out, overwrite=overwrite) as temporary:
-                temporary.write_text(json_text(report) + "\n")
-    if as_json:
-        print_json(report)
-    elif not quiet:
-        _print_calibration(found, report, out)
+    recipe = take_recipe(options)
+    assert recipe is not None
+    alone = recipe.alone()
+    assert alone is not None
+    ranges = {name: drawn_range(type(alone), name, text) for name, text in pairs("--axis", axes)} or None
+    if ranges is not None:
+        make_design(alone, ranges, "random", 1)  # checks fields and limits
+    words, reading, unlabelled = options["units"], take_reading(options), options.pop("unlabelled")
+    try:
+        patches = [check_bounds(patch) for patch in options.pop("patches")]
+    except InputError as error:
+        raise BadUsage(str(error)) from error
+    if out is not None:
+        check_target(out, overwrite)
+    with session.reading(source):
+        cloud = read(source, units=reading.units, progress=session.progress)
+        some = cloud if labels_file is None else read(labels_file, units=reading.units or cloud.units)
+        labels = labelling.point_labels(some, unlabelled, str(labels_file or source))
+        if some is not cloud:
+            labels = labelling.labels_from(cloud, some, labels, str(labels_file), options["workers"])
+        if patches:
+            labels = labelling.within(cloud, patches, labels)
+    filter_, memory = recipe.on(cloud), options.pop("memory") * 1e9
+    with session.step("calibrate", options["size"] * options["rounds"], "sets"):
+        session.progress(0.0, "labels")
+        found = sweeps.calibrate(
+            filter_, cloud, labels, axes=ranges, memory=memory, progress=session.progress, **options
+        )
+    facts = {
+        "method": type(filter_).__name__,
+        "input": str(source),
+        "labels": str(labels_file or source),
+        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
+    }
+    facts |= _facts(found, [str(source), "OUT", *(["--units", words] if words else [])]) | session.as_dict()
+    if out is not None:
+        with new_file(out, overwrite=overwrite) as temporary:
+            temporary.write_text(json_text(facts) + "\n")
+    return Answer(facts, _text(facts) + (f"\nin {out}" if out is not None else ""))
 
 
-calibrate.params += session_options()
-
-
-def _calibration(
-    found: Calibration, source: Path, labels_file: Path | None, labels: Any, units: str | None
-) -> dict[str, Any]:
-    """What was found, in plain Python values."""
+def _facts(found: Calibration, words: list[str]) -> dict[str, Any]:
+    """What was found, in plain Python values; ``words``: what follows the method in the command that uses it."""
     from . import flags
 
     method = type(found.filter)
     defaults = {name: field.default for name, field in flags.fields(method).items()}
     values = {name: getattr(found.filter, name) for name in defaults}
     changed = {name: value for name, value in values.items() if value != defaults[name]}
-    words = ["jaxfilter", "ground", method.__name__.lower(), str(source), "OUT"]
-    for name, value in changed.items():
-        words += flags.words_for(name, value)
-    words += ["--units", units] if units else []
+    fields = [word for name, value in changed.items() for word in flags.words_for(name, value)]
     return {
-        "method": method.__name__,
-        "input": str(source),
-        "labels": str(labels_file or source),
-        "labelled": {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())},
         "score": found.trials.attrs["score"],
         "cross_validated": found.score,
         "spread": found.spread,
@@ -186,22 +156,20 @@ def _calibration(
         "found": {name: values[name] for name in found.searched},
         "changed": changed,
         "parameters": values,
-        "command": shlex.join(words),
+        "command": shlex.join(["jaxfilter", "ground", method.__name__.lower(), *words[:2], *fields, *words[2:]]),
     }
 
 
-def _print_calibration(found: Calibration, report: dict[str, Any], out: Path | None) -> None:
+def _text(facts: dict[str, Any]) -> str:
+    """The facts for people."""
     from ..sweeps.best import word
 
-    what = "total error" if report["score"] == "total" else "kappa"
-    parameters = ", ".join(f"{name} {word(value)}" for name, value in report["found"].items())
-    labelled = report["labelled"]
-    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in report["seconds"].items())
-    click.echo(
-        f"{report['method']}: {parameters}\n"
-        f"{what} {report['cross_validated']:.2f} +- {report['spread']:.2f} %, cross-validated over {report['folds']} folds of "
-        f"{labelled['ground']:,} ground and {labelled['object']:,} object points; {report['before']:.2f} % before\n"
-        f"{report['sets']:,} sets; {seconds}\n{report['command']}"
+    what = "total error" if facts["score"] == "total" else "kappa"
+    parameters = ", ".join(f"{name} {word(value)}" for name, value in facts["found"].items())
+    labelled = facts["labelled"]
+    return (
+        f"{facts['method']}: {parameters}\n"
+        f"{what} {facts['cross_validated']:.2f} +- {facts['spread']:.2f} %, cross-validated over {facts['folds']} folds of "
+        f"{labelled['ground']:,} ground and {labelled['object']:,} object points; {facts['before']:.2f} % before\n"
+        f"{facts['sets']:,} sets; {times(facts['seconds'])}\n{facts['command']}"
     )
-    if out is not None:
-        click.echo(f"in {out}")

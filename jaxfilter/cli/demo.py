@@ -4,43 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from .answer import Answer, in_session
 from .commands import main
-from .output import print_json, print_report, run_report
-from .session import BadUsage, Session, session_options
+from .options import take_run
+from .output import print_report, run_facts
+from .session import BadUsage, Session
+from .values import FOLDER
 
 if TYPE_CHECKING:
-    from ..core.result import FilterResult
+    import numpy as np
+
     from ..scenes import Scene
 
 DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
 
 
 @main.command()
-@click.argument(
-    "directory", metavar="[DIR]", default="jaxfilter-demo", type=click.Path(file_okay=False, path_type=Path)
-)
+@click.argument("directory", metavar="[DIR]", default="jaxfilter-demo", type=FOLDER)
 @click.option(
-    "--size", nargs=2, type=float, default=(400.0, 300.0), show_default=True, metavar="WIDTH HEIGHT", help="Metres."
+    "--size", nargs=2, type=float, default=(400.0, 300.0), metavar="WIDTH HEIGHT", help="Size of the scene, metres."
 )
-@click.option("--density", type=float, default=1.5, show_default=True, help="Pulses per m2.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--density", type=float, default=1.5, help="Number of pulses per m2.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the scene.")
 @click.option("--method", metavar="METHOD", help="Filter by this method.  [default: the default filter]")
 @click.option("--overwrite", is_flag=True, help="Write into DIR even if it holds other files.")
-def demo(
-    directory: Path,
-    size: tuple[float, float],
-    density: float,
-    seed: int,
-    method: str | None,
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-) -> None:
+@in_session
+def demo(session: Session, directory: Path, method: str | None, overwrite: bool, **survey: Any) -> Answer:
     """Make a scene whose ground is known, filter it, score the result and draw it.
 
     Writes into DIR (by default jaxfilter-demo): scene.laz, scene_truth.laz, scene_ground.laz, and pictures of
@@ -48,39 +41,40 @@ def demo(
     """
     from .. import scenes
     from ..files.disk import remove_dead
-    from ..files.reading import read, write
+    from ..files.reading import read
     from ..methods import FILTERS
-    from ..methods.default import default_filter
     from ..scoring import evaluate as score
+    from ..surveys.ground import ground
+    from ..surveys.measures import Recipe
 
-    with Session(quiet=quiet, debug=debug) as session:
-        if directory.is_dir():
-            remove_dead(directory)
-        others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
-        if others and not overwrite:
-            raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
-        if method is not None and method not in FILTERS:
-            raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
-        with session.step("scene"):
-            scene = scenes.make("mixed", size=size, density=density, seed=seed)
-            _write_scene(directory, scene)
-        with session.reading(directory / "scene.laz"):
-            cloud = read(directory / "scene.laz", progress=session.progress)
-        filter_ = FILTERS[method].preset("recommended") if method else default_filter(cloud)
-        with session.step("filter", len(cloud)):
-            result = filter_(cloud, progress=session.progress)
-        with session.step("write"):
-            target = write(directory / "scene_ground.laz", cloud, result, overwrite=True)
-        scores = score(result, scene.truth, candidates_only=True)
-        with session.step("pictures"):
-            _draw(directory, scene, result)
-    report = run_report(filter_, result, session) | {"output": str(target)}
-    if as_json:
-        print_json(report | {"scores": scores.as_dict(), "files": [str(directory / name) for name in DEMO_FILES]})
-    elif not quiet:
-        print_report(report)
-        click.echo(scores)
-        click.echo(f"in {directory}: {', '.join(DEMO_FILES)}")
+    if directory.is_dir():
+        remove_dead(directory)
+    others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
+    if others and not overwrite:
+        raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
+    if method is not None and method not in FILTERS:
+        raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
+    with session.step("scene"):
+        scene = scenes.make("mixed", **survey)
+        _write_scene(directory, scene)
+    recipe = Recipe(FILTERS[method], preset="recommended") if method else Recipe()
+    run, target = take_run({"overwrite": True}, session), directory / "scene_ground.laz"
+    with session.step("run", len(scene)):
+        report = ground(directory / "scene.laz", target, recipe, run=run)
+    classes = read(target).classification
+    assert classes is not None
+    labels = classes == 2
+    scores = score(labels, scene.truth, ignore=~scene.cloud.candidate)
+    with session.step("pictures"):
+        _draw(directory, scene, labels)
+    facts = run_facts(report, session) | {"output": str(target)}
+
+    def show() -> None:
+        print_report(facts)
+        click.echo(f"{scores}\nin {directory}: {', '.join(DEMO_FILES)}")
+
+    files = [str(directory / name) for name in DEMO_FILES]
+    return Answer(facts | {"scores": scores.as_dict(), "files": files}, show)
 
 
 def _write_scene(directory: Path, scene: Scene) -> None:
@@ -97,22 +91,19 @@ def _write_scene(directory: Path, scene: Scene) -> None:
     write(directory / "scene_truth.laz", classified, nothing, reset="none", overwrite=True)
 
 
-def _draw(directory: Path, scene: Scene, result: FilterResult) -> None:
+def _draw(directory: Path, scene: Scene, ground: np.ndarray) -> None:
     from .. import plots
     from ..files.disk import new_file
 
     cloud, truth = scene.cloud, scene.truth
     terrain = scene.terrain_grid(1.0)
-    found = plots.rasterise(cloud.xyz[result.ground], terrain[1].cell, over=cloud.xyz)
+    found = plots.rasterise(cloud.xyz[ground], terrain[1].cell, over=cloud.xyz)
     pictures = {
         "truth.png": plots.hillshade(terrain, title="true terrain").figure,
         "result.png": plots.hillshade(found, title="filtered ground").figure,
-        "errors.png": plots.error_map(cloud, result, truth, surface=terrain, title="errors").figure,
-        "panel.png": plots.panel(cloud, result, truth),
+        "errors.png": plots.error_map(cloud, ground, truth, surface=terrain, title="errors").figure,
+        "panel.png": plots.panel(cloud, ground, truth),
     }
     for name, figure in pictures.items():
         with new_file(directory / name, overwrite=True) as part:
             figure.savefig(part, format="png")
-
-
-demo.params += session_options()

@@ -14,24 +14,7 @@ from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..pdal import aliases
-
-_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-
-
-class Value(click.ParamType):
-    """A number or a word; ``none`` where the field may be None."""
-
-    def __init__(self, base: type, optional: bool) -> None:
-        self.base, self.optional = base, optional
-        self.name = base.__name__ + ("|none" if optional else "")
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if self.optional and isinstance(value, str) and value.lower() == "none":
-            return None
-        try:
-            return self.base(value)
-        except ValueError:
-            self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
+from .values import Number
 
 
 def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
@@ -55,9 +38,8 @@ def given(method: type[Filter], ctx: click.Context) -> dict[str, Any]:
 def describe(field: dataclasses.Field[Any]) -> str:
     """One sentence on a field: what it is, its symbol, unit, admissible range and default."""
     meta = field.metadata
-    limits = " and ".join(f"{sign} {meta[key]:g}" for key, sign in _SIGNS.items() if meta.get(key) is not None)
     choices = ", ".join(str(c) for c in meta.get("choices") or ())
-    unit = f"{limits} {meta.get('unit', '')}".strip()
+    unit = f"{meta.get('range', '')} {meta.get('unit', '')}".strip()
     default = "none" if field.default is None else str(field.default)
     notes = [f"symbol {meta['symbol']}" if meta.get("symbol") else "", unit, choices, f"default {default}"]
     return f"{str(meta.get('doc', '')).rstrip('.')} [{'; '.join(n for n in notes if n)}]"
@@ -68,7 +50,7 @@ def _option(field: dataclasses.Field[Any], annotation: Any, alias: str | None = 
     choices = field.metadata.get("choices")
     if annotation is bool:
         return click.Option([f"{flag}/--no-{flag[2:]}", field.name], default=None, help=describe(field))
-    kind: click.ParamType = Value(_base(annotation), bool(field.metadata.get("optional")))
+    kind: click.ParamType = Number(_base(annotation), bool(field.metadata.get("optional")))
     if choices is not None and all(isinstance(c, str) for c in choices):
         kind = click.Choice(choices)
     names = [flag, _flag(alias)] if alias else [flag]
@@ -93,7 +75,7 @@ def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
         raise ParameterError(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
     base = _base(typing.get_type_hints(method)[name])
     optional = bool(known[name].metadata.get("optional"))
-    kind = click.BOOL if base is bool else Value(base, optional)
+    kind = click.BOOL if base is bool else Number(base, optional)
     try:
         return kind.convert(text, None, None)
     except click.UsageError as error:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .building import units_option
+from .answer import Answer, in_session
 from .commands import main
-from .output import print_json
-from .session import Session, session_options
+from .options import with_options
+from .session import Session
+from .values import INPUT
 
 if TYPE_CHECKING:
     from ..core.units import Units
@@ -22,48 +23,43 @@ _SUFFIXES = (".las", ".laz")
 
 
 @main.command("from-pdal")
-@click.argument("pipeline", metavar="PIPELINE.json", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@units_option
-def from_pdal(pipeline: Path, units: str | None, quiet: bool, as_json: bool, debug: bool) -> None:
+@click.argument("pipeline", metavar="PIPELINE.json", type=INPUT)
+@with_options("units")
+@in_session
+def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
     """Print the command that does what the ground stage of a pipeline of PDAL does.
 
     The stage is filters.smrf, filters.pmf or filters.csf. Its lengths are in the units of the coordinates (--units, or the CRS
-    of the file that the pipeline reads, if it is there); those of the command are metres. What has no counterpart is listed on
-    standard error.
+    of the file that the pipeline reads, if it is there); those of the command are metres. Standard error lists what has no
+    counterpart.
     """
     from ..pdal import translate
 
-    with Session(quiet=quiet, debug=debug):
-        found = translate(pipeline, units=units or "m")
-        own = _units_of(found.inputs) if units is None else None
-        if own is not None and (own.xy, own.z) != (1.0, 1.0):
-            found = translate(pipeline, units=own)
-        remarks = [*found.unmatched, *found.remarks]
-        if units is None and own is None:
-            remarks.append("lengths are taken as metres: pass --units if the coordinates are in feet")
-    words, more = _words(found, units)
-    remarks += more
-    if as_json:
-        print_json(
-            {
-                "stage": found.stage,
-                "method": type(found.filter).__name__,
-                "preset": found.preset,
-                "parameters": dataclasses.asdict(found.filter),  # type: ignore[call-overload]
-                "reading": found.reading,
-                "writing": found.writing,
-                "command": shlex.join(words),
-                "notes": remarks,
-            }
-        )
-        return
-    click.echo(shlex.join(words))
-    if not quiet:
-        for text in remarks:
+    found = translate(pipeline, units=units or "m")
+    own = _units_of(found.inputs) if units is None else None
+    if own is not None and (own.xy, own.z) != (1.0, 1.0):
+        found = translate(pipeline, units=own)
+    words, remarks = _words(found, units)
+    if units is None and own is None:
+        remarks = ["lengths are taken as metres: pass --units if the coordinates are in feet", *remarks]
+    remarks = [*found.unmatched, *found.remarks, *remarks]
+    facts = {
+        "stage": found.stage,
+        "method": type(found.filter).__name__,
+        "preset": found.preset,
+        "parameters": dataclasses.asdict(found.filter),  # type: ignore[call-overload]
+        "reading": found.reading,
+        "writing": found.writing,
+        "command": shlex.join(words),
+        "notes": remarks,
+    }
+
+    def show() -> None:
+        click.echo(facts["command"])
+        for text in () if session.quiet else remarks:
             click.echo(f"note: {text}", err=True)
 
-
-from_pdal.params += session_options()
+    return Answer(facts, show, always=True)
 
 
 def _units_of(inputs: tuple[str, ...]) -> Units | None:
@@ -75,7 +71,7 @@ def _units_of(inputs: tuple[str, ...]) -> Units | None:
     if not inputs or not Path(inputs[0]).is_file() or Path(inputs[0]).suffix.lower() not in _SUFFIXES:
         return None
     try:
-        return linear_units(open_las(Path(inputs[0]))[1], None, inputs[0])
+        return linear_units(open_las(Path(inputs[0])).reference, None, inputs[0])
     except JaxfilterError:
         return None
 

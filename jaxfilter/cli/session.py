@@ -53,8 +53,8 @@ def stoppable() -> Iterator[None]:
     and the exit code is 128 and the number of the signal. A signal that was ignored before stays so, as nohup wants it."""
     old = {}
     if threading.current_thread() is threading.main_thread():
-        heard = [number for number in _STOPS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
-        old = {number: signal.signal(number, _stop) for number in heard}
+        signals = [number for number in _STOPS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+        old = {number: signal.signal(number, _stop) for number in signals}
     try:
         yield
     except KeyboardInterrupt as error:
@@ -84,14 +84,14 @@ def _stop(number: int, frame: FrameType | None) -> None:
 def session_options() -> list[click.Parameter]:
     """The options of every command that works."""
     return [
-        click.Option(["--quiet", "-q"], is_flag=True, help="No progress and no summary; warnings remain."),
+        click.Option(["--quiet", "-q"], is_flag=True, help="Show no progress and no summary; warnings stay."),
         click.Option(["--json", "as_json"], is_flag=True, help="Print the result as JSON."),
         click.Option(
             ["--log"],
             type=click.Path(dir_okay=False, path_type=Path),
             expose_value=False,
             callback=_remember_log,
-            help="Append what is done, with times, warnings and errors, to this file.",
+            help="Append every step with its time, warnings and errors to this file.",
         ),
         click.Option(["--debug"], is_flag=True, help="Show the traceback of an error."),
     ]
@@ -180,11 +180,11 @@ def memory() -> float:
     """Bytes of resident memory of this process and of those that it has started."""
     import psutil
 
-    found, own = 0.0, psutil.Process()
+    total, own = 0.0, psutil.Process()
     for process in (own, *own.children(recursive=True)):
         with contextlib.suppress(psutil.Error):  # it has ended meanwhile
-            found += process.memory_info().rss
-    return found
+            total += process.memory_info().rss
+    return total
 
 
 def in_flags(text: str) -> str:
@@ -235,10 +235,9 @@ class Session:
             disable=quiet or not self._console.is_terminal,
         )
         self._task = self._bar.add_task("", total=1.0, items=None, unit="", rate=None, since=None)
-        self._said = self._start = time.perf_counter()
+        self._last_line = self._start = time.perf_counter()
         self._stack = contextlib.ExitStack()
         self._mark = ("", 0.0)
-        self._begun = False
 
     def __enter__(self) -> Self:
         from ..core import compilation
@@ -263,6 +262,8 @@ class Session:
             self._stack.close()
         finally:
             Session.running -= 1
+        if isinstance(error, KeyboardInterrupt) and hasattr(error, "__notes__"):
+            error.__notes__ = [in_flags(note) for note in error.__notes__]
         if Session.stopped_by is not None and not isinstance(error, KeyboardInterrupt):
             raise Stopped(Session.stopped_by)  # finalisers and decoders had swallowed it
         if error is None or self.debug or not isinstance(error, Exception) or isinstance(error, click.ClickException):
@@ -289,7 +290,6 @@ class Session:
         """Show and time a step of the command; ``items``: how many points or other things it deals with, for its rate."""
         start = time.perf_counter()
         self._bar.reset(self._task, description=name, items=items, unit=unit, rate=None, since=None)
-        self._begun = False
         yield
         self._next("")
         self.seconds[name] = time.perf_counter() - start
@@ -305,13 +305,13 @@ class Session:
         ``rate``: items per second, where it is not that of the fraction.
         """
         self._next(step)
-        if not self._begun:  # what a resumed sweep had done before does not count as speed
+        if self._bar.tasks[0].fields["since"] is None:  # what a resumed sweep had done before does not count as speed
             self._bar.reset(self._task)
-            fraction, self._begun = max(fraction, 1e-9), True
+            fraction = max(fraction, 1e-9)
             self._bar.update(self._task, since=(self._bar.get_time(), fraction))
         self._bar.update(self._task, description=f"{step} {note}".rstrip(), completed=fraction, rate=rate)
-        if time.perf_counter() - self._said > LINE_EVERY:
-            self._said = time.perf_counter()
+        if time.perf_counter() - self._last_line > LINE_EVERY:
+            self._last_line = time.perf_counter()
             self.say(self._line())
 
     def say(self, text: str) -> None:
@@ -353,9 +353,14 @@ class Session:
 
         if cache_warning(str(message)):
             return
-        text = in_flags(str(message))
-        self.warnings.append(text)
-        self.warn(text)
+        self.warn_of(str(message))
+
+    def warn_of(self, message: str) -> None:
+        """A line on a warning of the library, the first time that it comes."""
+        text = in_flags(message)
+        if text not in self.warnings:
+            self.warnings.append(text)
+            self.warn(text)
 
     def as_dict(self) -> dict[str, Any]:
         """Seconds by step of the command and of the filter, compilations, and warnings."""

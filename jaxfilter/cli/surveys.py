@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
-from .checks import check_reading, check_target
+from .answer import Answer, in_session
 from .commands import main
-from .output import print_json
-from .runs import count
-from .session import BadUsage, Session, in_flags, session_options
+from .options import check_target, take_reading, with_options
+from .output import count, print_table
+from .session import BadUsage, Session, in_flags
+from .values import OUTPUT
 
 if TYPE_CHECKING:
     from ..surveys.collection import Collection
@@ -24,24 +24,14 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 
 @main.command()
 @click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
-@click.option("--units", metavar="UNIT", help="Of the coordinates: m, ft, us-ft, or XY,Z.  [default: as the CRS says]")
-@click.option(
-    "--vpc", type=click.Path(dir_okay=False, path_type=Path), help="Write the survey as a virtual point cloud."
-)
-@click.option(
-    "--map", "picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw its files as PNG, PDF or SVG."
-)
+@with_options("units")
+@click.option("--vpc", type=OUTPUT, help="Write the survey as a virtual point cloud.")
+@click.option("--map", "picture", type=OUTPUT, help="Draw a map of the files as PNG, PDF or SVG.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@in_session
 def info(
-    names: tuple[str, ...],
-    units: str | None,
-    vpc: Path | None,
-    picture: Path | None,
-    overwrite: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-) -> None:
+    session: Session, names: tuple[str, ...], units: str | None, vpc: Path | None, picture: Path | None, overwrite: bool
+) -> Answer:
     """What a file says of itself: points, extent, CRS, units, classes and echoes.
 
     Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
@@ -49,31 +39,18 @@ def info(
     """
     from ..files import reading
 
-    with Session(quiet=quiet, debug=debug) as session:
-        check_reading(units, "last,only")
-        _check_names(names)
-        for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
-            if target is not None:
-                if target.suffix.lower() not in suffixes:
-                    raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
-                check_target(target, overwrite)
-        one = None if vpc is not None or picture is not None else _one_file(names)
-        if one is not None:
-            facts = reading.info(one, units=units)
-        else:
-            facts, show = _survey(session, names, units, vpc, picture, overwrite)
-    if as_json:
-        print_json(facts)
-    elif one is not None:
-        lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in facts.items()}
-        width = max(len(k) for k in lines)
-        for key, value in lines.items():
-            click.echo(f"{key:{width}}  {value}")
-    elif not quiet:
-        show()
-
-
-info.params += session_options()
+    take_reading({"units": units})  # checks them
+    _check_names(names)
+    for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
+        if target is not None:
+            check_target(target, overwrite, suffixes)
+    one = None if vpc is not None or picture is not None else _one_file(names)
+    if one is None:
+        return _survey(session, names, units, vpc, picture, overwrite)
+    facts = reading.info(one, units=units)
+    lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in facts.items()}
+    width = max(len(k) for k in lines)
+    return Answer(facts, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
 
 
 def _plain(value: Any) -> str:
@@ -82,15 +59,9 @@ def _plain(value: Any) -> str:
         return ", ".join(f"{key}: {one:,}" for key, one in value.items() if one) or "none"
     if isinstance(value, list):
         return ", ".join(map(str, value)) or "none"
-    return (
-        f"{value:.4g}"
-        if isinstance(value, float)
-        else f"{value:,}"
-        if isinstance(value, int)
-        else "none"
-        if value is None
-        else str(value)
-    )
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "none" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _check_names(names: tuple[str, ...]) -> None:
@@ -114,14 +85,8 @@ def _one_file(names: tuple[str, ...]) -> Path | None:
 
 
 def _survey(
-    session: Session,
-    names: tuple[str, ...],
-    units: str | None,
-    vpc: Path | None,
-    picture: Path | None,
-    overwrite: bool,
-) -> tuple[dict[str, Any], Callable[[], None]]:
-    """Facts on a survey, and what prints them for people."""
+    session: Session, names: tuple[str, ...], units: str | None, vpc: Path | None, picture: Path | None, overwrite: bool
+) -> Answer:
     from ..files.disk import new_file
     from ..surveys.collection import open as open_survey
 
@@ -141,41 +106,32 @@ def _survey(
         for line in findings.lines():
             click.echo(in_flags(line))
 
-    mixed = findings.mixed is not None
+    mixed, area = findings.mixed is not None, float(survey.areas.sum())
     facts = {
         "files": len(survey),
         "points": survey.count,
         "bounds": None if mixed else survey.bounds,
-        "area": survey.area,
-        "density": survey.density,
+        "area": area,
+        "density": survey.count / area if area else math.nan,
         "crs": None if mixed or survey.crs is None else survey.crs.name,
         "units": None if mixed else str(survey.units),
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
         **session.as_dict(),
     }
-    return facts, show
+    return Answer(facts, show)
 
 
 def _print_survey(survey: Collection) -> None:
-    from rich.table import Table
-
     frame = survey.table()
-    shown = Table("file", "format", "points", "x", "y", "z", "per m2", "CRS")
-    for column in shown.columns:
-        column.overflow = "fold"  # a cut name or number would be of no use
-    for column in shown.columns[2:7]:
-        column.justify = "right"
+    rows = []
     for row in frame.head(_ROWS).itertuples():
         spans = [f"{low:.2f} to {high:.2f}" for low, high in ((row.xmin, row.xmax), (row.ymin, row.ymax))]
         crs = row.crs if isinstance(row.crs, str) else ""
         heights, density = f"{row.zmin:.2f} to {row.zmax:.2f}", f"{row.density:.3g}"
-        shown.add_row(Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs)
-    console = Console()
-    if not console.is_terminal:
-        console.width = 10_000  # a line for each file, for other programs
-    console.print(shown)
+        rows.append((Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs))
+    print_table(("file", "format", "points", "x", "y", "z", "per m2", "CRS"), rows, left=2)
+    area = float(survey.areas.sum())
     more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
-    click.echo(
-        f"{more}{count(len(frame), 'file')}, {survey.count:,} points on {survey.area / 1e6:,.4g} km2, {survey.density:.3g} per m2"
-    )
+    points = f"{survey.count:,} points on {area / 1e6:,.4g} km2, {survey.count / max(area, 1e-9):.3g} per m2"
+    click.echo(f"{more}{count(len(frame), 'file')}, {points}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import building
-from .checks import check_reading
+from .answer import Answer, in_session
 from .commands import main
-from .output import print_json
-from .session import BadUsage, Session, session_options
+from .options import pairs, take_reading, take_recipe, with_options
+from .output import count, print_table, times
+from .session import BadUsage, Session
+from .values import FOLDER, INPUT
 
 if TYPE_CHECKING:
     import pandas
@@ -23,76 +25,59 @@ if TYPE_CHECKING:
 
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
+    from ..core.reading import Reading
 
+MEMORY = click.Option(
+    ["--memory"],
+    type=click.FloatRange(0, min_open=True),
+    default=2.0,
+    metavar="GB",
+    help="Sets that are computed at the same time hold at most this much memory.",
+)
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
-CURVES, MAPS, VOTES = "curves.png", "maps.png", "votes{}.png"
 
 
 @main.command()
-@building.method_argument
-@click.argument(
-    "sources",
-    metavar="IN [IN ...]",
-    nargs=-1,
-    required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-)
-@click.argument("directory", metavar="OUT_DIR", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("method", metavar="METHOD")
+@click.argument("sources", metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT)
+@click.argument("directory", metavar="OUT_DIR", type=FOLDER)
 @click.option(
     "--axis",
     "axes",
     metavar="FIELD=VALUES",
     multiple=True,
     required=True,
-    help="V,V,... or START:STOP:STEP (with STOP), or LOW..HIGH to draw from; may be repeated.",
+    help="Values of a field: V,V,... or START:STOP:STEP (with STOP), or LOW..HIGH to draw from; may be repeated.",
 )
 @click.option(
     "--design",
     type=click.Choice(["grid", "random", "sobol", "list"]),
     default="grid",
-    show_default=True,
-    help="All combinations; --size sets that are drawn; or the first values of all axes, the second, ...",
+    help="grid runs all combinations, random and sobol draw --size sets, list takes the first values of all axes, then the "
+    "second ones, and so on.",
 )
 @click.option("--size", type=int, help="Number of sets of a random or sobol design.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of a random or sobol design.")
-@building.set_option
-@building.preset_option
-@building.largest_option
-@click.option("--votes", is_flag=True, help="Count for every point the sets that call it ground.")
+@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of a random or sobol design.")
+@with_options("set", "preset", "largest_building")
+@click.option("--votes", is_flag=True, help="Count for every point how many sets call it ground.")
 @click.option(
     "--score",
     type=click.Choice(["total", "kappa", "type1", "type2"]),
     default="total",
-    show_default=True,
-    help="What makes a set good.",
+    help="The sets are sorted by this score.",
 )
-@building.units_option
-@building.memory_option
-@building.workers_option
-@click.option(
-    "--resume/--fresh", default=True, show_default=True, help="Go on with the sweep in OUT_DIR, or replace it."
-)
+@with_options("units", MEMORY, "threads")
+@click.option("--resume/--fresh", default=True, help="Go on with the sweep in OUT_DIR, or replace it.")
+@in_session
 def sweep(
-    method: str,
+    session: Session,
     sources: tuple[Path, ...],
     directory: Path,
     axes: tuple[str, ...],
-    design: str,
-    size: int | None,
-    seed: int,
-    fixed: tuple[str, ...],
-    preset: str | None,
-    largest_building: float | None,
-    votes: bool,
     score: str,
-    units: str | None,
-    memory: float,
-    workers: int | None,
     resume: bool,
-    quiet: bool,
-    as_json: bool,
-    debug: bool,
-) -> None:
+    **options: Any,
+) -> Answer:
     """Classify with many sets of parameters, and score each against the labels of IN.
 
     Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
@@ -104,63 +89,55 @@ def sweep(
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    with Session(quiet=quiet, debug=debug) as session:
-        build = building.builder(method, fixed, preset, largest_building)
-        ranges = {name: _axis(build.method, name, text, design) for name, text in building.pairs("--axis", axes)}
-        plan = make_design(build.alone(), ranges, design, size, seed)
-        check_reading(units, "last,only")
-        _check_directory(directory, resume)
-        with session.reading(*sources):
-            clouds = _read_all(sources, units)
-            for source, cloud in zip(sources, clouds.values(), strict=True):
-                if cloud.reference is None and not votes:
-                    raise InputError(
-                        f"{source} has no labels (class 2, or a label column) to score against: pass --votes"
-                    )
-        filter_ = build.on(next(iter(clouds.values())))
-        directory.mkdir(parents=True, exist_ok=True)
-        checkpoint = directory / CHECKPOINT
-        if not resume:
-            checkpoint.unlink(missing_ok=True)
-        with session.step("sweep", len(clouds) * len(plan.sets), "sets"), _explained(checkpoint):
-            dataset = sweeps.sweep(
-                filter_,
-                clouds if len(clouds) > 1 else next(iter(clouds.values())),
-                ranges,
-                design=design,
-                size=size,
-                seed=seed,
-                votes=votes,
-                workers=workers,
-                memory=memory * 1e9,
-                checkpoint=checkpoint,
-                progress=session.progress,
-            )
-        with session.step("write"):
-            table = best_sets(dataset, score, None)
-            files = _write(directory, dataset, table, clouds, score)
+    recipe, memory, reading = take_recipe(options), options.pop("memory"), take_reading(options)
+    assert recipe is not None
+    filter_ = recipe.alone()
+    assert filter_ is not None
+    design = {name: options.pop(name) for name in ("design", "size", "seed")}
+    ranges = {name: _axis(type(filter_), name, text, design["design"]) for name, text in pairs("--axis", axes)}
+    plan = make_design(filter_, ranges, design["design"], design["size"], design["seed"])
+    checkpoint = directory / CHECKPOINT
+    if resume and (directory / DATASET).exists() and not checkpoint.exists():
+        raise BadUsage(f"{directory} holds {DATASET} of another sweep: name another folder, or pass --fresh")
+    with session.reading(*sources):
+        clouds = _read_all(sources, reading)
+        for source, cloud in zip(sources, clouds.values(), strict=True):
+            if cloud.reference is None and not options["votes"]:
+                raise InputError(f"{source} has no labels (class 2, or a label column) to score against: pass --votes")
+    first = next(iter(clouds.values()))
+    filter_ = recipe.on(first)
+    directory.mkdir(parents=True, exist_ok=True)
+    if not resume:
+        checkpoint.unlink(missing_ok=True)
+    options |= design | {"memory": memory * 1e9, "checkpoint": checkpoint, "progress": session.progress}
+    with session.step("sweep", len(clouds) * len(plan.sets), "sets"), _explained(checkpoint):
+        dataset = sweeps.sweep(filter_, clouds if len(clouds) > 1 else first, ranges, **options)
+    with session.step("write"):
+        table = best_sets(dataset, score, None)
+        files = _write(directory, dataset, table, clouds, score)
     scored = bool(dataset[score].notnull().any())
-    if as_json:
-        first = table.reset_index().head(10).to_dict("records") if scored else []
-        facts: dict[str, Any] = {
-            "method": type(filter_).__name__,
-            "input": [str(source) for source in sources],
-            "output": str(directory),
-        }
-        facts |= {"sets": dataset.attrs["sets"], "groups": dataset.attrs["groups"], "score": score if scored else None}
-        parameters = dataclasses.asdict(filter_)  # type: ignore[call-overload]
-        print_json(facts | {"best": first, "parameters": parameters, "files": files} | session.as_dict())
-    elif not quiet:
+    sets, groups = dataset.attrs["sets"], dataset.attrs["groups"]
+    facts: dict[str, Any] = {
+        "method": type(filter_).__name__,
+        "input": [str(source) for source in sources],
+        "output": str(directory),
+        "sets": sets,
+        "groups": groups,
+        "score": score if scored else None,
+        "best": table.reset_index().head(10).to_dict("records") if scored else [],
+        "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
+        "files": files,
+    }
+
+    def show() -> None:
         if scored:
-            _print_table(dataset, table.head(10), score)
-        seconds = ", ".join(f"{name} {value:.2f} s" for name, value in session.seconds.items())
+            _print_sets(dataset, table.head(10), score)
         click.echo(
-            f"{type(filter_).__name__}: {dataset.attrs['sets']:,} sets, {_counted(len(clouds), 'cloud')}, "
-            f"{_counted(dataset.attrs['groups'], 'group')}; {seconds}\nin {directory}: {', '.join(files)}"
+            f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
+            f"{times(session.seconds)}\nin {directory}: {', '.join(files)}"
         )
 
-
-sweep.params += session_options()
+    return Answer(facts | session.as_dict(), show)
 
 
 def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:
@@ -175,10 +152,23 @@ def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] 
     if ".." in text:
         if design not in ("random", "sobol"):
             raise BadUsage(f"--axis {name}={text}: a range needs --design random or sobol, and --size")
-        return building.drawn_range(method, name, text)
+        return drawn_range(method, name, text)
     if ":" in text:
         return [value(piece) for piece in _steps(name, text)]
     return [value(piece.strip()) for piece in text.split(",")]
+
+
+def drawn_range(method: type[Filter], name: str, text: str) -> tuple[Any, Any]:
+    """The ends of LOW..HIGH."""
+    from . import flags
+
+    low, dots, high = text.partition("..")
+    if not (dots and low and high):
+        raise BadUsage(f"--axis {name}={text}: write a range as LOW..HIGH")
+    ends = flags.value_of(method, name, low, "--axis"), flags.value_of(method, name, high, "--axis")
+    if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
+        raise BadUsage(f"--axis {name}={text}: a range needs numbers; give words as a list")
+    return ends
 
 
 def _steps(name: str, text: str) -> list[str]:
@@ -193,13 +183,7 @@ def _steps(name: str, text: str) -> list[str]:
     return [f"{start + i * step:.10g}" for i in range(count)]
 
 
-def _check_directory(directory: Path, resume: bool) -> None:
-    """Raises BadUsage if results that cannot be gone on with would be replaced."""
-    if resume and (directory / DATASET).exists() and not (directory / CHECKPOINT).exists():
-        raise BadUsage(f"{directory} holds {DATASET} of another sweep: name another folder, or pass --fresh")
-
-
-def _read_all(sources: tuple[Path, ...], units: str | None) -> dict[str, PointCloud]:
+def _read_all(sources: tuple[Path, ...], reading: Reading) -> dict[str, PointCloud]:
     """Clouds by the names of their files, made fit for names in NetCDF and apart from each other."""
     from ..files.reading import read
 
@@ -207,7 +191,7 @@ def _read_all(sources: tuple[Path, ...], units: str | None) -> dict[str, PointCl
     for source in sources:
         stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in source.stem)
         names.append(stem if stem not in names else f"{stem}_{len(names) + 1}")
-    return {name: read(source, units=units) for name, source in zip(names, sources, strict=True)}
+    return {name: read(source, units=reading.units) for name, source in zip(names, sources, strict=True)}
 
 
 @contextlib.contextmanager
@@ -229,21 +213,21 @@ def _explained(checkpoint: Path) -> Iterator[None]:
 def _write(
     directory: Path, dataset: xarray.Dataset, table: pandas.DataFrame, clouds: dict[str, PointCloud], score: str
 ) -> list[str]:
-    """All files of a sweep; their names."""
+    """All files of a sweep; their names. Pictures of a sweep that was replaced are removed."""
     from ..files.disk import new_file
 
     writers: dict[str, Callable[[Path], Any]] = {
         DATASET: lambda path: _storable(dataset).to_netcdf(path, engine="scipy"),
         TABLE: lambda path: table.to_csv(path),
     }
-    if importlib.util.find_spec("matplotlib") is not None:
-        for name, figure in _draw(dataset, clouds, score).items():
-            writers[name] = lambda path, figure=figure: figure.savefig(path, format="png")  # type: ignore[misc]
+    for name, figure in _pictures(dataset, clouds, score).items():
+        if figure is None:
+            (directory / name).unlink(missing_ok=True)
+        else:
+            writers[name] = functools.partial(figure.savefig, format="png")
     for name, write in writers.items():
         with new_file(directory / name, overwrite=True) as path:
             write(path)
-    for name in _pictures_of(clouds).difference(writers):
-        (directory / name).unlink(missing_ok=True)  # of a sweep that was replaced
     return list(writers)
 
 
@@ -259,53 +243,34 @@ def _storable(dataset: xarray.Dataset) -> xarray.Dataset:
     return dataset.assign_coords(words)
 
 
-def _pictures_of(clouds: dict[str, PointCloud]) -> set[str]:
-    return {CURVES, MAPS, VOTES.format(""), *(VOTES.format(f"_{name}") for name in clouds)}
-
-
-def _draw(dataset: xarray.Dataset, clouds: dict[str, PointCloud], score: str) -> dict[str, Any]:
-    """Figures by the names of their files."""
+def _pictures(dataset: xarray.Dataset, clouds: dict[str, PointCloud], score: str) -> dict[str, Any]:
+    """Figures by the names of their files; None where there is nothing to draw, or no matplotlib to draw it."""
+    ends = {name: f"_{name}" if len(clouds) > 1 else "" for name in clouds}
+    every = ["", *(f"_{name}" for name in clouds)]
+    figures: dict[str, Any] = dict.fromkeys(["curves.png", "maps.png", *(f"votes{end}.png" for end in every)])
+    if importlib.util.find_spec("matplotlib") is None:
+        return figures
     from .. import plots
     from ..sweeps.best import axes_of
 
-    figures: dict[str, Any] = {}
     if dataset[score].notnull().any():
-        figures[CURVES] = plots.sweep_curves(dataset, score)
+        figures["curves.png"] = plots.sweep_curves(dataset, score)
         if len(axes_of(dataset)) > 1:
-            figures[MAPS] = plots.sweep_maps(dataset, score)
-    for name, cloud in clouds.items():
-        end = f"_{name}" if len(clouds) > 1 else ""
-        if f"votes{end}" in dataset and len(cloud):
+            figures["maps.png"] = plots.sweep_maps(dataset, score)
+    for name, end in ends.items():
+        if f"votes{end}" in dataset and len(clouds[name]):
             votes = dataset[f"votes{end}"].values
-            figures[VOTES.format(end)] = plots.votes_map(cloud, votes, title=name if end else "").figure
+            figures[f"votes{end}.png"] = plots.votes_map(clouds[name], votes, title=name if end else "").figure
     return figures
 
 
-def _print_table(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:
-    from rich.console import Console
-    from rich.measure import Measurement
-    from rich.table import Table
-
+def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:
     from ..sweeps.best import SCORES, axes_of, word
 
-    names = axes_of(dataset)
-    heads = {"type1": "Type I", "type2": "Type II"}
-    shown = Table(
-        "set",
-        *names,
-        *(heads.get(name, name) for name in SCORES),
-        title=f"best sets by {heads.get(score, score)}, percent"
-        + ", means over the clouds" * ("cloud" in dataset.dims),
-    )
-    for column in shown.columns:
-        column.justify = "right"
-    for number, row in table.iterrows():
-        shown.add_row(str(number), *(word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
-    console = Console()
-    wanted = Measurement.get(console, console.options.update(max_width=10_000), shown).maximum
-    console.width = max(console.width, wanted)  # a value that is cut off is worse than a long line
-    console.print(shown)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" + "s" * (number != 1)
+    names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
+    rows = [
+        (str(number), *(word(row[name]) for name in names), *(f"{row[name]:.2f}" for name in SCORES))
+        for number, row in table.iterrows()
+    ]
+    title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
+    print_table(("set", *names, *(heads.get(name, name) for name in SCORES)), rows, title=title)

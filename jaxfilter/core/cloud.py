@@ -11,21 +11,13 @@ import numpy as np
 
 from .errors import InputError, warn
 from .frame import QUANTUM as QUANTUM
-from .frame import (
-    check_resolution,
-    check_scales,
-    checked_anchor,
-    ends,
-    extremes,
-    localise,
-    localise_integers,
-    near_points,
-)
-from .inputs import COLUMNS, as_column, class_numbers, is_laspy, is_structured, laspy_parts, numbers, structured_parts
+from .frame import Coordinates, check_scales, ends
+from .inputs import COLUMNS, as_column, is_laspy, is_structured, laspy_parts, numbers, structured_parts
 from .inputs import GROUND_CLASS as GROUND_CLASS
 from .markup import sheet
 from .reading import KEPT_CLASSES as KEPT_CLASSES
-from .units import UNITS, Units, parse_crs, parse_units
+from .reading import Reading
+from .units import UNITS, Units, parse_crs
 
 OVERLAP_CLASS = 12
 """ASPRS class of points in the overlap of flight lines, up to LAS 1.3."""
@@ -37,8 +29,9 @@ class Whole:
 
     Attributes:
         spacing: mean point spacing of the candidates, metres; None = each part has its own.
-        lowest: elevation of the lowest point that a method lets count (``Filter.lowest``), file units; None likewise.
+        lowest: elevation of the lowest point that a method lets count (CSF), file units; None likewise.
         rounds: of growth on each of STIN's grids, and with the suspected outliers; None likewise.
+        scatter: metres, standard deviation of the vertices of OST from the plane of their neighbours; None likewise.
         width, height: of the largest part, metres: arrays of all parts get the shape that this one needs, so that they share
             compilations; 0 = each has its own.
     """
@@ -46,6 +39,7 @@ class Whole:
     spacing: float | None = None
     lowest: float | None = None
     rounds: tuple[int, ...] | None = None
+    scatter: float | None = None
     width: float = 0.0
     height: float = 0.0
 
@@ -65,7 +59,7 @@ class PointCloud:
         valid: bool[n] or None; False where a coordinate was NaN, infinite or far off (only with ``drop_invalid=True``).
         crs: pyproj.CRS or None; whatever ``pyproj.CRS.from_user_input`` takes becomes one.
         units: metres per file unit.
-        anchor: f64[2] file coordinates that grids are aligned to; None means the cloud's own lower left corner.
+        anchor: f64[2], file coordinates that all grids count from; zero by default, so that clouds of one CRS share grids.
         source: a handle to the file (see ``jaxfilter.files.handles``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
 
@@ -87,7 +81,7 @@ class PointCloud:
     valid: np.ndarray | None = None
     crs: Any = None
     units: Units = UNITS["m"]
-    anchor: np.ndarray | None = None
+    anchor: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(2))
     source: Any = None
     whole: Whole | None = None
 
@@ -103,8 +97,7 @@ class PointCloud:
     def _repr_html_(self) -> str:
         rows: list[tuple[str, Any]] = [("points", len(self)), ("candidates", int(self.candidate.sum()))]
         if len(self):
-            ends = np.stack([self.xyz.min(axis=0), self.xyz.max(axis=0)])
-            low, high = dataclasses.replace(self, xyz=ends).coordinates()
+            low, high = dataclasses.replace(self, xyz=np.stack(ends(self.xyz))).coordinates()
             rows += [(axis, f"{a:.2f} to {b:.2f}") for axis, a, b in zip("xyz", low, high, strict=True)]
         rows += [("units", str(self.units)), ("CRS", "unknown" if self.crs is None else self.crs.name)]
         if self.classification is not None:
@@ -119,8 +112,8 @@ class PointCloud:
         cls,
         xyz: np.ndarray,
         *,
-        units: str | Units = "m",
-        anchor: Iterable[float] | None = None,
+        units: str | Units | None = "m",
+        anchor: Iterable[float] = (0.0, 0.0),
         drop_invalid: bool = False,
         name: str = "xyz",
         returns: str = "last,only",
@@ -132,9 +125,9 @@ class PointCloud:
         """Make a cloud from coordinates in file units, f64[n, 3].
 
         ``attributes``, named as the class's fields, are arrays of length n: ``return_number``, ``number_of_returns``,
-        ``classification``, ``withheld``, ``overlap``, ``reference`` and ``candidate``; and ``crs``. ``returns``,
-        ``ignore_classes``, ``ignore_overlap`` and ``keep_withheld`` choose the candidates, see :meth:`select`, unless
-        ``candidate`` is given. ``name`` stands in error messages for where the numbers came from.
+        ``classification``, ``withheld``, ``overlap``, ``reference`` and ``candidate``; and ``crs``. The other arguments are the
+        fields of :class:`jaxfilter.Reading`; those that choose the candidates do not count if ``candidate`` is given. ``name``
+        stands in error messages for where the numbers came from.
 
         Raises: InputError for a wrong shape, attribute or attribute length, and for coordinates so large that float64 does
         not resolve :data:`QUANTUM`; for NaN, infinite and masked coordinates, and for an extent above :data:`LARGEST_SPAN`,
@@ -147,13 +140,13 @@ class PointCloud:
         >>> made.xyz.tolist()
         [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]
         """
+        reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor)
         given = numbers(xyz, f"{name}: coordinates")
         if given.ndim != 2 or given.shape[1] != 3:
             raise InputError(f"{name}: coordinates must have shape (n, 3), not {given.shape}")
         xyz = given.astype(np.float64, copy=False)
         if isinstance(xyz, np.ma.MaskedArray):
             xyz = xyz.filled(np.nan)
-        scale, grid_anchor = parse_units(units), checked_anchor(anchor)
         finite = np.isfinite(xyz).all(axis=1)
         valid = None
         if not finite.all():
@@ -167,20 +160,9 @@ class PointCloud:
             warn(f"{name}: {bad} points with {odd} coordinates are labelled non-ground")
             valid = finite
             xyz = np.where(finite[:, None], xyz, np.nan)
-        low, high = extremes(xyz)
-        near = near_points(lambda axis: xyz[:, axis], low, high, scale, name, drop_invalid)
-        if near is not None:
-            valid, xyz = near, np.where(near[:, None], xyz, np.nan)
-            low, high = extremes(xyz)
-        check_resolution(low, high, scale, name, given.dtype)
-        origin, local = localise(xyz, scale, grid_anchor)
-        chosen = {
-            "returns": returns,
-            "ignore_classes": ignore_classes,
-            "ignore_overlap": ignore_overlap,
-            "keep_withheld": keep_withheld,
-        }
-        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid, attributes)
+        local = np.empty(xyz.shape, np.float32)
+        places = Coordinates(xyz, local, kind=given.dtype)
+        return cls._assembled(places, valid, reading, name, attributes)
 
     @classmethod
     def from_integers(
@@ -188,61 +170,34 @@ class PointCloud:
         ticks: np.ndarray,
         scales: np.ndarray,
         offsets: np.ndarray,
+        reading: Reading = Reading(),  # noqa: B008
         *,
-        units: str | Units = "m",
-        anchor: Iterable[float] | None = None,
-        drop_invalid: bool = False,
         name: str = "xyz",
-        returns: str = "last,only",
-        ignore_classes: Iterable[int] = KEPT_CLASSES,
-        ignore_overlap: bool = False,
-        keep_withheld: bool = False,
-        **attributes: Any,
+        **columns: Any,
     ) -> PointCloud:
         """The cloud of ``from_arrays(ticks * scales + offsets)``, bit for bit, without its float64 coordinates.
 
         ``ticks``, i32[n, 3], is C-contiguous and is **used up**: its memory becomes the cloud's ``xyz``. ``scales``
-        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. The rest is as in
-        :meth:`from_arrays`.
+        (see :func:`check_scales`) and ``offsets`` are f64[3], file units, as in a LAS header. ``columns`` are the attributes of
+        :meth:`from_arrays`. Raises: InputError likewise.
 
         >>> ticks = np.array([[0, 0, 100], [250, 500, 150]], np.int32)
         >>> made = jf.PointCloud.from_integers(ticks, np.array([0.01, 0.01, 0.01]), np.zeros(3))
         >>> made.coordinates().tolist()
         [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
         """
-        scale, grid_anchor = parse_units(units), checked_anchor(anchor)
         check_scales(scales, offsets, name)
-        valid = None
-        if len(ticks):
-            low, high = (end * scales + offsets for end in ends(ticks))
-            valid = near_points(
-                lambda axis: ticks[:, axis] * scales[axis] + offsets[axis], low, high, scale, name, drop_invalid
-            )
-            if valid is not None and valid.any():
-                low, high = (end * scales + offsets for end in ends(ticks[valid]))
-            check_resolution(low, high, scale, name)
-        origin, local = localise_integers(ticks, scales, offsets, scale, grid_anchor, valid)
-        chosen = {
-            "returns": returns,
-            "ignore_classes": ignore_classes,
-            "ignore_overlap": ignore_overlap,
-            "keep_withheld": keep_withheld,
-        }
-        return cls._assembled(origin, local, scale, grid_anchor, name, chosen, valid, attributes)
+        return cls._assembled(Coordinates(ticks, ticks.view(np.float32), scales, offsets), None, reading, name, columns)
 
     @classmethod
     def from_laspy(
-        cls,
-        las: Any,
-        *,
-        units: str | Units | None = None,
-        name: str = "LasData",
-        **options: Any,
+        cls, las: Any, *, units: str | Units | None = None, name: str = "LasData", **options: Any
     ) -> PointCloud:
         """Make a cloud from a ``laspy.LasData`` as from the file it would be written to, see :func:`jaxfilter.read`.
 
-        ``units`` are by default those of its CRS; ``options`` are those of :meth:`from_arrays`. Class 2 becomes the
-        reference. To keep all that the points hold, give labels back to laspy: ``las.classification[result.ground] = 2``.
+        ``units`` are by default those of its CRS; ``options`` are the other fields of :class:`jaxfilter.Reading`. Class 2
+        becomes the reference. To keep all that the points hold, give labels back to laspy:
+        ``las.classification[result.ground] = 2``.
 
         Raises: InputError as :meth:`from_arrays`, and where X and Y are angles. Warns: as :func:`jaxfilter.read`.
 
@@ -251,7 +206,9 @@ class PointCloud:
         >>> len(made) == len(cloud), bool((made.reference == truth).all())
         (True, True)
         """
-        return cls.from_integers(**laspy_parts(las, units, name), name=name, **options)
+        reading = Reading(units=units, **options)
+        scale, placed, columns = laspy_parts(las, None if units is None else reading.metres, name)
+        return cls.from_integers(*placed, dataclasses.replace(reading, units=scale), name=name, **columns)
 
     @classmethod
     def from_structured(
@@ -275,16 +232,10 @@ class PointCloud:
 
     @classmethod
     def _assembled(
-        cls,
-        origin: np.ndarray,
-        local: np.ndarray,
-        units: Units,
-        anchor: np.ndarray | None,
-        name: str,
-        chosen: dict[str, Any],
-        valid: np.ndarray | None,
-        attributes: dict[str, Any],
+        cls, places: Coordinates, valid: np.ndarray | None, reading: Reading, name: str, attributes: dict[str, Any]
     ) -> PointCloud:
+        units, local = reading.metres, places.local
+        origin, valid = places.place(valid, units, reading.anchor, name, reading.drop_invalid)
         arrays = (*COLUMNS, "reference", "candidate")
         for key, value in attributes.items():
             if key in arrays and value is not None:
@@ -292,10 +243,12 @@ class PointCloud:
             elif key not in (*arrays, "crs", "source", "whole"):
                 raise InputError(f"{name}: {key}= is no attribute of points; there are {', '.join(arrays)} and crs")
         candidate = attributes.pop("candidate", None)
-        cloud = cls(origin=origin, xyz=local, units=units, anchor=anchor, valid=valid, **attributes)
+        cloud = cls(origin, local, units=units, anchor=np.array(reading.anchor), valid=valid, **attributes)
         if candidate is None:
-            return cloud.select(name=name, **chosen)
-        return dataclasses.replace(cloud, candidate=candidate if valid is None else candidate & valid)
+            candidate = cloud._candidates(reading, name)
+        elif valid is not None:
+            candidate = candidate & valid
+        return dataclasses.replace(cloud, candidate=candidate)
 
     def select(
         self,
@@ -304,7 +257,6 @@ class PointCloud:
         ignore_classes: Iterable[int] = KEPT_CLASSES,
         ignore_overlap: bool = False,
         keep_withheld: bool = False,
-        name: str = "cloud",
     ) -> PointCloud:
         """A cloud whose candidates are chosen anew; the arrays are shared.
 
@@ -322,16 +274,21 @@ class PointCloud:
         >>> bool(everything.candidate.all()), bool(cloud.candidate.all())
         (True, False)
         """
-        candidate = np.ones(len(self), bool) if self.valid is None else self.valid.copy()
-        candidate &= _echo_mask(self.return_number, self.number_of_returns, returns, len(self), name)
-        ignored = class_numbers(ignore_classes)
-        if self.classification is not None and ignored:
-            candidate &= ~np.isin(self.classification, ignored)
-        if ignore_overlap and self.in_overlap is not None:
+        reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld)
+        return dataclasses.replace(self, candidate=self._candidates(reading, "cloud"))
+
+    def _candidates(self, reading: Reading, name: str) -> np.ndarray:
+        """bool[n]: the points that are judged."""
+        candidate = _echo_mask(self.return_number, self.number_of_returns, reading.echoes, len(self), name)
+        if self.valid is not None:
+            candidate &= self.valid
+        if self.classification is not None and reading.ignore_classes:
+            candidate &= ~np.isin(self.classification, tuple(reading.ignore_classes))
+        if reading.ignore_overlap and self.in_overlap is not None:
             candidate &= ~self.in_overlap
-        if self.withheld is not None and not keep_withheld:
+        if self.withheld is not None and not reading.keep_withheld:
             candidate &= ~self.withheld
-        return dataclasses.replace(self, candidate=candidate)
+        return candidate
 
     @property
     def in_overlap(self) -> np.ndarray | None:
@@ -356,17 +313,12 @@ class PointCloud:
         return self.origin + self.xyz.astype(np.float64) / factor
 
     def grid_offset(self, cell: float) -> tuple[float, float]:
-        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size.
+        """Local x, y in metres (each in (-cell, 0]) of the grid corner for cells of this size, which count from the anchor.
 
-        Without an anchor it is the cloud's own corner (0, 0); with one, the multiple of ``cell`` counted from the anchor.
-
-        >>> cloud.grid_offset(10.0)
-        (0.0, 0.0)
-        >>> jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]), anchor=(0, 0)).grid_offset(10.0)
+        >>> made = jf.PointCloud.from_arrays(np.array([[12.0, 7.0, 1.0]]))
+        >>> made.grid_offset(10.0)
         (-2.0, -7.0)
         """
-        if self.anchor is None:
-            return 0.0, 0.0
         lag = (self.origin[:2] - self.anchor) * self.units.xy
         return tuple(float(-(v - np.floor(v / cell + 1e-9) * cell)) for v in lag)  # type: ignore[return-value]
 
@@ -382,16 +334,10 @@ def overlap_counts(cloud: PointCloud, ground: np.ndarray) -> dict[str, int]:
     }
 
 
-_ECHOES = ("first", "intermediate", "last", "only")
-
-
-def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str, n: int, name: str) -> np.ndarray:
+def _echo_mask(
+    number: np.ndarray | None, total: np.ndarray | None, wanted: frozenset[str], n: int, name: str
+) -> np.ndarray:
     """bool[n]: which points are among the wanted echoes. Damaged echo numbers are treated as last, with a warning."""
-    wanted = {r.strip().lower() for r in returns.split(",") if r.strip()} if isinstance(returns, str) else set()
-    if not wanted or wanted - {*_ECHOES, "all"}:
-        raise InputError(
-            f"returns={returns!r}: use a text that lists some of {', '.join(_ECHOES)}, with commas, or 'all'"
-        )
     if "all" in wanted or number is None or total is None or n == 0:
         return np.ones(n, bool)
     empty = (number == 0) & (total == 0)
@@ -401,17 +347,11 @@ def _echo_mask(number: np.ndarray | None, total: np.ndarray | None, returns: str
     odd = (number == 0) | (total == 0) | (number > total)
     if odd.any():
         warn(f"{name}: {int(odd.sum())} points have impossible return numbers and are treated as last returns")
-    mask = np.zeros(n, bool)
-    several = (total > 1) & ~odd
-    if "only" in wanted:
-        mask |= (total == 1) & ~odd
-    if "last" in wanted:
-        mask |= (several & (number == total)) | odd
-    if "first" in wanted:
-        mask |= several & (number == 1)
-    if "intermediate" in wanted:
-        mask |= several & (number > 1) & (number < total)
-    return mask
+    is_last = number == total
+    kinds = {"only": is_last & (total == 1), "last": is_last & (total > 1), "first": ~is_last & (number == 1)}
+    kinds["intermediate"] = ~is_last & (number > 1)
+    mask = np.logical_or.reduce([kinds[kind] for kind in wanted]) & ~odd
+    return mask | odd if "last" in wanted else mask
 
 
 def as_cloud(points: Any) -> PointCloud:

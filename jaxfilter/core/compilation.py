@@ -22,7 +22,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 _BACKEND_COMPILE = "/jax/core/compile/backend_compile_duration"
 _compiled: list[float] = []
-_listening = False
 
 
 def bucket(n: int, smallest: int = 1024) -> int:
@@ -66,12 +65,10 @@ def _listen(event: str, duration_secs: float, **_: str | int) -> None:
         _compiled.append(duration_secs)
 
 
+@functools.cache
 def watch_compilations() -> None:
     """Start counting; idempotent."""
-    global _listening
-    if not _listening:
-        jax.monitoring.register_event_duration_secs_listener(_listen)
-        _listening = True
+    jax.monitoring.register_event_duration_secs_listener(_listen)
 
 
 def compilations() -> tuple[int, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import time
@@ -17,9 +18,9 @@ from .compilation import in_turn
 from .errors import InputError, ParameterError, warn
 from .forks import need_threads
 from .markup import table
-from .params import Preset, check_fields, declared, plain_fields
+from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, plain_points
-from .result import Decision, FilterResult, Progress, Run, Status, silent
+from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
 
 _BYTES = 1000
 """About so many of memory per point of a classification."""
@@ -56,8 +57,9 @@ class Filter:
     note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
-    that has such defines ``passed``.
+    that has such registers how with :func:`passed`.
     ``DOUBTS`` methods state for every label how likely it is to be wrong.
+    ``TRACED`` says what of the method can be traced by ``jax.jit``, ``vmap`` and ``grad``, which a call cannot.
 
     >>> issubclass(jf.SMRF, jf.Filter), isinstance(jf.SMRF(), jf.GroundFilter)
     (True, True)
@@ -70,20 +72,10 @@ class Filter:
     ORDER_FREE: ClassVar[bool] = False
     LAST: ClassVar[tuple[str, ...]] = ()
     DOUBTS: ClassVar[bool] = False
+    TRACED: ClassVar[str] = "SMRF, PMF and MSF have a model and a test that can be traced"
 
     def __post_init__(self) -> None:
-        plain_fields(self)
-        self.check()
-
-    def check(self) -> None:
-        """Validate the fields and their combination. Raises ParameterError.
-
-        >>> jf.SMRF(slope=0.2).check()
-        >>> jf.SMRF(slope=-1)
-        Traceback (most recent call last):
-            ...
-        jaxfilter.core.errors.ParameterError: SMRF(slope=-1): must be > 0 rise/run
-        """
+        """Validate the fields; methods extend it by what holds of several fields together. Raises ParameterError."""
         check_fields(self)
 
     @classmethod
@@ -151,21 +143,14 @@ class Filter:
         return points
 
     def halo(self) -> float:
-        """Metres beyond a region that can change labels inside it.
+        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside.
+
+        It grows with the largest building, since a tile must see as far as an object is wide.
 
         >>> jf.PMF(max_window=33.0).halo() > 33.0
         True
         """
         raise TypeError(f"{type(self).__name__} does not define halo()")
-
-    def tile_halo(self) -> float:
-        """Metres around a tile that are filtered with it by default: ``halo()``, or less where more changes next to nothing.
-
-        >>> filter_ = jf.SMRF(window=18.0)
-        >>> filter_.tile_halo() <= filter_.halo()
-        True
-        """
-        return self.halo()
 
     def lattice(self) -> float:
         """Side of the squares that the method begins with, metres: tiles that end at multiples of it cut none of them.
@@ -174,24 +159,6 @@ class Filter:
         2.0
         """
         return 1.0
-
-    def lowest(self, points: Points) -> np.ndarray | None:
-        """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does.
-
-        >>> jf.SMRF().lowest(jf.SMRF().points_of(cloud)) is None
-        True
-        """
-        return None
-
-    def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
-        """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
-
-        ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
-
-        >>> jf.SMRF().of_scene(lambda most: [cloud])
-        {}
-        """
-        return {}
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Classify candidate points, distinct and in canonical order unless the method is ``ORDER_FREE``.
@@ -205,48 +172,6 @@ class Filter:
         True
         """
         raise TypeError(f"{type(self).__name__} does not define classify()")
-
-    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
-        """bool[m], ground by the thresholds in ``LAST``; ``labels`` are those of a set that may differ in these.
-
-        Of a FilterResult: bool[n].
-
-        >>> jf.CSF.LAST
-        ('threshold',)
-        >>> other = jf.CSF(threshold=0.3)
-        >>> bool((other.passed(jf.CSF(threshold=0.5)(cloud)) == other(cloud).ground).all())
-        True
-        """
-        raise TypeError(f"{type(self).__name__} does not define passed()")
-
-    def ground_each(
-        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
-    ) -> Iterator[tuple[int, np.ndarray]]:
-        """Classify the same points with several sets of parameters, which differ from this one in traced fields only.
-
-        A method overrides this where sets can share work. Here sets that differ in ``LAST`` only share all but the last step,
-        and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that
-        ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
-
-        Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
-
-        >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5)]
-        >>> points = sets[0].points_of(cloud)
-        >>> found = dict(sets[0].ground_each(points, sets, key=None, workers=1, memory=1e9))
-        >>> bool((found[0] <= found[1]).all())
-        True
-        """
-        jobs = alike(values_but(self.LAST, sets))
-        threads = workers or os.cpu_count() or 1
-        at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
-
-        def classified(job: list[int]) -> Labels:
-            one = sets[job[0]]
-            return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
-
-        for job, labels in in_turn(classified, jobs, at_once):
-            yield job[0], labels.ground
-            yield from ((number, sets[number].passed(labels)) for number in job[1:])
 
     def __call__(
         self,
@@ -286,19 +211,12 @@ class Filter:
             if self.DOUBTS:
                 labels.doubt = np.full(len(labels.ground), np.nan, np.float32)
         result = expand(cloud, points, labels)
-        return dataclasses.replace(result, run=Run(one, cloud, time.perf_counter() - start))
+        return dataclasses.replace(result, run=Call(one, cloud, time.perf_counter() - start))
 
     def _need_values(self, cloud: Any) -> None:
         """Raises: InputError for a traced array, ParameterError for a traced field: sorting and triangulation need values."""
         name = type(self).__name__
-        advice = f"{name} cannot be called within jax.jit, vmap or grad, since it works on values; "
-        if hasattr(self, "model"):
-            advice += (
-                "trace its model and test: test(model(cells), xyz), with cells = filter.cells(filter.points_of(cloud))"
-            )
-        else:
-            advice += "SMRF, PMF and MSF have a model and a test that can be traced"
-        advice += " (docs/arrays.md)"
+        advice = f"{name} cannot be called within jax.jit, vmap or grad, since it works on values; {self.TRACED} (docs/arrays.md)"
         if isinstance(cloud, jax.core.Tracer):
             raise InputError(f"{name}(...)(cloud): the cloud is a traced array; {advice}")
         for field in declared(self):
@@ -315,6 +233,78 @@ class Filter:
             )
         heading = ("parameter", "value", "symbol", "unit", "meaning")
         return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
+
+
+@functools.singledispatch
+def passed(filter_: Filter, labels: Labels | FilterResult) -> np.ndarray:
+    """bool[m], ground by the thresholds in ``filter_.LAST``; ``labels`` are those of a set that may differ in these.
+
+    Of a FilterResult: bool[n]. Methods that have such thresholds register how they apply them.
+
+    >>> from jaxfilter.core.filter import passed
+    >>> jf.CSF.LAST
+    ('threshold',)
+    >>> other = jf.CSF(threshold=0.3)
+    >>> bool((passed(other, jf.CSF(threshold=0.5)(cloud)) == other(cloud).ground).all())
+    True
+    """
+    raise TypeError(f"{type(filter_).__name__} has no thresholds that are applied last")
+
+
+@functools.singledispatch
+def lowest_among(filter_: Filter, points: Points) -> np.ndarray | None:
+    """bool[m]: the points whose lowest elevation decides labels anywhere in the scene; None = no elevation does.
+
+    >>> from jaxfilter.core.filter import lowest_among
+    >>> lowest_among(jf.SMRF(), jf.SMRF().points_of(cloud)) is None
+    True
+    """
+    return None
+
+
+@functools.singledispatch
+def of_scene(filter_: Filter, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
+    """Fields of :class:`jaxfilter.core.cloud.Whole` that the method takes from a scene before any part of it is filtered.
+
+    ``some``: reads windows of the scene with about so many points together, or all of it where that is less.
+
+    >>> from jaxfilter.core.filter import of_scene
+    >>> of_scene(jf.SMRF(), lambda most: [cloud])
+    {}
+    """
+    return {}
+
+
+@functools.singledispatch
+def ground_each(
+    filter_: Filter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Classify the same points with several sets of parameters, which differ from the filter's in traced fields only.
+
+    Methods whose sets can share work register a way of their own. Here sets that differ in ``LAST`` only share all but the last
+    step, and several are classified at a time, in threads. Each set has the labels of ``classify``. The clouds are those that
+    ``classify`` gets; ``memory`` is in bytes, for what is held for many sets.
+
+    Yields: number of the set, and bool[m], the points that are ground; in any order of the sets.
+
+    >>> from jaxfilter.core.filter import ground_each
+    >>> sets = [jf.SMRF(threshold=metres) for metres in (0.3, 0.5)]
+    >>> points = sets[0].points_of(cloud)
+    >>> found = dict(ground_each(sets[0], points, sets, key=None, workers=1, memory=1e9))
+    >>> bool((found[0] <= found[1]).all())
+    True
+    """
+    jobs = alike(values_but(filter_.LAST, sets))
+    threads = workers or os.cpu_count() or 1
+    at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
+
+    def classified(job: list[int]) -> Labels:
+        one = sets[job[0]]
+        return one.classify(points, key=key, workers=threads // at_once, progress=silent, trace=False)
+
+    for job, labels in in_turn(classified, jobs, at_once):
+        yield job[0], labels.ground
+        yield from ((number, passed(sets[number], labels)) for number in job[1:])
 
 
 def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
@@ -350,15 +340,12 @@ def degenerate(cloud: PointCloud, points: Points) -> Labels | None:
     if three or not points.has_area():
         xy = points.xyz[:, :2].astype(np.float64)
         order = np.lexsort((z, xy[:, 1], xy[:, 0]))
-        first = np.ones(m, bool)
-        first[1:] = (np.diff(xy[order], axis=0) != 0).any(axis=1)
-        ground = np.zeros(m, bool)
-        ground[order[first]] = True
+        ground = np.ones(m, bool)
+        ground[order[1:]] = (np.diff(xy[order], axis=0) != 0).any(axis=1)
         return Labels(ground, status=Status.TOO_FEW_POINTS)
     if np.ptp(z) == 0:
-        return Labels(
-            np.ones(m, bool), height=np.zeros(m, np.float32), slope=np.zeros(m, np.float32), status=Status.FLAT
-        )
+        level = np.zeros(m, np.float32)
+        return Labels(np.ones(m, bool), height=level, slope=level, status=Status.FLAT)
     return None
 
 
@@ -370,23 +357,19 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
 
     decision = labels.decision
     if decision is None:
-        decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), np.uint8(Decision.SURFACE))
+        decision = np.where(labels.ground, Decision.ACCEPTED, Decision.SURFACE)
     trace = [
         {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
     ]
-    nan = np.nan
+    known: dict[str, Any] = {name: spread(getattr(labels, name), np.nan, np.float32) for name in QUANTITIES}
     return FilterResult(
         ground=spread(labels.ground, False, bool),
-        height=spread(labels.height, nan, np.float32),
-        slope=spread(labels.slope, nan, np.float32),
-        angle=spread(labels.angle, nan, np.float32),
-        elevation=spread(labels.elevation, nan, np.float32),
-        margin=spread(labels.margin, nan, np.float32),
         decision=spread(decision, Decision.SET_ASIDE, np.uint8),
         barred=spread(labels.barred, False, bool),
-        settled=None if labels.settled is None else spread(labels.settled, False, bool),
-        doubt=None if labels.doubt is None else spread(labels.doubt, nan, np.float32),
         status=labels.status,
         info={"points": len(cloud), "candidates": len(points.index), **labels.info},
         trace=trace,
+        settled=None if labels.settled is None else spread(labels.settled, False, bool),
+        doubt=None if labels.doubt is None else spread(labels.doubt, np.nan, np.float32),
+        **known,
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -25,64 +26,69 @@ SCALES = (1e-12, 100.0)
 """Scale factors of LAS files that are believed: above the first, up to the second."""
 
 
-def localise(xyz: np.ndarray, units: Units, anchor: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Remove a float64 origin and quantise: the only place where raw coordinates become local ones.
-
-    The origin is the lower corner in x, y, z. With an anchor it is whole metres from the anchor, so that clouds with one
-    anchor share one lattice of quantised coordinates. Returns origin f64[3] and local f32[n, 3]; NaN rows become zero.
-    """
-    if len(xyz) == 0 or not np.isfinite(xyz).any():
-        return np.zeros(3), np.zeros((len(xyz), 3), np.float32)
-    factor = np.array([units.xy, units.xy, units.z])
-    origin = _origin(np.nanmin(xyz, axis=0), factor, anchor)
-    local = np.empty(xyz.shape, np.float32)
-    for axis in range(3):  # by axis: bounds the float64 temporaries on large clouds
-        local[:, axis] = np.nan_to_num(_quantised(xyz[:, axis], origin[axis], factor[axis]), nan=0.0)
-    return origin, local
-
-
-def localise_integers(
-    ticks: np.ndarray,
-    scales: np.ndarray,
-    offsets: np.ndarray,
-    units: Units,
-    anchor: np.ndarray | None,
-    valid: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`localise` of ``ticks * scales + offsets``, bit for bit, in the memory of the i32[n, 3] ticks.
-
-    Rows that are not ``valid`` (bool[n]; by default all are) become zero.
-    """
-    if len(ticks) == 0 or (valid is not None and not valid.any()):
-        return np.zeros(3), np.zeros((len(ticks), 3), np.float32)
-    factor = np.array([units.xy, units.xy, units.z])
-    low = ends(ticks if valid is None else ticks[valid])[0]
-    origin = _origin(low * scales + offsets, factor, anchor)
-    local = ticks.view(np.float32)
-    for start in range(0, len(ticks), _ROWS):
-        rows = slice(start, start + _ROWS)
-        for axis in range(3):
-            column = ticks[rows, axis] * scales[axis] + offsets[axis]
-            local[rows, axis] = _quantised(column, origin[axis], factor[axis])
-    if valid is not None:
-        local[~valid] = 0
-    return origin, local
-
-
 _ROWS = 1 << 15  # points that are converted at a time: what is made of them stays in the cache
 
 
-def _origin(low: np.ndarray, factor: np.ndarray, anchor: np.ndarray | None) -> np.ndarray:
-    if anchor is None:
-        return low
-    base = np.append(anchor, 0.0)
-    return base + np.floor((low - base) * factor) / factor
+@dataclasses.dataclass(frozen=True)
+class Coordinates:
+    """Coordinates of points in file units, and room for local ones.
+
+    Attributes:
+        raw: numbers [n, 3], NaN for points that do not count; times ``scales`` plus ``offsets``, f64[3], they are file units.
+        local: f32[n, 3], which :meth:`place` fills; it may be the memory of ``raw``.
+        kind: their own type, where it may be too coarse.
+    """
+
+    raw: np.ndarray
+    local: np.ndarray
+    scales: np.ndarray = dataclasses.field(default_factory=lambda: np.ones(3))
+    offsets: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3))
+    kind: np.dtype[Any] | None = None
+
+    def column(self, rows: slice, axis: int) -> np.ndarray:
+        """f64, the coordinates of some rows on an axis, file units."""
+        return self.raw[rows, axis] * self.scales[axis] + self.offsets[axis]
+
+    def ends(self, valid: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """f64[3] least and f64[3] largest coordinates of the ``valid`` points, bool[n] or None for all; NaN if there are none."""
+        known = self.raw if valid is None else self.raw[valid]
+        least, largest = ends(known) if len(known) else (np.full(3, np.nan), np.full(3, np.nan))
+        return least * self.scales + self.offsets, largest * self.scales + self.offsets
+
+    def place(
+        self, valid: np.ndarray | None, units: Units, anchor: Iterable[float], name: str, drop: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Remove a float64 origin and quantise: the only place where raw coordinates become local ones.
+
+        The origin is the lower corner in x, y, z, rounded down to whole metres from the anchor, f64[2], and from elevation zero,
+        so that clouds with one anchor share one lattice of quantised coordinates. Rows that are not ``valid`` become zero.
+
+        Returns: the origin, f64[3], and which points are valid, bool[n] or None for all.
+        Raises: InputError unless points far off may be dropped (``drop``), and where float64 does not resolve coordinates.
+        """
+        low, high = self.ends(valid)
+        near = near_points(self, low, high, units, name, drop)
+        if near is not None:
+            valid = near
+            low, high = self.ends(valid)
+        check_resolution(low, high, units, name, self.kind)
+        if np.isnan(low).any():
+            self.local[:] = 0
+            return np.zeros(3), valid
+        factor, base = np.array([units.xy, units.xy, units.z]), np.array([*anchor, 0.0])
+        origin = base + np.floor((low - base) * factor) / factor
+        for start in range(0, len(self.local), _ROWS):
+            rows = slice(start, start + _ROWS)
+            for axis in range(3):
+                steps = np.rint((self.column(rows, axis) - origin[axis]) * (factor[axis] / QUANTUM))
+                self.local[rows, axis] = steps * QUANTUM
+        if valid is not None:
+            self.local[~valid] = 0
+        return origin, valid
 
 
-def checked_anchor(anchor: Iterable[float] | None) -> np.ndarray | None:
-    """f64[2], or None for none. Raises InputError."""
-    if anchor is None:
-        return None
+def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
+    """f64[2]. Raises InputError."""
     try:
         x, y = (float(v) for v in anchor)
     except (TypeError, ValueError) as error:
@@ -102,19 +108,12 @@ def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return least, largest
 
 
-def extremes(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f64[3] least and f64[3] largest coordinates; NaN where there are none."""
-    known = xyz[~np.isnan(xyz[:, 0])] if np.isnan(xyz[:, 0]).any() else xyz
-    return ends(known) if len(known) else (np.full(3, np.nan), np.full(3, np.nan))
-
-
 def near_points(
-    column: Callable[[int], np.ndarray], low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
+    places: Coordinates, low: np.ndarray, high: np.ndarray, units: Units, name: str, drop: bool
 ) -> np.ndarray | None:
     """None if a cloud from ``low`` to ``high`` is of possible size; else bool[n], the points that are left of it.
 
-    ``column(axis)`` gives f64[n] file coordinates, NaN for points that do not count. Medians are taken only of clouds
-    that are too large. Raises: InputError unless points may be dropped (``drop``).
+    Medians are taken only of clouds that are too large. Raises: InputError unless points may be dropped (``drop``).
     """
     factor = np.array([units.xy, units.xy, units.z])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -122,14 +121,14 @@ def near_points(
     near = None
     for axis in np.flatnonzero(spans > LARGEST_SPAN).tolist():
         limit, letter = LARGEST_SPAN[axis], "XYZ"[axis]
-        values = column(axis)
+        values = places.column(slice(None), axis)
         known = values[~np.isnan(values)]
         median = np.partition(known, len(known) // 2)[len(known) // 2]
         with np.errstate(over="ignore"):
             distance = abs(values - median) * factor[axis]
         if not drop:
             worst = int(np.nanargmax(distance))
-            place = ", ".join(f"{column(i)[worst]:.10g}" for i in range(3))
+            place = ", ".join(f"{places.column(slice(worst, worst + 1), i)[0]:.10g}" for i in range(3))
             raise InputError(
                 f"{name}: {letter} spans {spans[axis]:.4g} m, more than the {limit:g} m that are possible; farthest from "
                 f"the median is point {worst} of {len(values)} (counted from 0) at ({place}): remove stray points or pass "
@@ -180,7 +179,3 @@ def check_scales(scales: np.ndarray, offsets: np.ndarray, name: str) -> None:
             )
         if not math.isfinite(offset):
             raise InputError(f"{name}: {axis} offset is {offset:g}; the header is damaged")
-
-
-def _quantised(column: np.ndarray, origin: float, factor: float) -> np.ndarray:
-    return np.rint((column - origin) * (factor / QUANTUM)) * QUANTUM

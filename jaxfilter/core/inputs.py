@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
-from .units import GEOKEYS, PROJECTION, WKT, Units, linear_units, not_metric, parse_units, reference_of, sampled
+from .units import GEOKEYS, PROJECTION, WKT, Units, linear_units, not_metric, reference_of, sampled
 
 GROUND_CLASS = 2
 """ASPRS class ground."""
@@ -91,15 +91,17 @@ def is_structured(points: Any) -> bool:
     return bool(getattr(getattr(points, "dtype", None), "names", None)) or {"x", "y", "z"} <= set(_names_of(points))
 
 
-def laspy_parts(las: Any, units: str | Units | None, name: str) -> dict[str, Any]:
-    """Arguments of ``PointCloud.from_integers``; see ``PointCloud.from_laspy``."""
+def laspy_parts(
+    las: Any, asked: Units | None, name: str
+) -> tuple[Units, tuple[np.ndarray, np.ndarray, np.ndarray], dict[str, Any]]:
+    """Units, then integer coordinates i32[n, 3], scales and offsets f64[3], then what else ``PointCloud.from_integers`` takes."""
     evlrs = las.evlrs if las.header.version.minor >= 4 else None
     stated = {
         vlr.record_id: vlr.record_data_bytes()
         for vlr in [*las.header.vlrs, *(evlrs or ())]
         if vlr.user_id == PROJECTION and vlr.record_id in (WKT, GEOKEYS)
     }
-    reference, asked = reference_of(stated, name), None if units is None else parse_units(units)
+    reference = reference_of(stated, name)
     scale = linear_units(reference, asked, name)
     ticks = np.stack([np.asarray(las[axis], np.int32) for axis in "XYZ"], axis=1)
     scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)
@@ -109,8 +111,7 @@ def laspy_parts(las: Any, units: str | Units | None, name: str) -> dict[str, Any
             raise InputError(f"{name}: {reason}")
     there = set(las.point_format.dimension_names)
     columns = {field: np.array(las[field], kind) for field, kind in COLUMNS.items() if field in there}
-    placed = {"ticks": ticks, "scales": scales, "offsets": offsets, "units": scale, "crs": reference.crs}
-    return placed | columns | {"reference": _ground_of(columns)}
+    return scale, (ticks, scales, offsets), {**columns, "crs": reference.crs, "reference": _ground_of(columns)}
 
 
 def structured_parts(points: Any, name: str) -> dict[str, Any]:

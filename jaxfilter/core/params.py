@@ -13,6 +13,7 @@ import inspect
 import math
 import numbers
 import operator
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
@@ -24,54 +25,52 @@ import numpy as np
 from .errors import ParameterError
 
 T = TypeVar("T")
+_SIGNS = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
+_LIMIT = r"[<>]=? \S+"
+_DOMAIN = re.compile(rf"(?P<symbol>\w*) ?(?P<range>{_LIMIT}(?: and {_LIMIT})?)? ?(?P<unit>\S*)")
 
 
-def _field(default: Any, is_static: bool, meta: dict[str, Any]) -> Any:
-    return dataclasses.field(default=default, metadata={"static": is_static, **meta})
+def _field(doc: str, domain: str, default: Any, **more: Any) -> Any:
+    found = _DOMAIN.fullmatch(domain)
+    if found is None:
+        raise ValueError(
+            f"domain={domain!r}: a symbol, limits and a unit are needed, such as 's > 0 and <= 90 degrees'"
+        )
+    facts = found.groupdict("")
+    limits = {sign: float(bound) for sign, bound in map(str.split, re.findall(_LIMIT, facts["range"]))}
+    return dataclasses.field(default=default, metadata={"doc": doc, **facts, "limits": limits, **more})
 
 
-def param(
-    *,
-    default: float,
-    doc: str,
-    symbol: str = "",
-    unit: str = "",
-    gt: float | None = None,
-    ge: float | None = None,
-    lt: float | None = None,
-    le: float | None = None,
-) -> Any:
-    """Declare a traced threshold with its documentation and admissible range.
+def param(doc: str, domain: str = "", *, default: float) -> Any:
+    """Declare a traced threshold.
 
-    ``default`` is a keyword, since type checkers see a default in no other place (PEP 681).
+    Args:
+        doc: its meaning, one line.
+        domain: the paper's symbol, the limits and the unit, each if there is one, as in ``"s > 0 and <= 90 degrees"``; a word
+            alone is the symbol.
+        default: a keyword, since type checkers see a default in no other place (PEP 681).
     """
-    return _field(default, False, {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le})
+    return _field(doc, domain, default, static=False)
 
 
 def static(
+    doc: str,
+    domain: str = "",
     *,
     default: Any,
-    doc: str,
-    symbol: str = "",
-    unit: str = "",
-    gt: float | None = None,
-    ge: float | None = None,
-    lt: float | None = None,
-    le: float | None = None,
     cells: int | None = None,
     choices: tuple[Any, ...] | None = None,
     optional: bool = False,
     endless: bool = False,
 ) -> Any:
-    """Declare a static field (fixes shapes or picks a code path). ``optional`` fields may be None ("off"), ``endless`` ones
-    infinite, those with ``cells`` so many times as long as ``cell`` at most; a switch, whose default is True or False, may be
-    either.
+    """Declare a static field (fixes shapes or picks a code path); see :func:`param`.
 
-    ``default`` is a keyword, as in :func:`param`.
+    ``optional`` fields may be None ("off"), ``endless`` ones infinite, those with ``cells`` so many times as long as ``cell``
+    at most; a switch, whose default is True or False, may be either.
     """
     choices = (True, False) if isinstance(default, bool) else choices
-    meta = {"doc": doc, "symbol": symbol, "unit": unit, "gt": gt, "ge": ge, "lt": lt, "le": le, "cells": cells}
-    return _field(default, True, {**meta, "choices": choices, "optional": optional, "endless": endless})
+    more = {"cells": cells, "choices": choices, "optional": optional, "endless": endless}
+    return _field(doc, domain, default, static=True, **more)
 
 
 class Preset(dict[str, Any]):
@@ -109,42 +108,36 @@ class _Registry(Mapping[str, type[Any]]):
     """
 
     def __init__(self) -> None:
-        self._homes: dict[str, str] = {}
-        self._classes: dict[str, type[Any]] = {}
+        self._known: dict[str, Any] = {}
 
     def announce(self, name: str, module: str) -> None:
         """A class of this name is entered by the import of a module."""
-        self._homes[name.lower()] = module
+        self._known[name.lower()] = module
 
     def add(self, cls: type) -> None:
         """Enter a class under its own name."""
-        name = cls.__name__.lower()
-        self._homes.setdefault(name, cls.__module__)
-        self._classes[name] = cls
+        self._known[cls.__name__.lower()] = cls
 
     def __getitem__(self, name: str) -> type[Any]:
         key = name.lower()
-        if key not in self._homes:
-            raise KeyError(f"no filter named {name!r}; known filters: {', '.join(self._homes)}")
-        if key not in self._classes:
-            import_module(self._homes[key])
-        return self._classes[key]
+        if key not in self._known:
+            raise KeyError(f"no filter named {name!r}; known filters: {', '.join(self._known)}")
+        if isinstance(self._known[key], str):
+            import_module(self._known[key])
+        return self._known[key]
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name.lower() in self._homes
+        return isinstance(name, str) and name.lower() in self._known
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._homes)
+        return iter(self._known)
 
     def __len__(self) -> int:
-        return len(self._homes)
+        return len(self._known)
 
 
 FILTERS = _Registry()
 """Every filter class by name, for example ``FILTERS["fptd"]``."""
-
-
-_LIMITS = (("gt", ">", operator.gt), ("ge", ">=", operator.ge), ("lt", "<", operator.lt), ("le", "<=", operator.le))
 
 
 def _is_number(value: Any) -> bool:
@@ -161,49 +154,31 @@ def described(field: dataclasses.Field[Any]) -> str:
     meta, default = field.metadata, field.default
     choices = meta.get("choices")
     kind = " or ".join(map(repr, choices)) if choices else type(default).__name__ if default is not None else "float"
-    facts = [kind + " or None" * bool(meta.get("optional")), meta.get("unit")]
-    facts += [f"{sign} {meta[key]:g}" for key, sign, _ in _LIMITS if meta.get(key) is not None]
+    facts = [kind + " or None" * bool(meta.get("optional")), meta.get("unit"), meta.get("range")]
     facts += ["static" * bool(meta.get("static")), f"default {default!r}"]
     symbol = f"; {meta['symbol']} in the paper" if meta.get("symbol") else ""
     return f"{field.name} ({', '.join(filter(None, facts))}): {meta.get('doc', '')}{symbol}."
 
 
-def plain_fields(params: Any) -> None:
-    """Replace NumPy and JAX scalars, concrete arrays without dimensions included, by Python's own numbers, in place; 3.0 by 3
-    in fields of whole numbers."""
-    for f in dataclasses.fields(params):
-        value = _plain(getattr(params, f.name))
-        if _is_whole(f) and isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if value is not getattr(params, f.name):
-            object.__setattr__(params, f.name, value)
-
-
-def _plain(value: Any) -> Any:
-    """A concrete scalar of NumPy or JAX, or array without dimensions, as Python's own; all else as it is."""
-    if isinstance(value, np.generic | np.ndarray | jax.Array) and not _traced(value) and np.ndim(value) == 0:
-        return value.item()
-    return value
-
-
-def _is_whole(field: dataclasses.Field[Any]) -> bool:
-    """Whether only whole numbers will do: they count rounds or points, or fix a shape."""
-    return bool(field.metadata.get("static")) and field.type in ("int", int)
-
-
-def _traced(value: Any) -> bool:
-    return isinstance(value, jax.core.Tracer)
-
-
 def check_fields(params: Any) -> None:
     """Validate every field of ``params`` against its declaration. Tracers, whose values nobody knows yet, are left alone.
+
+    NumPy and JAX scalars, concrete arrays without dimensions included, are replaced by Python's own numbers, in place; 3.0 by 3
+    in fields of whole numbers: static ones, which count rounds or points, or fix a shape.
 
     Raises: ParameterError naming class, field, value and range.
     """
     name = type(params).__name__
     for f in dataclasses.fields(params):
-        value, meta = _plain(getattr(params, f.name)), f.metadata
-        if _traced(value):
+        value, meta = getattr(params, f.name), f.metadata
+        traced = isinstance(value, jax.core.Tracer)
+        if isinstance(value, np.generic | np.ndarray | jax.Array) and not traced and np.ndim(value) == 0:
+            value = value.item()
+        whole = bool(meta.get("static")) and f.type in ("int", int)
+        if whole and isinstance(value, float) and value.is_integer():
+            value = int(value)
+        object.__setattr__(params, f.name, value)
+        if traced:
             if meta.get("static"):
                 raise ParameterError(
                     f"{name}({f.name}=...): the field fixes shapes of arrays or a path through the code, and cannot be "
@@ -222,17 +197,16 @@ def check_fields(params: Any) -> None:
             continue
         if value is None and meta.get("optional"):
             continue
-        limits = [(sign, meta[key], ok) for key, sign, ok in _LIMITS if meta.get(key) is not None]
+        limits = meta.get("limits", {})
         if not _is_number(value):
             if limits or meta.get("static") is False:
                 raise ParameterError(f"{name}({f.name}={value!r}): a number is needed")
             continue
-        if _is_whole(f) and not isinstance(value, numbers.Integral):
+        if whole and not isinstance(value, numbers.Integral):
             raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
         beyond = math.isinf(value) and meta.get("static") and not meta.get("endless")
-        if math.isnan(value) or beyond or not all(ok(value, bound) for _, bound, ok in limits):
-            wanted = " and ".join(f"{sign} {bound:g}" for sign, bound, _ in limits) or "a number"
-            wanted = "finite and " * bool(beyond) + wanted
+        if math.isnan(value) or beyond or not all(_SIGNS[sign](value, bound) for sign, bound in limits.items()):
+            wanted = "finite and " * bool(beyond) + (meta.get("range") or "a number")
             unit = f" {meta['unit']}" if meta.get("unit") else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
         most = meta.get("cells")

@@ -86,16 +86,16 @@ class Points:
     @functools.cached_property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """f64[2] lowest and f64[2] highest x and y, local metres."""
-        return extent(self.xyz)
+        low, high = (end.astype(np.float64) for end in ends(self.xyz[:, :2]))
+        return low, high
 
     def offset(self, cell: float) -> tuple[float, float]:
         """Local corner of the grid with cells of this size, metres."""
         return self.cloud.grid_offset(cell)
 
-    def anchored(self) -> np.ndarray | None:
-        """f64[2], metres from the anchor of the cloud to the zero of its local coordinates; None without an anchor."""
-        cloud = self.cloud
-        return None if cloud.anchor is None else (cloud.origin[:2] - cloud.anchor) * cloud.units.xy
+    def anchored(self) -> np.ndarray:
+        """f64[2], metres from the anchor of the cloud to the zero of its local coordinates."""
+        return np.asarray((self.cloud.origin[:2] - self.cloud.anchor) * self.cloud.units.xy)
 
     def has_area(self) -> bool:
         """As :func:`has_area` of all."""
@@ -107,8 +107,26 @@ class Points:
         The occupied area is counted in cells that hold about eight points each, so that voids do not count. A cloud that
         is a part of a scene has the spacing of the whole.
         """
-        whole = self.cloud.whole
-        return self._spacing if whole is None or whole.spacing is None else whole.spacing
+        whole, m = self.cloud.whole, len(self.xyz)
+        if whole is not None and whole.spacing is not None:
+            return whole.spacing
+        if m < 2:
+            return 1.0
+        known = _SPACINGS.setdefault(self.cloud, {})
+        if m not in known:
+            known[m] = self._measured_spacing()
+        return known[m]
+
+    def _measured_spacing(self) -> float:
+        sides, m = np.maximum(self.extent[1] - self.extent[0], QUANTUM), len(self.xyz)
+        spacing = float(np.sqrt(sides.prod() / m))
+        for _ in range(3):
+            cell = max(3 * spacing, float(sides.max()) / 2**15)
+            area = _occupied(self.xyz, self.extent[1], np.float32(cell)) * cell**2
+            before, spacing = spacing, float(np.sqrt(min(area, sides.prod()) / m))
+            if abs(spacing - before) < 0.01 * before:
+                break
+        return spacing
 
     def least_shape(self, cell: float, margin: int = 0) -> tuple[int, int]:
         """Rows and columns of cells that arrays over the largest part of the whole scene have; (1, 1) for a scene of its own."""
@@ -118,27 +136,9 @@ class Points:
         return tuple(math.ceil(side / cell) + 1 + margin for side in (whole.height, whole.width))  # type: ignore[return-value]
 
     def lattice_corner(self, cell: float) -> tuple[float, float]:
-        """The node of the anchored lattice of cells of this size at or south-west of all points, local metres."""
+        """The corner of a cell of this size at or south-west of all points, local metres."""
         grid = lattice_over(self.xyz, cell, self.offset(cell))
         return grid.x0, grid.y0
-
-    @functools.cached_property
-    def _spacing(self) -> float:
-        m = len(self.xyz)
-        if m < 2:
-            return 1.0
-        known = _SPACINGS.setdefault(self.cloud, {})
-        if m not in known:
-            sides = np.maximum(self.extent[1] - self.extent[0], QUANTUM)
-            spacing = float(np.sqrt(sides.prod() / m))
-            for _ in range(3):
-                cell = max(3 * spacing, float(sides.max()) / 2**15)
-                area = _occupied(self.xyz, self.extent[1], np.float32(cell)) * cell**2
-                before, spacing = spacing, float(np.sqrt(min(area, sides.prod()) / m))
-                if abs(spacing - before) < 0.01 * before:
-                    break
-            known[m] = spacing
-        return known[m]
 
 
 def _occupied(xyz: np.ndarray, high: np.ndarray, cell: np.float32) -> int:
@@ -164,18 +164,12 @@ def pieces(n: int) -> Iterator[slice]:
     return (slice(start, start + PIECE) for start in range(0, n, PIECE))
 
 
-def extent(xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f64[2] lowest and f64[2] highest x and y of positions [n, >=2]."""
-    low, high = (end.astype(np.float64) for end in ends(xy[:, :2]))
-    return low, high
-
-
 def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
     """Raises: InputError if any of the local points [n, >=2] of the cloud is farther than :data:`EXTENT` from its corner.
 
     Such an extent comes from stray points. The others would lose their last digits, and grids most of their cells.
     """
-    if len(xy) == 0 or not (extent(xy)[1] > EXTENT).any():
+    if len(xy) == 0 or not (ends(xy[:, :2])[1] > EXTENT).any():
         return
     every = (cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid])[:, :2].astype(np.float64)
     middle, (width, height) = np.median(every, axis=0), np.ptp(every, axis=0) / 1000
@@ -222,15 +216,9 @@ def _spread(metres: np.ndarray, moved: int) -> np.ndarray:
     if moved:
         v += np.uint64(round(moved / QUANTUM) % 2**32)
         v &= np.uint64(2**32 - 1)
-    for shift, mask in (
-        (16, 0x0000FFFF0000FFFF),
-        (8, 0x00FF00FF00FF00FF),
-        (4, 0x0F0F0F0F0F0F0F0F),
-        (2, 0x3333333333333333),
-        (1, 0x5555555555555555),
-    ):
+    for shift in (16, 8, 4, 2, 1):  # groups of so many bits, and as many zeros between them
         v |= v << np.uint64(shift)
-        v &= np.uint64(mask)
+        v &= np.uint64((2**64 - 1) // (2**shift + 1))
     return v
 
 
@@ -249,8 +237,8 @@ def _candidates(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray]:
 def canonical_points(cloud: PointCloud, keep: bool = False) -> Points:
     """Distinct candidates of a cloud, sorted by Morton code of x and y, then by z. Any point order gives the same arrays.
 
-    Codes count from the corner of the cloud, or from its anchor, so that clouds with one anchor sort points alike. ``keep``: for
-    the next call with this cloud, which so need not sort them again.
+    Codes count from the anchor, so that clouds with one anchor sort points alike. ``keep``: for the next call with this cloud,
+    which so need not sort them again.
     """
     arrays = _SORTED.pop(cloud, None) or _sorted(cloud)
     if keep:
@@ -261,10 +249,8 @@ def canonical_points(cloud: PointCloud, keep: bool = False) -> Points:
 def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``xyz``, ``index``, ``member`` and ``weight`` of :func:`canonical_points`."""
     index, xyz = _candidates(cloud)
-    shift = (0, 0)
-    if cloud.anchor is not None:
-        shift = tuple(round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
-    order, repeated = _canonical_order(morton(xyz, shift), xyz[:, 2])
+    east, north = (round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
+    order, repeated = _canonical_order(morton(xyz, (east, north)), xyz[:, 2])
     member = np.empty(len(order), np.int64)
     if len(repeated) == 0:
         member[order] = np.arange(len(order))

@@ -11,6 +11,8 @@ from .frame import checked_anchor
 from .inputs import class_numbers
 from .units import Units, parse_units
 
+Bounds = tuple[float, float, float, float]
+"""xmin, ymin, xmax, ymax in file units; half open: xmin <= x < xmax, ymin <= y < ymax."""
 ECHOES = ("first", "intermediate", "last", "only")
 """Kinds of echoes that can be judged."""
 
@@ -39,6 +41,7 @@ class Reading:
         drop_invalid: points with NaN or infinite coordinates, or far from all others, become non-ground instead of an error.
         units: of the coordinates; None = what the CRS says, and metres where it says nothing.
         anchor: (x, y) in file units from which all grids count.
+        bounds: (xmin, ymin, xmax, ymax) in file units; points of files with xmin <= x < xmax and ymin <= y < ymax are read.
 
     Raises: InputError for returns, classes, units or an anchor that there are not.
 
@@ -53,9 +56,11 @@ class Reading:
     drop_invalid: bool = False
     units: str | Units | None = None
     anchor: Iterable[float] = (0.0, 0.0)
+    bounds: Bounds | None = None
 
     def __post_init__(self) -> None:
-        wanted = set(_words(self.returns)) if isinstance(self.returns, str) else set()
+        words = self.returns.lower().split(",") if isinstance(self.returns, str) else []
+        wanted = {word.strip() for word in words} - {""}
         if not wanted or wanted - {*ECHOES, "all"}:
             raise InputError(
                 f"returns={self.returns!r}: use a text that lists some of {', '.join(ECHOES)}, with commas, or 'all'"
@@ -64,16 +69,38 @@ class Reading:
             "returns": ",".join(sorted(wanted)),
             "ignore_classes": class_numbers(self.ignore_classes),
             "units": None if self.units is None else parse_units(self.units),
-            "anchor": tuple(checked_anchor(self.anchor).tolist()),  # type: ignore[union-attr]
+            "anchor": tuple(checked_anchor(self.anchor).tolist()),
         }
+        if self.bounds is not None:
+            checked["bounds"] = check_bounds(self.bounds)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     @property
+    def metres(self) -> Units:
+        """The units, and metres where none are given.
+
+        >>> jf.Reading().metres.xy, jf.Reading(units="ft").metres.xy
+        (1.0, 0.3048)
+        """
+        return Units() if self.units is None else parse_units(self.units)
+
+    @property
     def echoes(self) -> frozenset[str]:
-        """The kinds of echoes that are judged, ``{"all"}`` for all."""
-        return frozenset(_words(self.returns))
+        """The kinds of echoes that are judged, ``{"all"}`` for all.
+
+        >>> sorted(jf.Reading().echoes)
+        ['last', 'only']
+        """
+        return frozenset(self.returns.split(","))
 
 
-def _words(text: str) -> list[str]:
-    return [word.strip().lower() for word in text.split(",") if word.strip()]
+def check_bounds(bounds: object) -> Bounds:
+    """Four finite numbers that enclose an area. Raises InputError."""
+    try:
+        x0, y0, x1, y1 = (float(v) for v in bounds)  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"bounds={bounds!r}: four numbers (xmin, ymin, xmax, ymax) are needed") from error
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(f"bounds={bounds!r}: xmin < xmax and ymin < ymax are needed")
+    return x0, y0, x1, y1

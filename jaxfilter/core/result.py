@@ -27,35 +27,23 @@ def silent(fraction: float, step: str) -> None:
 class Status(enum.IntEnum):
     """How a run ended; ``message`` says it in words.
 
-    >>> result.status == jf.Status.CONVERGED
-    True
+    >>> result.status == jf.Status.CONVERGED, result.status.message
+    (True, 'finished')
     """
 
-    CONVERGED = 0
-    ROUND_LIMIT = 1
-    NO_POINTS = 2
-    NO_CANDIDATES = 3
-    TOO_FEW_POINTS = 4
-    FLAT = 5
+    message: str
 
-    @property
-    def message(self) -> str:
-        """The status in words.
+    def __new__(cls, number: int, message: str) -> Status:
+        one = int.__new__(cls, number)
+        one._value_, one.message = number, message
+        return one
 
-        >>> result.status.message
-        'finished'
-        """
-        return _MESSAGES[self]
-
-
-_MESSAGES = {
-    Status.CONVERGED: "finished",
-    Status.ROUND_LIMIT: "the limit of rounds was reached before densification ended",
-    Status.NO_POINTS: "the cloud has no points",
-    Status.NO_CANDIDATES: "no point is a candidate: all are set aside by echo, class or withheld flag",
-    Status.TOO_FEW_POINTS: "fewer than four distinct positions, or all on a line: the lowest per position are ground",
-    Status.FLAT: "all points have one elevation: all are ground",
-}
+    CONVERGED = 0, "finished"
+    ROUND_LIMIT = 1, "the limit of rounds was reached before densification ended"
+    NO_POINTS = 2, "the cloud has no points"
+    NO_CANDIDATES = 3, "no point is a candidate: all are set aside by echo, class or withheld flag"
+    TOO_FEW_POINTS = 4, "fewer than four distinct positions, or all on a line: the lowest per position are ground"
+    FLAT = 5, "all points have one elevation: all are ground"
 
 
 class Decision(enum.IntEnum):
@@ -65,9 +53,7 @@ class Decision(enum.IntEnum):
     'SET_ASIDE'
     """
 
-    SET_ASIDE = (
-        0  # never tested: no candidate (echo, class, withheld flag, invalid coordinate), or taken out by the method
-    )
+    SET_ASIDE = 0  # never tested: no candidate (echo, class, flag, invalid coordinate), or taken out by the method
     SEED = 1
     ACCEPTED = 2  # passed every test
     NOISE_FLOOR = 3  # within the noise floor of its facet
@@ -77,8 +63,12 @@ class Decision(enum.IntEnum):
     SURFACE = 7  # failed the test against a gridded surface
 
 
+QUANTITIES = ("height", "slope", "angle", "elevation", "margin")
+"""What a method measures of points, f32 each; see :class:`FilterResult`."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
-class Run:
+class Call:
     """What a result is the result of.
 
     Attributes:
@@ -110,6 +100,8 @@ class FilterResult:
         trace: a dict of counts per round, in order; with ``trace=True`` also ``"ground"``: bool[n] after that round.
         doubt: f32[n] or None; probability that the label is wrong, by methods that state it (OST); NaN if never judged.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
+        low_noise: bool[n]; low outliers: barred from the seeds, not ground in the end, and below the final surface, unless they
+            are given. Methods that bar no points, such as SMRF, which bars cells, have none.
         run: the filter and the cloud; None for a result that was put together by hand.
 
     >>> len(result) == len(cloud), result.ground.dtype
@@ -131,21 +123,32 @@ class FilterResult:
     trace: list[dict[str, Any]]
     settled: np.ndarray | None = None
     doubt: np.ndarray | None = None
-    run: Run | None = dataclasses.field(default=None, repr=False)
+    low_noise: np.ndarray = None  # type: ignore[assignment]
+    run: Call | None = dataclasses.field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        low = self.barred & (self.height < 0) if self.low_noise is None else self.low_noise
+        object.__setattr__(self, "low_noise", np.asarray(low & ~self.ground))
+
+    @classmethod
+    def of_labels(
+        cls, ground: np.ndarray, low_noise: np.ndarray | None = None, **quantities: np.ndarray | None
+    ) -> FilterResult:
+        """A result of labels alone, bool[n], with low outliers, bool[n], and what else is known of the points: f32[n] by name, in
+        metres and degrees.
+
+        >>> made = jf.FilterResult.of_labels(np.array([True, False]), low_noise=np.array([False, True]))
+        >>> made.low_noise.tolist(), bool(np.isnan(made.height).all()), made.run
+        ([False, True], True, None)
+        """
+        n = len(ground)
+        low = np.zeros(n, bool) if low_noise is None else low_noise
+        facts: dict[str, Any] = dict.fromkeys(QUANTITIES, np.broadcast_to(np.float32(np.nan), n))
+        facts |= {"decision": np.broadcast_to(np.uint8(Decision.SET_ASIDE), n), "barred": low, "low_noise": low}
+        return cls(ground, status=Status.CONVERGED, info={}, trace=[], **{**facts, **quantities})
 
     def __len__(self) -> int:
         return len(self.ground)
-
-    @property
-    def low_noise(self) -> np.ndarray:
-        """bool[n]: low outliers, which are barred from the seeds, are not ground in the end, and lie below the final surface.
-
-        Methods that bar no points, such as SMRF, which bars cells, have none.
-
-        >>> result.low_noise.shape == result.ground.shape, bool((result.low_noise & result.ground).any())
-        (True, False)
-        """
-        return np.asarray(self.barred & ~self.ground & (self.height < 0))
 
     def __repr__(self) -> str:
         share = 100 * float(self.ground.mean()) if len(self) else float("nan")
@@ -235,7 +238,7 @@ class GroundFilter(Protocol):
     ) -> FilterResult: ...
 
     def halo(self) -> float:
-        """Metres beyond a region that can change labels inside it: the buffer a tile needs.
+        """Metres around a tile that are filtered with it: farther away next to nothing changes labels inside.
 
         >>> jf.SMRF(window=18.0).halo() >= 18.0
         True

@@ -243,9 +243,9 @@ def _from_crs(crs: pyproj.CRS, name: str) -> Reference:
                 problem=f"its CRS ({crs.name}) has {factor:g} metres in a unit named {unit!r}, which cannot be; correct it",
                 shown=f"{unit} of {factor:g} m",
             )
-        known = _known_unit(unit)
-        if known is not None and not math.isclose(factor, known, rel_tol=1e-3):
-            warn(f"{name}: its CRS ({crs.name}) has {factor:g} metres in a {unit}, which has {known:g}: used")
+        known = _linear_unit(unit)
+        if known is not None and not math.isclose(factor, known[0], rel_tol=1e-3):
+            warn(f"{name}: its CRS ({crs.name}) has {factor:g} metres in a {unit}, which has {known[0]:g}: used")
     return Reference(crs, _units(xy, z))
 
 
@@ -274,14 +274,11 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
         return _unprojected(crs, model == _GEOCENTRIC or (crs is not None and bool(crs.is_geocentric)))
     if found.problem is not None:
         return found
-    xy = _linear_unit(keys.get(_LINEAR, 0))
-    if xy is None and found.units is not None:
-        xy = found.units.xy, found.units.name
-    z = _linear_unit(keys.get(_VERTICAL_UNITS, 0))
-    if z is None:
-        z = _vertical_unit(keys.get(_VERTICAL, 0))
+    stated = None if found.units is None else (found.units.xy, found.units.name)
+    xy = _linear_unit(keys.get(_LINEAR, 0)) or stated
     if xy is None:
         return found
+    z = _linear_unit(keys.get(_VERTICAL_UNITS, 0)) or _vertical_unit(keys.get(_VERTICAL, 0))
     if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
         warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
     return dataclasses.replace(found, units=_units(xy, z or xy))
@@ -290,8 +287,6 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
 def _vertical_unit(code: int) -> tuple[float, str] | None:
     """Unit of a vertical CRS. Writers also put the code of a vertical datum there (5103), or of an ellipsoid (5030), as
     GeoTIFF had them once: these state no unit."""
-    if not _is_epsg(code):
-        return None
     try:
         crs = pyproj.CRS.from_epsg(code)
     except pyproj.exceptions.CRSError:
@@ -304,19 +299,10 @@ def _is_epsg(code: int) -> bool:
 
 
 @functools.cache
-def _epsg_units() -> list[Any]:
-    return list(pyproj.database.get_units_map("EPSG", "linear").values())
-
-
-def _linear_unit(code: int) -> tuple[float, str] | None:
-    units: dict[str, Any] = {u.code: u for u in _epsg_units()}
-    unit = units.get(str(code))
-    return None if unit is None else (unit.conv_factor, unit.name)
-
-
-def _known_unit(name: str) -> float | None:
-    """Metres in a unit of this name, if EPSG has one."""
-    return next((u.conv_factor for u in _epsg_units() if u.name.lower() == name.lower()), None)
+def _linear_unit(key: int | str) -> tuple[float, str] | None:
+    """Metres in EPSG's unit of length with this number or name, and its name."""
+    known = pyproj.database.get_units_map("EPSG", "linear").values()
+    return next(((u.conv_factor, u.name) for u in known if str(key).lower() in (u.code, u.name.lower())), None)
 
 
 def _units(xy: tuple[float, str], z: tuple[float, str]) -> Units:

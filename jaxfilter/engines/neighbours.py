@@ -11,7 +11,6 @@ from ..core.cloud import QUANTUM
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-_NEAR = 48
 _BATCH, _ENTRIES = 1 << 18, 1 << 22
 """Points that ask a KD-tree at a time, and neighbours that they get together."""
 
@@ -56,46 +55,11 @@ def batches(rows: np.ndarray, neighbours: int) -> list[np.ndarray]:
     return np.array_split(rows, len(rows) // max(1, min(_BATCH, _ENTRIES // neighbours)) + 1)
 
 
-def few_neighbours(
-    xyz: np.ndarray, weight: np.ndarray, radius: float, least: int, workers: int | None = None
-) -> np.ndarray:
-    """bool[m]: fewer than ``least`` other points lie within ``radius`` of each of f32[m, d], in canonical order.
-
-    A row counts ``weight`` (i32[m]) times; the other points that coincide with a row are neighbours of it. The answer
-    is exact. Most points have enough neighbours near them in canonical order already; only the others ask a KD-tree for
-    their ``least`` nearest.
-    """
-    m = len(xyz)
-    if least >= weight.sum(dtype=np.int64):
-        return np.ones(m, bool)
-    found = weight.astype(np.int32) - 1
-    columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
-    limit = np.float32((radius * (1 - 1e-6)) ** 2)  # what rounding could carry in is left to the KD-tree
-    for shift in range(1, min(_NEAR, m - 1) + 1):
-        square = np.zeros(m - shift, np.float32)
-        for column in columns:
-            step = column[shift:] - column[:-shift]
-            step *= step
-            square += step
-        near = square <= limit
-        found[:-shift] += np.where(near, weight[shift:], 0)
-        found[shift:] += np.where(near, weight[:-shift], 0)
-    rows = np.flatnonzero(found < least)
-    few = np.zeros(m, bool)
-    if len(rows) == 0:
-        return few
-    tree = tree_of(xyz)
-    for part in batches(rows, least + 1):
-        distance, index = nearest(tree, xyz[part], min(least + 1, m), radius, workers)
-        counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
-        few[part] = counted - 1 < least
-    return few
-
-
 def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
     """i64[n]: the connected component of each of ``n`` nodes, by links i[l] - i[l]; numbered as they appear.
 
-    Every root joins the lowest one that it is linked to, until no links between different roots are left.
+    Every root joins the lowest one that it is linked to, until no links between different roots are left. SciPy's function takes
+    longer to import than this takes for a million points.
     """
     root = np.arange(n)
     while len(one):

@@ -19,12 +19,10 @@ from ..core.errors import InputError
 from ..core.forks import need_threads
 from .disk import Bounds, new_file
 from .header import Header
-from .storage import read_ranges
+from .storage import Remote, read_ranges
 
 RUN = 16384
 """Records of LAS in a run."""
-
-_MOST = 1_000_000  # points that are read at a time
 
 
 class Changed(InputError):
@@ -70,13 +68,13 @@ class Blocks:
         ends = np.cumsum(self.points)
         return np.arange(ends[-1] if len(ends) else 0) + np.repeat(self.first - ends + self.points, self.points)
 
-    def groups(self) -> Iterator[Blocks]:
+    def groups(self, most: int = 1_000_000) -> Iterator[Blocks]:
         """Runs in succession, about a million points at a time."""
         start = 0
         ends = np.cumsum(self.points)
         while start < len(self):
             before = ends[start] - self.points[start]
-            stop = max(start + 1, int(np.searchsorted(ends, before + _MOST, side="right")))
+            stop = max(start + 1, int(np.searchsorted(ends, before + most, side="right")))
             yield self[start:stop]
             start = stop
 
@@ -129,9 +127,9 @@ def measured(header: Header) -> Blocks:
         found = runs(header, file)
         found = found[found.points > 0]
         for group in found.groups():
-            packed, checksum = _packed(header, file, group)
+            packed = _packed(header, file, group)
             records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-            sums.append(checksum)
+            sums.append(_checksums(group, packed))
             for areas, edge in zip((low, high), _areas(header, group, records), strict=True):
                 areas.append(edge)
     return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high), checksum=np.concatenate(sums))
@@ -139,7 +137,7 @@ def measured(header: Header) -> Blocks:
 
 def summed(header: Header, file: BinaryIO, blocks: Blocks) -> Blocks:
     """The same runs with their checksums: reads all of their bytes. Raises InputError if the file ends before."""
-    sums = [_packed(header, file, group)[1] for group in blocks.groups()]
+    sums = [_checksums(group, _packed(header, file, group)) for group in blocks.groups()]
     return dataclasses.replace(blocks, checksum=np.concatenate([np.zeros(0, np.int64), *sums]))
 
 
@@ -148,8 +146,8 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
 
     Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
-    packed, checksum = _packed(header, file, blocks)
-    if ((checksum != blocks.checksum) & (blocks.checksum >= 0)).any():
+    packed, known = _packed(header, file, blocks), blocks.checksum >= 0
+    if known.any() and (_checksums(blocks, packed) != blocks.checksum)[known].any():
         raise Changed(
             f"{header.path}: the file has changed since its points were first read; open it again, and begin a run anew with "
             "overwrite=True"
@@ -157,16 +155,31 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
     return _decoded(header, blocks, packed, wanted)
 
 
-def _packed(header: Header, file: BinaryIO, blocks: Blocks) -> tuple[bytearray, np.ndarray]:
-    """The bytes of some runs, and the checksum of each, i64[k]."""
-    parts = read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist())
-    return bytearray().join(parts), np.array([zlib.crc32(part) for part in parts], np.int64)
+def _packed(header: Header, file: BinaryIO, blocks: Blocks) -> np.ndarray:
+    """u8: the bytes of some runs, one after the other."""
+    if isinstance(header.path, Remote):
+        parts = read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist())
+        return np.frombuffer(bytearray().join(parts), np.uint8)
+    packed, at = np.empty(int(blocks.size.sum()), np.uint8), 0
+    for start, size in zip(blocks.start.tolist(), blocks.size.tolist(), strict=True):
+        file.seek(start)
+        if file.readinto(packed[at : at + size].data) < size:  # type: ignore[attr-defined]
+            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
+        at += size
+    return packed
 
 
-def _decoded(header: Header, blocks: Blocks, packed: bytearray, wanted: int) -> np.ndarray:
+def _checksums(blocks: Blocks, packed: np.ndarray) -> np.ndarray:
+    """i64[k]: of each run, from the bytes of all."""
+    ends = np.cumsum(blocks.size)
+    sums = [zlib.crc32(packed[start:end].data) for start, end in zip(ends - blocks.size, ends, strict=True)]
+    return np.array(sums, np.int64)
+
+
+def _decoded(header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) -> np.ndarray:
     """The records of some runs, u8[n, record_length], from their bytes."""
     if not header.compressed:
-        return np.frombuffer(packed, np.uint8).reshape(-1, header.record_length)
+        return packed.reshape(-1, header.record_length)
     records = np.zeros((int(blocks.points.sum()), header.record_length), np.uint8)
     need_threads()
     table = list(zip(blocks.points.tolist(), blocks.size.tolist(), strict=True))

@@ -20,15 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError, OutputError
+from ..core.reading import Bounds as Bounds
+from ..core.reading import check_bounds as check_bounds
 from .storage import Place, Remote, new_object
 
 if sys.platform == "win32":
     import msvcrt
 else:
     import fcntl
-
-Bounds = tuple[float, float, float, float]
-"""xmin, ymin, xmax, ymax in file units; half open: xmin <= x < xmax, ymin <= y < ymax."""
 
 CHANGED_IN_READING = "the file changed while it was read; read it again when it is complete"
 CHANGED_SINCE = "the file has changed since the cloud was read; read it again"
@@ -63,20 +62,19 @@ class Identity:
     def kept(self, path: Place, message: str) -> Iterator[None]:
         """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
         not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
+        failure = None
         try:
             yield
         except Exception as error:
-            if not self._holds(path):
-                raise InputError(f"{path}: {message}") from error
-            raise
-        if not self._holds(path):
-            raise InputError(f"{path}: {message}")
-
-    def _holds(self, path: Place) -> bool:
+            failure = error
         try:
-            return Identity.of(path) == self
+            changed = Identity.of(path) != self
         except (OSError, InputError):
-            return False
+            changed = True
+        if changed:
+            raise InputError(f"{path}: {message}") from failure
+        if failure is not None:
+            raise failure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,48 +127,26 @@ def _checksum(path: Path) -> int:
 
 
 class Tally:
-    """Number and checksum (CRC-32) of points, in order.
+    """Counts points and their checksum (CRC-32), in order; of a file that is read again, so many and that one are expected.
 
     Points of LAS are counted by their integers X, Y, Z, points of text by their float64 coordinates.
     """
 
-    def __init__(self) -> None:
-        self.points = self.checksum = 0
-
-    def add(self, coordinates: np.ndarray) -> None:
-        """Append i32[k, 3] or f64[k, 3], or the bytes of as many points."""
-        self.points += len(coordinates)
-        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
-
-
-class Replay(Tally):
-    """So many points with this checksum, or whatever there is, are read again from a file. Raises InputError where others are."""
-
     def __init__(self, path: Place | None = None, most: int = sys.maxsize, expected: int | None = None) -> None:
-        super().__init__()
+        self.points = self.checksum = 0
         self.path, self.most, self.expected = path, most, expected
 
     def add(self, coordinates: np.ndarray) -> None:
-        """Append a run, before anything is done with it."""
-        super().add(coordinates)
+        """Append i32[k, 3] or f64[k, 3], or the bytes of as many points, before anything is done with them. Raises InputError."""
+        self.points += len(coordinates)
+        self.checksum = zlib.crc32(np.ascontiguousarray(coordinates).data, self.checksum)
         if self.points > self.most:
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
     def finish(self) -> None:
-        """All points were added."""
+        """All points were added. Raises InputError if they are others than expected."""
         if self.path is not None and (self.points != self.most or self.expected not in (None, self.checksum)):
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
-
-
-def check_bounds(bounds: object) -> Bounds:
-    """Four finite numbers that enclose an area. Raises InputError."""
-    try:
-        x0, y0, x1, y1 = (float(v) for v in bounds)  # type: ignore[attr-defined]
-    except (TypeError, ValueError) as error:
-        raise InputError(f"bounds={bounds!r}: four numbers (xmin, ymin, xmax, ymax) are needed") from error
-    if not (x0 < x1 and y0 < y1):
-        raise InputError(f"bounds={bounds!r}: xmin < xmax and ymin < ymax are needed")
-    return x0, y0, x1, y1
 
 
 def existing(path: Path) -> os.stat_result | None:
@@ -231,7 +207,7 @@ def new_file(
             yield part
         return
     final = Path(os.path.realpath(path)) if os.path.islink(path) else path
-    with told_of(path):
+    with output_errors(path):
         status = existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
@@ -254,7 +230,7 @@ def new_file(
 
 
 @contextlib.contextmanager
-def told_of(path: Path) -> Iterator[None]:
+def output_errors(path: Path) -> Iterator[None]:
     """A block that writes ``path``. Raises: OutputError that names it, when the operating system refuses."""
     try:
         yield
@@ -306,7 +282,7 @@ def _sync(path: Path) -> None:
 
 def remove(path: Path) -> None:
     """Remove whatever has this name, if anything has. Raises: OutputError."""
-    with told_of(path):
+    with output_errors(path):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
@@ -334,7 +310,7 @@ def workplace(parent: Path) -> Iterator[Path]:
             with contextlib.suppress(FileNotFoundError):  # another process took the empty folder for a dead one
                 folder.mkdir(mode=0o700)
                 lock = os.open(folder / _LOCK, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
-                if _locked(lock) is False or not os.fstat(lock).st_nlink:
+                if try_lock(lock) is False or not os.fstat(lock).st_nlink:
                     os.close(lock)
                     lock = -1
         yield folder
@@ -359,7 +335,7 @@ def remove_dead(parent: Path) -> None:
             except FileNotFoundError:
                 folder.rmdir()
                 continue
-            if _locked(lock):
+            if try_lock(lock):
                 _remove(folder, lock)
             else:
                 os.close(lock)
@@ -383,7 +359,7 @@ def _remove(folder: Path, lock: int) -> None:
             os.close(lock)
 
 
-def _locked(descriptor: int) -> bool | None:
+def try_lock(descriptor: int) -> bool | None:
     """Take the lock: whether that succeeded, or None where there are no locks."""
     try:
         if sys.platform == "win32":

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..core.errors import InputError
 from . import records, text
-from .disk import CHANGED_SINCE, Bounds, Identity, Replay
-from .header import read_header
+from .disk import CHANGED_SINCE, Bounds, Identity, Tally
+from .header import Header, read_header
 from .storage import Place
 
 
@@ -57,31 +57,41 @@ class Handle:
         if found != self.identity:
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
-    def runs(self, replay: Replay) -> Iterator[np.ndarray]:
-        """The coordinates of the points, f64[k, 3] in file units, read once more and added to ``replay``. Raises InputError."""
+    def header(self) -> Header:
+        """That of a LAS file. Raises InputError."""
+        with records.reading_errors(self.path):
+            return read_header(self.path)
+
+    def records(self, header: Header, tally: Tally, every_field: bool = True) -> Iterator[np.ndarray]:
+        """The records of a LAS file, u8[k, record_length], read once more and added to ``tally``. Raises InputError."""
+        for chunk in records.read_records(header, self.bounds, every_field, self.blocks):
+            tally.add(chunk[:, :12].view("V12"))  # in one piece, which is copied faster
+            yield chunk
+
+    def runs(self, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+        """The points, read once more and added to ``tally``: coordinates f64[k, 3] in file units and, of text, columns named
+        as those of a cloud. Raises InputError."""
         if self.kind == "las":
-            with records.reading(self.path):
-                header = read_header(self.path)
-            for chunk in records.read_records(header, self.bounds, every_field=False):
-                replay.add(records.places(chunk))
-                yield records.coordinates(chunk, header)
+            header = self.header()
+            for chunk in self.records(header, tally, every_field=False):
+                yield records.coordinates(chunk, header), {}
         else:
-            for xyz, _ in text.read_text(self.table, text.layout_of(self.table), self.bounds):
-                replay.add(xyz)
-                yield xyz
+            for xyz, columns in text.read_text(self.table, text.layout_of(self.table), self.bounds):
+                tally.add(xyz)
+                yield xyz, columns
 
     def coordinates(self) -> np.ndarray:
         """f64[n, 3] in file units: those of the file, to the last digit. Raises: InputError as :meth:`again`."""
-        with self.again() as replay:
-            return np.concatenate([np.zeros((0, 3)), *self.runs(replay)])
+        with self.again() as tally:
+            return np.concatenate([np.zeros((0, 3)), *(xyz for xyz, _ in self.runs(tally))])
 
     @contextlib.contextmanager
-    def again(self) -> Iterator[Replay]:
+    def again(self) -> Iterator[Tally]:
         """A block in which the points are read once more, and added to what it is given.
 
         Raises: InputError when it ends, if the file or its points are not those that were read.
         """
-        replay = Replay(self.path, self.points, self.checksum)
+        tally = Tally(self.path, self.points, self.checksum)
         with self.identity.kept(self.path, CHANGED_SINCE):
-            yield replay
-            replay.finish()
+            yield tally
+            tally.finish()

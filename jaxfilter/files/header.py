@@ -11,9 +11,10 @@ import contextlib
 import dataclasses
 import datetime
 import hashlib
+import io
 import struct
 from collections.abc import Iterator, Mapping
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lazrs
 import numpy as np
@@ -68,6 +69,19 @@ class ExtraDimension:
     size: int
 
 
+class _Field:
+    """A number of the public header block, or several as f64; 0 where its LAS version has none."""
+
+    def __init__(self, at: int, layout: str, minor: int = 0) -> None:
+        self.at, self.layout, self.minor = at, layout, minor
+
+    def __get__(self, header: Header, kind: type[Header]) -> Any:
+        if header.head[25] < self.minor:
+            return 0
+        found = struct.unpack_from("<" + self.layout, header.head, self.at)
+        return found[0] if len(found) == 1 else np.array(found)
+
+
 @dataclasses.dataclass(frozen=True)
 class Header:
     """A validated header. ``head`` is the file up to its first point, ``file_size`` its length in bytes; ``identity`` is
@@ -83,12 +97,9 @@ class Header:
     unread: int = 0
 
     @contextlib.contextmanager
-    def open(self, sequential: bool = False) -> Iterator[BinaryIO]:
-        """The file that the header is of; ``sequential`` tells that it is read from end to end.
-
-        Raises: InputError if the name is another file's by now, OSError.
-        """
-        with opened(self.path, sequential) as (file, identity):
+    def open(self) -> Iterator[BinaryIO]:
+        """The file that the header is of. Raises: InputError if the name is another file's by now, OSError."""
+        with opened(self.path) as (file, identity):
             if identity != self.identity:
                 raise InputError(f"{self.path}: {CHANGED_IN_READING}")
             yield file
@@ -101,54 +112,38 @@ class Header:
         stated = f"{self.identity.size} {self.identity.modified} {self.identity.tag}\n".encode()
         return hashlib.sha256(stated + self.head).hexdigest()[:32]
 
-    def _get(self, layout: str, at: int) -> tuple:
-        return struct.unpack_from("<" + layout, self.head, at)
-
-    @property
-    def minor(self) -> int:
-        return self.head[25]
-
-    @property
-    def size(self) -> int:
-        """Bytes of the public header block."""
-        return self._get("H", 94)[0]
+    minor, size, record_length = _Field(25, "B"), _Field(94, "H"), _Field(105, "H")
+    scales, offsets, waveform_start = _Field(131, "3d"), _Field(155, "3d"), _Field(227, "Q", 3)
+    _kind, _legacy_count, _count, _evlr_start = (
+        _Field(104, "B"),
+        _Field(107, "I"),
+        _Field(247, "Q", 4),
+        _Field(235, "Q", 4),
+    )
 
     @property
     def compressed(self) -> bool:
-        return bool(self.head[104] & 0x80)
+        return bool(self._kind & 0x80)
 
     @property
     def point_format(self) -> int:
-        return self.head[104] & 0x3F
-
-    @property
-    def record_length(self) -> int:
-        return self._get("H", 105)[0]
+        return self._kind & 0x3F
 
     @property
     def count(self) -> int:
         """Number of points; writers that leave the 1.4 count at zero are believed in their legacy count."""
-        legacy = self._get("I", 107)[0]
-        return (self._get("Q", 247)[0] or legacy) if self.minor >= 4 else legacy
-
-    @property
-    def scales(self) -> np.ndarray:
-        return np.array(self._get("3d", 131))
-
-    @property
-    def offsets(self) -> np.ndarray:
-        return np.array(self._get("3d", 155))
+        return self._count or self._legacy_count
 
     @property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest x, y, z as the header states them."""
-        both = np.array(self._get("6d", 179)).reshape(3, 2)
+        both = np.array(struct.unpack_from("<6d", self.head, 179)).reshape(3, 2)
         return both[:, 1], both[:, 0]
 
     @property
     def date(self) -> str | None:
         """Day on which the file was made, ISO 8601; None if the header states none that can be."""
-        day, year = self._get("2H", 90)
+        day, year = struct.unpack_from("<2H", self.head, 90)
         if not (1 <= day <= 366 and 1900 <= year <= 2999):
             return None
         return (datetime.date(year, 1, 1) + datetime.timedelta(day - 1)).isoformat()
@@ -160,18 +155,13 @@ class Header:
 
     def remarks(self) -> list[str]:
         """What the header says of the number of points that contradicts itself or the file."""
-        found = []
-        if self.minor >= 4:
-            full, legacy = self._get("Q", 247)[0], self._get("I", 107)[0]
-            if legacy and full != legacy:
-                found.append(
-                    f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read"
-                )
+        found, full, legacy = [], self._count, self._legacy_count
+        if self.minor >= 4 and legacy and full != legacy:
+            found.append(f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read")
         room = 0
         if not self.compressed:
-            starts = [s for s in (self.waveform_start, self.evlr_start) if self.points_end <= s <= self.file_size]
-            room = min(starts, default=self.file_size) - self.points_end
-        returns = self._get("15Q", 255) if self.minor >= 4 and self._get("Q", 247)[0] else self._get("5I", 111)
+            room = self._next(self.points_end) - self.points_end
+        returns = struct.unpack_from("<15Q", self.head, 255) if full else struct.unpack_from("<5I", self.head, 111)
         said = f"the header announces {self.count} points"
         if self.unread:
             found.append(
@@ -198,16 +188,16 @@ class Header:
         """Where that begins which follows the points (EVLRs, waveforms) and is copied as it stands."""
         if not self.compressed:
             return self.points_end
-        starts = [s for s in (self.waveform_start, self.evlr_start) if len(self.head) <= s <= self.file_size]
+        return self._next(len(self.head))
+
+    def _next(self, start: int) -> int:
+        """Where after ``start`` something else than points begins; else the end of the file."""
+        starts = [s for s in (self.waveform_start, self.evlr_start) if start <= s <= self.file_size]
         return min(starts, default=self.file_size)
 
     @property
-    def waveform_start(self) -> int:
-        return self._get("Q", 227)[0] if self.minor >= 3 else 0
-
-    @property
     def evlr_start(self) -> int:
-        return self._get("Q", 235)[0] if self.evlrs else 0
+        return self._evlr_start if self.evlrs else 0
 
     @property
     def laszip(self) -> bytes:
@@ -239,7 +229,7 @@ class Header:
             if (record.end - record.payload) % _EXTRA_ENTRY:
                 return None
             for entry in range(record.payload, record.end, _EXTRA_ENTRY):
-                data_type, options, name = self._get("BB32s", entry + 2)
+                data_type, options, name = struct.unpack_from("<BB32s", self.head, entry + 2)
                 if data_type > 30:
                     return None
                 one = _EXTRA_SIZES[(data_type - 1) % 10] * ((data_type - 1) // 10 + 1)
@@ -339,43 +329,42 @@ def read_header(path: Place, tables: bool = True) -> Header:
                     f"{path}: extended records begin at byte {start}, before the end of the points ({points}); the header "
                     "is damaged"
                 )
-            if count:
-                header = dataclasses.replace(header, evlrs=_read_evlrs(path, file, start, count, size))
+            if count * _EVLR + start > size and count:
+                raise InputError(
+                    f"{path}: the header announces {count} extended records from byte {start}, but the file has {size} bytes; "
+                    "it is damaged or truncated"
+                )
+            words = "extended record", "ends behind the file; it is truncated"
+            evlrs = _records(path, file, start, count, size, "<16sHQ", words)
+            header = dataclasses.replace(header, evlrs=evlrs)
     if header.extra_dimensions() is None:
         warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are")
     return header
 
 
 def _parse(path: Place, head: bytes, file_size: int | None) -> Header:
-    header_size, _, records = struct.unpack_from("<HII", head, 94)
-    found, at = [], header_size
-    for i in range(records):
-        user, number, length = struct.unpack_from("<16sHH", head.ljust(at + _VLR, b"\0"), at + 2)
-        if at + _VLR + length > len(head):
-            raise InputError(
-                f"{path}: variable length record {i + 1} of {records} ({_text(user)!r} {number}, {length} bytes) runs "
-                "into the points; the file is damaged"
-            )
-        found.append(Record(_text(user), number, at, at + _VLR, at + _VLR + length))
-        at += _VLR + length
-    return Header(path, head, len(head) if file_size is None else file_size, tuple(found), ())
+    header_size, _, count = struct.unpack_from("<HII", head, 94)
+    what, where = "variable length record", "runs into the points; the file is damaged"
+    vlrs = _records(path, io.BytesIO(head), header_size, count, len(head), "<16sHH", (what, where))
+    return Header(path, head, len(head) if file_size is None else file_size, vlrs, ())
 
 
-def _read_evlrs(path: Place, file: BinaryIO, start: int, count: int, size: int) -> tuple[Record, ...]:
-    if count * _EVLR + start > size:
-        raise InputError(
-            f"{path}: the header announces {count} extended records from byte {start}, but the file has {size} bytes; "
-            "it is damaged or truncated"
-        )
+def _records(
+    path: Place, file: BinaryIO, start: int, count: int, end: int, layout: str, words: tuple[str, str]
+) -> tuple[Record, ...]:
+    """So many records from ``start`` on; ``words``: what they are, and what is wrong if they do not end before ``end``."""
     found = []
+    own = 2 + struct.calcsize(layout) + 32
     for i in range(count):
         file.seek(start)
-        block = file.read(_EVLR)
-        user, number, length = struct.unpack_from("<16sHQ", block.ljust(_EVLR, b"\0"), 2)
-        if len(block) < _EVLR or start + _EVLR + length > size:
-            raise InputError(f"{path}: extended record {i + 1} of {count} ends behind the file; it is truncated")
-        found.append(Record(_text(user), number, start, start + _EVLR, start + _EVLR + length))
-        start += _EVLR + length
+        block = file.read(own)
+        user, number, length = struct.unpack_from(layout, block.ljust(own, b"\0"), 2)
+        if len(block) < own or start + own + length > end:
+            raise InputError(
+                f"{path}: {words[0]} {i + 1} of {count} ({_text(user)!r} {number}, {length} bytes) {words[1]}"
+            )
+        found.append(Record(_text(user), number, start, start + own, start + own + length))
+        start += own + length
     return tuple(found)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
+import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,8 +14,9 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.errors import InputError, warn
-from ..core.inputs import COLUMNS, class_numbers, is_laspy
+from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
+from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..core.units import (
     GEOKEYS,
@@ -22,7 +26,6 @@ from ..core.units import (
     Units,
     linear_units,
     not_metric,
-    parse_units,
     reference_of,
     sampled,
 )
@@ -30,14 +33,14 @@ from . import records, text
 from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
 from .handles import Handle
 from .header import Header, opened, read_header
-from .records import inside, read_records, reading
+from .records import inside, read_records, reading_errors
 from .storage import Place, Remote, place_of
-from .writing import LAS_SUFFIXES, class_changes, write
+from .writing import LAS_SUFFIXES, Classes, class_changes, write
 
 if TYPE_CHECKING:
     import laspy
 
-__all__ = ["class_changes", "info", "read", "write"]
+__all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
 
@@ -52,7 +55,7 @@ def read(
     ignore_overlap: bool = False,
     keep_withheld: bool = False,
     drop_invalid: bool = False,
-    anchor: Iterable[float] | None = None,
+    anchor: Iterable[float] = (0.0, 0.0),
     progress: Progress | None = None,
 ) -> PointCloud:
     """Read a point cloud: LAS 1.0 to 1.4 and LAZ of every point format, COPC, or text.
@@ -77,7 +80,7 @@ def read(
         returns, ignore_classes, ignore_overlap, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
         drop_invalid: label points with NaN or infinite coordinates (text only), or far from all others (docs/conventions.md,
             Range), non-ground instead of raising.
-        anchor: (x, y) in file units that grids are aligned to; by default the cloud's own corner.
+        anchor: (x, y) in file units that all grids count from.
         progress: called with the fraction of a LAS file that was read, and "read".
 
     Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular or geocentric coordinates,
@@ -90,27 +93,16 @@ def read(
     (True, True)
     """
     cut = None if bounds is None else check_bounds(bounds)
-    asked = None if units is None else parse_units(units)
-    chosen: dict[str, Any] = {
-        "returns": returns,
-        "ignore_classes": class_numbers(ignore_classes),
-        "ignore_overlap": ignore_overlap,
-        "keep_withheld": keep_withheld,
-        "drop_invalid": drop_invalid,
-        "anchor": anchor,
-    }
+    reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor)
     if is_laspy(path):
-        return _laspy_cloud(path, asked, cut, chosen)
+        return _laspy_cloud(path, reading, cut)
     path = place_of(path)
-    suspect = _refuse if asked is None else None
-    table = _table(path)
-    if table is None:
-        header, reference = open_las(path)
-        scale = linear_units(reference, asked, str(path))
-        return las_cloud(
-            header, reference, scale, cut, chosen, suspect, _records(header, cut, progress or silent), header.count
-        )
-    return _text_cloud(table, asked or Units(), cut, chosen, suspect)
+    suspect = _refuse if reading.units is None else None
+    if is_text(path):
+        return _text_cloud(path, reading, cut, suspect)
+    file = open_las(path)
+    chunks = _records(file.header, cut, progress or silent)
+    return las_cloud(file, file.reading(reading), chunks, file.header.count, cut, suspect)
 
 
 def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict[str, Any]:
@@ -126,17 +118,17 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
     (True, 'LAZ 1.4, point format 6')
     """
     path = place_of(path)
-    asked = None if units is None else parse_units(units)
-    table = _table(path)
-    header, reference = open_las(path) if table is None else (None, Reference())
-    angular = asked is None and reference.problem is not None
-    suspect = warn if asked is None and not angular else None
-    if header is not None:
-        scale = Units(1.0, 1.0, reference.shown) if angular else linear_units(reference, asked, str(path))
-        records_ = _records(header, None)
-        cloud = las_cloud(header, reference, scale, None, {"drop_invalid": True}, suspect, records_, header.count)
+    reading = Reading(drop_invalid=True, units=units)
+    header, reference, suspect = None, Reference(), warn if units is None else None
+    if is_text(path):
+        cloud = _text_cloud(path, reading, None, suspect)
     else:
-        cloud = _text_cloud(cast(Path, table), asked or Units(), None, {"drop_invalid": True}, suspect)
+        file = open_las(path)
+        header, reference = file.header, file.reference
+        if units is None and reference.problem is not None:
+            reading, suspect = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown)), None
+        cloud = las_cloud(file, file.reading(reading), _records(header), header.count, None, suspect)
+    angular = units is None and reference.problem is not None
     low = high = None
     if len(cloud):
         corners = np.stack([cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)])
@@ -170,26 +162,40 @@ def _extra_names(header: Header | None) -> list[str] | None:
     return None if found is None else [one.name for one in found]
 
 
-def _table(path: Place) -> Path | None:
-    """The path of a text file; None for LAS: by suffix, and for other suffixes by the signature of the file.
+def is_text(path: Place) -> bool:
+    """Whether a file is text, not LAS: by suffix, and for other suffixes by the signature of the file.
 
-    Raises: InputError.
+    Raises: InputError if it is neither, and for text that is not on a local disk.
     """
     suffix = path.suffix.lower()
+    if suffix in LAS_SUFFIXES:
+        return False
     if isinstance(path, Remote) and suffix in text.SUFFIXES:
         raise InputError(f"{path}: text is read from local disks only; copy it there, or convert it to LAZ")
-    with reading(path), opened(path) as (file, _):
-        signed = file.read(4) == b"LASF"
-    if signed or suffix in LAS_SUFFIXES:
-        return None
-    if isinstance(path, Path) and suffix in text.SUFFIXES:
-        return path
+    with reading_errors(path), opened(path) as (file, _):
+        if file.read(4) == b"LASF":
+            return False
+    if suffix in text.SUFFIXES:
+        return True
     raise InputError(f"{path}: neither LAS nor one of {', '.join(text.SUFFIXES)}; give text one of these suffixes")
 
 
-def open_las(path: Place, tables: bool = True) -> tuple[Header, Reference]:
+@dataclasses.dataclass(frozen=True)
+class LasFile:
+    """The header of a LAS file, and what it says of its coordinates."""
+
+    header: Header
+    reference: Reference
+
+    def reading(self, asked: Reading) -> Reading:
+        """How its points are read, with units: those asked for, or of its CRS, or metres with a warning. Raises InputError."""
+        units = linear_units(self.reference, cast("Units | None", asked.units), str(self.header.path))
+        return dataclasses.replace(asked, units=units)
+
+
+def open_las(path: Place, tables: bool = True) -> LasFile:
     """The header of a LAS file, see :func:`read_header`, and its CRS. Raises InputError. Warns: as :func:`read`."""
-    with reading(path):
+    with reading_errors(path):
         header = read_header(path, tables)
         stated = {}
         with header.open() as file:
@@ -200,10 +206,10 @@ def open_las(path: Place, tables: bool = True) -> tuple[Header, Reference]:
                     stated[record.number] = file.read(size)
         for remark in header.remarks():
             warn(f"{path}: {remark}")
-        return header, reference_of(stated, str(path))
+        return LasFile(header, reference_of(stated, str(path)))
 
 
-def _records(header: Header, cut: Bounds | None, progress: Progress = silent) -> Iterable[np.ndarray]:
+def _records(header: Header, cut: Bounds | None = None, progress: Progress = silent) -> Iterable[np.ndarray]:
     """The records inside a cut; warns if there are none."""
     found = False
     for number, chunk in enumerate(read_records(header, cut, every_field=False)):
@@ -218,30 +224,33 @@ def _refuse(message: str) -> None:
     raise InputError(message)
 
 
-def _laspy_cloud(las: Any, asked: Units | None, cut: Bounds | None, chosen: dict[str, Any]) -> PointCloud:
+def _laspy_cloud(las: Any, reading: Reading, cut: Bounds | None) -> PointCloud:
     if cut is not None:
         las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
-    cloud = PointCloud.from_laspy(las, units=asked, **chosen)
+    cloud = PointCloud.from_laspy(las, **_fields(reading))
     if not len(cloud):
         _warn_empty("LasData", cut)
     return cloud
 
 
+def _fields(reading: Reading) -> dict[str, Any]:
+    return {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name != "bounds"}
+
+
 def las_cloud(
-    header: Header,
-    reference: Reference,
-    units: Units,
-    cut: Bounds | None,
-    chosen: dict[str, Any],
-    suspect: Callable[[str], None] | None,
+    file: LasFile,
+    reading: Reading,
     chunks: Iterable[np.ndarray],
     most: int,
+    cut: Bounds | None = None,
+    suspect: Callable[[str], None] | None = None,
 ) -> PointCloud:
     """The cloud of some records of a file, u8[k, record_length] at a time, ``most`` of them or fewer; ``cut`` says which
-    they are."""
+    they are. ``suspect`` is told why coordinates cannot be lengths, if so."""
+    header, reference = file.header, file.reference
     name, number = str(header.path), header.point_format
     # np.empty takes memory only as it is filled, so little of it where bounds leave few points
-    with reading(header.path):
+    with reading_errors(header.path):
         ticks, n = np.empty((most, 3), np.int32), 0
         columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
     if number < 6:
@@ -270,41 +279,88 @@ def las_cloud(
         ticks,
         header.scales,
         header.offsets,
-        units=units,
+        reading,
         name=name,
         crs=reference.crs,
         source=source,
         reference=is_ground if is_ground.any() else None,
         **columns,
-        **chosen,
     )
 
 
-def _text_cloud(
-    path: Path, units: Units, cut: Bounds | None, chosen: dict[str, Any], suspect: Callable[[str], None] | None
-) -> PointCloud:
-    with reading(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
-        identity, tally = Identity.of(file.fileno()), Tally()
+@dataclasses.dataclass(frozen=True)
+class TextFile:
+    """Points of a text file: its layout, n coordinates f64[n, 3] in file units, and columns named as those of a cloud."""
+
+    path: Path
+    identity: Identity
+    layout: text.Layout
+    xyz: np.ndarray
+    columns: dict[str, np.ndarray]
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes with the file, wherever it is mounted: a hash of its size, the time of its last change and its points."""
+        stated = f"{self.identity.size} {self.identity.modified} {zlib.crc32(self.xyz.data)}"
+        return hashlib.sha256(stated.encode()).hexdigest()[:32]
+
+    def part(self, rows: np.ndarray) -> TextFile:
+        """Some of the points, bool[n]."""
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        return dataclasses.replace(self, xyz=self.xyz[rows], columns=columns)
+
+
+def open_text(path: Path, cut: Bounds | None = None, drop_invalid: bool = True) -> TextFile:
+    """The points of a text file that are inside a cut. Raises: InputError as :func:`text.read_text`."""
+    with reading_errors(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
+        identity = Identity.of(file.fileno())
         with identity.kept(path, CHANGED_IN_READING):
             layout = text.layout_of(path)
-            chunks = list(text.read_text(path, layout, cut, chosen.get("drop_invalid", False)))
-    for points, _ in chunks:
-        tally.add(points)
-    xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in chunks)])
-    keys = chunks[0][1] if chunks else ()
-    columns: dict[str, Any] = {key: np.concatenate([part[key] for _, part in chunks]) for key in keys}
-    del chunks  # they are as large as the cloud
+            parts = list(text.read_text(path, layout, cut, drop_invalid))
+    xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in parts)])
+    keys = parts[0][1] if parts else ()
+    return TextFile(
+        path, identity, layout, xyz, {key: np.concatenate([part[key] for _, part in parts]) for key in keys}
+    )
+
+
+def kept_text(path: Path) -> TextFile:
+    """All points of a text file. Those of the last file are kept, so that a survey does not parse it for every box."""
+    with reading_errors(path):
+        return _kept_text(path, Identity.of(path))
+
+
+@functools.lru_cache(1)
+def _kept_text(path: Path, identity: Identity) -> TextFile:
+    """``identity`` is that of the file now."""
+    return open_text(path)
+
+
+def text_cloud(
+    file: TextFile, reading: Reading, cut: Bounds | None = None, suspect: Callable[[str], None] | None = None
+) -> PointCloud:
+    """The cloud of a text file; ``cut`` says which points these are. ``suspect``: as in :func:`las_cloud`."""
+    xyz, columns, tally = file.xyz, dict(file.columns), Tally()
     if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
         columns["reference"] = columns["classification"] == GROUND_CLASS
     if suspect is not None:
         some = xyz[sampled(len(xyz))]
         some = some[np.isfinite(some).all(axis=1)]
         if reason := not_metric(some, len(xyz), cut is not None):
-            suspect(f"{path}: {reason}")
-    if not len(xyz):
+            suspect(f"{file.path}: {reason}")
+    tally.add(xyz)
+    source = Handle(file.path.absolute(), "text", str(file.layout), len(xyz), cut, file.identity, tally.checksum)
+    if reading.units is None:
+        reading = dataclasses.replace(reading, units=Units())
+    fields: dict[str, Any] = columns | _fields(reading)
+    return PointCloud.from_arrays(xyz, name=str(file.path), source=source, **fields)
+
+
+def _text_cloud(path: Place, reading: Reading, cut: Bounds | None, suspect: Callable[[str], None] | None) -> PointCloud:
+    cloud = text_cloud(open_text(cast(Path, path), cut, reading.drop_invalid), reading, cut, suspect)
+    if not len(cloud):
         _warn_empty(str(path), cut)
-    source = Handle(path.absolute(), "text", str(layout), len(xyz), cut, identity, tally.checksum)
-    return PointCloud.from_arrays(xyz, units=units, name=str(path), source=source, **columns, **chosen)
+    return cloud
 
 
 def _warn_empty(name: str, cut: Bounds | None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.errors import InputError, JaxfilterError
 from ..core.forks import need_threads
 from . import copc
-from .blocks import Blocks, read_blocks
+from .blocks import Blocks, read_blocks, runs
 from .disk import Bounds
 from .header import Header
 from .storage import Place
@@ -31,7 +31,7 @@ NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud
 
 
 @contextlib.contextmanager
-def reading(path: Place) -> Iterator[None]:
+def reading_errors(path: Place) -> Iterator[None]:
     """Turn whatever the decoders raise on a bad file into an InputError that names it."""
     try:
         yield
@@ -62,65 +62,40 @@ def reading(path: Place) -> Iterator[None]:
 def read_records(
     header: Header, bounds: Bounds | None = None, every_field: bool = True, blocks: Blocks | None = None
 ) -> Iterator[np.ndarray]:
-    """The point records, u8[k, record_length] with k about CHUNK, in file order; only those inside ``bounds`` if given.
+    """The records of :func:`numbered_records` without their numbers."""
+    return (chunk for chunk, _ in numbered_records(header, bounds, every_field, blocks))
 
-    A COPC file with bounds is read through its octree, everything else from end to end. With ``every_field=False``,
-    fields other than coordinates, echoes, class and flags may be zero, which is faster for LAZ. ``blocks``: all runs of the
-    file, without ``bounds``; those that have a checksum must still have it.
+
+def numbered_records(
+    header: Header, bounds: Bounds | None = None, every_field: bool = True, blocks: Blocks | None = None
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The point records, u8[k, record_length] with k about a million, in file order, and their numbers in the file, i64[k]; only
+    those inside ``bounds`` if given.
+
+    Args:
+        every_field: otherwise fields other than coordinates, echoes, class and flags may be zero, which is faster for LAZ.
+        blocks: the runs of the file, where their areas are known: only those that may hold some are read. Those that have a
+            checksum must still have it. By default the nodes of the octree of COPC with bounds, and else all runs.
 
     Raises: InputError if the points are damaged.
     """
     wanted = lazrs.SELECTIVE_DECOMPRESS_ALL if every_field else NEEDED
-    if blocks is not None:
-        with reading(header.path), header.open() as file:
-            for group in blocks.groups():
-                yield read_blocks(header, file, group, wanted)
-    elif header.is_copc and bounds is not None:
-        with reading(header.path), header.open() as file:
-            found = copc.nodes(header, file)
-        yield from (chunk for chunk, _ in within(header, found, bounds, wanted))
-    else:
-        with reading(header.path), header.open(sequential=True) as file:
-            for chunk in _file_chunks(header, file, wanted):
-                yield chunk if bounds is None else chunk[inside(coordinates(chunk, header, 2), bounds)]
-
-
-def within(
-    header: Header, found: Blocks, bounds: Bounds, wanted: int = NEEDED
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The records inside ``bounds``, u8[k, record_length], and their numbers in the file, i64[k]; only the runs of
-    ``found`` that may hold some are read. Raises InputError if the points are damaged."""
-    met = found.meeting(bounds)
-    if not len(met):
-        return
-    waiting, again = [], None  # cubes are believed when all points read agree with them
-    with reading(header.path), header.open() as file:
-        for group in met.groups():
-            chunk = read_blocks(header, file, group, wanted)
-            if header.is_copc:
-                again = copc.sound(header, found, group, chunk)
-                if again is not None:
-                    break
+    waiting, again = [], None  # the cubes of an octree are believed when all points read agree with them
+    with reading_errors(header.path), header.open() as file:
+        if blocks is None:
+            blocks = copc.nodes(header, file) if header.is_copc and bounds is not None else runs(header, file)
+        for group in (blocks if bounds is None else blocks.meeting(bounds)).groups(CHUNK):
+            chunk, numbers = read_blocks(header, file, group, wanted), group.records()
+            if bounds is None:
+                yield chunk, numbers
+                continue
+            if header.is_copc and (again := copc.sound(header, blocks, group, chunk)) is not None:
+                break
             kept = inside(coordinates(chunk, header, 2), bounds)
-            waiting.append((chunk[kept], group.records()[kept]))
+            waiting.append((chunk[kept], numbers[kept]))
             if not header.is_copc:
                 yield waiting.pop()
-    yield from waiting if again is None else within(header, again, bounds, wanted)
-
-
-def _file_chunks(header: Header, file: BinaryIO, wanted: int) -> Iterator[np.ndarray]:
-    decoder = None
-    file.seek(len(header.head))
-    if header.compressed and header.count:
-        need_threads()
-        decoder = lazrs.ParLasZipDecompressor(file, header.decoder, lazrs.DecompressionSelection(wanted))
-    for start in range(0, header.count, CHUNK):
-        chunk = np.empty((min(CHUNK, header.count - start), header.record_length), np.uint8)
-        if decoder is not None:
-            decoder.decompress_many(chunk.reshape(-1))
-        elif file.readinto(chunk.data) < chunk.nbytes:  # type: ignore[attr-defined]
-            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
-        yield chunk
+    yield from waiting if again is None else numbered_records(header, bounds, every_field, again)
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -132,11 +107,6 @@ def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
 def integers(records: np.ndarray) -> np.ndarray:
     """i32[n, 3] view of X, Y, Z."""
     return records[:, :12].view("<i4")
-
-
-def places(records: np.ndarray) -> np.ndarray:
-    """[n] view of X, Y and Z in one piece, which are copied faster."""
-    return records[:, :12].view("V12")
 
 
 def coordinates(records: np.ndarray, header: Header, axes: int = 3) -> np.ndarray:

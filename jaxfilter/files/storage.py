@@ -2,7 +2,7 @@
 
 Local files are ``Path``, all others :class:`Remote`; :func:`place_of` tells them apart. What a store needs to be reached
 (keys, endpoints, tokens) comes from its own configuration: the environment, its files, or fsspec's
-(``FSSPEC_S3_ENDPOINT_URL=...``, ``~/.config/fsspec``), so that no result, journal or message holds a secret.
+(``FSSPEC_S3_ENDPOINT_URL=...``, ``~/.config/fsspec``), so that no result, record or message holds a secret.
 """
 
 from __future__ import annotations

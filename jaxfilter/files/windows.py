@@ -8,19 +8,20 @@ import functools
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, warn
-from ..core.units import Reference
+from ..core.reading import Reading
 from . import copc
 from .blocks import Blocks, measured, summed
 from .disk import Bounds, Identity, check_bounds
+from .handles import Handle
 from .header import Header
-from .reading import las_cloud, open_las
-from .records import reading, within
+from .reading import LasFile, kept_text, las_cloud, open_las, open_text, text_cloud
+from .records import coordinates, inside, numbered_records, reading_errors
 from .sources import Source
 from .storage import Place, Remote
 
@@ -41,33 +42,126 @@ class Window:
     record: np.ndarray
 
 
-def read_window(source: Source, box: Bounds, index: Path | None = None, **chosen: Any) -> Window:
+def read_window(
+    source: Source,
+    box: Bounds | None = None,
+    index: Path | None = None,
+    reading: Reading = Reading(),  # noqa: B008
+) -> Window:
     """The points with xmin <= x < xmax and ymin <= y < ymax, as ``jaxfilter.read(..., bounds=box)`` gives them.
 
-    Boxes that adjoin share no point and lose none. Of COPC the octree and the nodes concerned are read, of LAS and LAZ the
-    runs of records or chunks concerned; where these lie is found in one pass over the file, the first time, and kept.
+    Boxes that adjoin share no point and lose none. A box that holds the whole file is read in one pass, unless the index has
+    the file already. Else, of COPC the octree and the nodes concerned are read, of LAS and LAZ the runs of records or chunks
+    concerned; where these lie is found in one pass over the file, the first time, and kept. Text is read whole, and a process
+    keeps the last text file that it read.
 
     Args:
         source: the file. If it has an ``identity``, the file must still be the same.
-        box: (xmin, ymin, xmax, ymax), file coordinates.
+        box: (xmin, ymin, xmax, ymax), file coordinates; None = all points.
         index: folder in which the areas of runs and chunks are kept, one small file for each file, for other processes and
             later runs. It is made if missing. By default only this process keeps them. Checksums are kept along, of COPC
             only here and for files on a disk: the points of a file that is changed meanwhile are refused, even if its size
             and time are what they were.
-        chosen: ``returns``, ``ignore_classes``, ``ignore_overlap``, ``keep_withheld``, ``drop_invalid`` and ``anchor`` of
-            :func:`jaxfilter.read`; ``units`` are those of the source.
+        reading: which points are candidates, and the anchor of grids; the units are those of the source.
 
     Returns: Window; a cloud of no points where there are none.
     Raises: InputError naming the file, if it is gone, damaged, or has changed since ``source`` was made.
     """
-    cut, place = check_bounds(box), source.place
-    with reading(place):
+    cut, place = None if box is None else check_bounds(box), source.place
+    reading = dataclasses.replace(reading, units=source.units)
+    if source.format == "text":
+        return _text_window(source, cut, reading)
+    with reading_errors(place):
         identity = Identity.of(place)
-        opened = _opened(place, identity)
-        if source.identity and opened.header.fingerprint != source.identity:
-            raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
-        blocks = _blocks(place, identity, index)
-    return _window(opened, blocks, cut, source, chosen)
+        file = _opened(place, identity)
+        _check_identity(source, file.header.fingerprint)
+        whole = cut is None or not source.count or _holds(cut, source.bounds)
+        blocks = _kept(place, file.header, index) if whole else _blocks(place, identity, index)
+        if blocks is None:
+            file = open_las(place)
+    numbers = [np.zeros(0, np.int64)]
+
+    def chunks() -> Iterator[np.ndarray]:
+        for records, record in _numbered(file.header, cut, blocks):
+            numbers.append(record)
+            yield records
+
+    most = file.header.count  # also of COPC, whose octree is not believed if points lie outside of it
+    if blocks is not None and cut is not None and not file.header.is_copc:
+        most = int(blocks.meeting(cut).points.sum())
+    cloud = las_cloud(file, reading, chunks(), most, cut)
+    return Window(cloud, np.concatenate(numbers))
+
+
+def file_cloud(
+    source: Source,
+    candidate: np.ndarray,
+    index: Path | None = None,
+    *,
+    bounds: Bounds | None = None,
+    checksum: int | None = None,
+) -> PointCloud:
+    """A cloud that stands for the points of a file when they are written, and whose coordinates stay in the file.
+
+    Args:
+        candidate: bool[n], of the points of the file inside ``bounds``, in its order.
+        bounds: points outside are not written; None = all are.
+        checksum: what ``cloud.source.checksum`` of these points was when they were read in one piece: writing refuses others.
+            By default the runs of records are known by their checksums in the ``index``.
+
+    Raises: InputError if the file has changed since the source was made.
+    """
+    place = source.place
+    with reading_errors(place):
+        identity, blocks = Identity.of(place), None
+        if source.format == "text":
+            kind, now = "text", kept_text(cast(Path, place)).fingerprint
+        else:
+            kind, now = "las", _opened(place, identity).header.fingerprint
+            blocks = _blocks(place, identity, index) if checksum is None else None
+        _check_identity(source, now)
+    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks)
+    corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
+    return PointCloud(
+        origin=corner,
+        xyz=np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3)),
+        candidate=candidate,
+        crs=source.crs,
+        units=source.units,
+        source=handle,
+    )
+
+
+def _check_identity(source: Source, now: str) -> None:
+    if source.identity and now != source.identity:
+        raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
+
+
+def _holds(box: Bounds, bounds: Bounds) -> bool:
+    return box[0] <= bounds[0] and box[1] <= bounds[1] and bounds[2] < box[2] and bounds[3] < box[3]
+
+
+def _text_window(source: Source, cut: Bounds | None, reading: Reading) -> Window:
+    file = kept_text(cast(Path, source.place))
+    _check_identity(source, file.fingerprint)
+    if not reading.drop_invalid and not np.isfinite(file.xyz).all():
+        open_text(file.path, cut, drop_invalid=False)  # which names the line
+    rows = np.ones(len(file.xyz), bool) if cut is None else inside(file.xyz, cut)
+    return Window(text_cloud(file.part(rows), reading, cut), np.flatnonzero(rows))
+
+
+def _numbered(header: Header, cut: Bounds | None, blocks: Blocks | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Records inside a cut, u8[k, record_length], and their numbers in the file, i64[k]: out of some runs, or of all the file."""
+    if blocks is not None:
+        yield from numbered_records(header, cut, False, blocks)
+        return
+    ends = np.zeros((0, 2))
+    for chunk, record in numbered_records(header, every_field=False):
+        xy = coordinates(chunk, header, 2)
+        ends = np.concatenate([ends, [xy.min(axis=0), xy.max(axis=0)]])
+        kept = np.ones(len(chunk), bool) if cut is None else inside(xy, cut)
+        yield (chunk, record) if kept.all() else (chunk[kept], record[kept])
+    _tell_beyond(header, ends)
 
 
 def blocks_of(source: Source, index: Path | None = None) -> Blocks:
@@ -75,36 +169,40 @@ def blocks_of(source: Source, index: Path | None = None) -> Blocks:
 
     Raises: InputError if the file is damaged.
     """
-    with reading(source.place):
+    with reading_errors(source.place):
         return _blocks(source.place, Identity.of(source.place), index)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Opened:
-    header: Header
-    reference: Reference
-
-
 @functools.lru_cache(_FILES)
-def _opened(place: Place, identity: Identity) -> _Opened:
+def _opened(place: Place, identity: Identity) -> LasFile:
     """``identity`` is that of the file now, so that what is kept is not of another."""
-    return _Opened(*open_las(place, tables=False))
+    return open_las(place, tables=False)
 
 
 def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
     header = _opened(place, identity).header
     if index is None or (header.is_copc and isinstance(place, Remote)):
         return _unchecked(place, identity)
-    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
-    path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
-    kept = None
-    with contextlib.suppress(OSError):  # there is none yet
-        kept = _loaded(path, Identity.of(path), header.fingerprint)
+    kept = _kept(place, header, index)
     if kept is None:
-        kept = _measured(place)
+        kept, path = _measured(place), _index_path(place, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         kept.save(path, header.fingerprint)
     return kept
+
+
+def _kept(place: Place, header: Header, index: Path | None) -> Blocks | None:
+    """What an index has of a file, if anything."""
+    if index is not None:
+        path = _index_path(place, index)
+        with contextlib.suppress(OSError):  # there is none yet
+            return _loaded(path, Identity.of(path), header.fingerprint)
+    return None
+
+
+def _index_path(place: Place, index: Path) -> Path:
+    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
+    return Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
 
 
 @functools.lru_cache(_FILES)
@@ -125,29 +223,20 @@ def _unchecked(place: Place, identity: Identity) -> Blocks:
 
 
 def _measured(place: Place) -> Blocks:
-    """By a pass over the file; warns of points that its header denies, since surveys are planned by headers."""
-    header = open_las(place)[0]
+    """By a pass over the file; warns of points that its header denies."""
+    header = open_las(place).header
     if header.is_copc:
-        with header.open(sequential=True) as file:
+        with header.open() as file:
             return summed(header, file, copc.nodes(header, file))
     found = measured(header)
-    if len(found):
-        (low, high), slack = header.extent, header.scales[:2]
-        beyond = ((found.low < low[:2] - slack) | (found.high > high[:2] + slack)).any(axis=1)
-        if beyond.any():
-            warn(f"{place}: points lie outside the extent that its header states; write the file anew to correct that")
+    _tell_beyond(header, np.concatenate([found.low, found.high]))
     return found
 
 
-def _window(opened: _Opened, blocks: Blocks, box: Bounds, source: Source, chosen: dict[str, Any]) -> Window:
-    blocks = blocks.meeting(box)
-    numbers = [np.zeros(0, np.int64)]
-
-    def chunks() -> Iterator[np.ndarray]:
-        for records, record in within(opened.header, blocks, box):
-            numbers.append(record)
-            yield records
-
-    most = int(blocks.points.sum())
-    cloud = las_cloud(opened.header, opened.reference, source.units, box, chosen, None, chunks(), most)
-    return Window(cloud, np.concatenate(numbers))
+def _tell_beyond(header: Header, xy: np.ndarray) -> None:
+    """Warn of places f64[k, 2] that the header denies, since surveys are planned by headers."""
+    (low, high), slack = header.extent, header.scales[:2]
+    if ((xy < low[:2] - slack) | (xy > high[:2] + slack)).any():
+        warn(
+            f"{header.path}: points lie outside the extent that its header states; write the file anew to correct that"
+        )

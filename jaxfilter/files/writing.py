@@ -1,4 +1,4 @@
-"""Writing classified clouds. What is not asked to change is copied byte for byte from the file the cloud came from."""
+"""Writing classified clouds. What is not asked to change is copied from the file the cloud came from: LAS byte for byte."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import datetime
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,12 +15,13 @@ import pyproj
 
 from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
+from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from . import records, text
-from .disk import Replay, new_file
+from .disk import Tally, new_file
 from .handles import Handle
-from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header, read_header
-from .records import CHUNK, Writer, read_records, reading
+from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header
+from .records import CHUNK, Writer
 from .storage import Place, Remote, place_of
 
 RESETS = ("ground", "all", "none")
@@ -46,6 +47,74 @@ _FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
 _EXTENT_Z = 211  # byte of the header where largest and smallest Z are
 
 
+@dataclasses.dataclass(frozen=True)
+class Classes:
+    """Which classes points get when they are written.
+
+    Attributes:
+        ground_class: class of candidates that are ground.
+        other_class: class of candidates that are not ground and whose old class is reset.
+        reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
+        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
+        noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
+
+    Raises: ParameterError for classes that are no numbers from 0 to 255, and for another ``reset``.
+
+    >>> changes = jf.class_changes(cloud, result, jf.Classes(ground_class=8))
+    >>> bool(changes[0, 8] == result.ground.sum())
+    True
+    """
+
+    ground_class: int = GROUND_CLASS
+    other_class: int = 1
+    reset: str = "ground"
+    only_ground: bool = False
+    noise_class: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.reset not in RESETS:
+            raise ParameterError(f"reset={self.reset!r}: choose one of {', '.join(RESETS)}")
+        for name in ("ground_class", "other_class", "noise_class"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 255:
+                raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Additions:
+    """What is written along with the points.
+
+    Attributes:
+        extra: quantities of the result that become float32 extra bytes, see :func:`write`.
+        columns: f[n] by name, further extra bytes.
+        z: f[n], in place of Z.
+
+    Raises: ParameterError for quantities that there are not, or twice.
+    """
+
+    extra: Iterable[str] = ()
+    columns: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    z: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        names = tuple(self.extra)
+        object.__setattr__(self, "extra", names)
+        if set(names) - set(EXTRAS) or len(set(names)) < len(names):
+            raise ParameterError(f"extra={names!r}: distinct names out of {', '.join(EXTRAS)} are needed")
+
+    @classmethod
+    def of_heights(cls, heights: np.ndarray | None, replace_z: bool, extra: Iterable[str] = ()) -> Additions:
+        """With heights above ground f[n], in place of Z or as a column. Raises: ParameterError if they are to replace Z and
+        there are none; InputError for others than finite numbers."""
+        if heights is None:
+            if replace_z:
+                raise ParameterError("replace_z=True: there are no heights to put there; pass heights=")
+            return cls(extra)
+        if not np.isfinite(heights := np.asarray(heights)).all():
+            raise InputError(f"heights: {heights.size} finite numbers are needed")
+        return cls(extra, z=heights) if replace_z else cls(extra, {HEIGHT: heights})
+
+
 def write(
     path: str | Path | Remote,
     cloud: PointCloud,
@@ -67,19 +136,16 @@ def write(
     A cloud from a LAS file is streamed from that file again: only the classes of candidates change, everything else is
     copied byte for byte (header with its dates, scales, records, extra bytes, flags, integer coordinates, waveforms).
     Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep
-    their lines when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to 0.001 units (0.0001
-    if the text has more than three decimals). COPC cannot be written; its points go to plain .laz, in the file's order.
+    their other cells and their comments when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to
+    0.001 units (0.0001 if the text has more than three decimals). COPC cannot be written; its points go to plain .laz, in the
+    file's order.
 
     Args:
         path: the output; it appears whole or not at all. May be a URL that fsspec can write to (``"s3://..."``).
         result: what a filter returned, or bool[n], True = ground; None keeps all classes.
         overwrite: replace an existing file.
         in_place: allow the output to be the file that the cloud came from.
-        ground_class: class of candidates that are ground.
-        other_class: class of candidates that are not ground and whose old class is reset.
-        reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
-        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
-        noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; by default they are points like others.
+        ground_class, other_class, reset, only_ground, noise_class: which classes points get, see :class:`Classes`.
         extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin,
             and doubt of methods that state it.
         heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes
@@ -96,12 +162,26 @@ def write(
     >>> bool((back.reference == result.ground).all())
     True
     """
-    path, names = place_of(path), tuple(extra)
+    classes = Classes(ground_class, other_class, reset, only_ground, noise_class)
+    additions = Additions.of_heights(heights, replace_z, extra)
+    return write_cloud(place_of(path), cloud, result, classes, additions, overwrite=overwrite, in_place=in_place)
+
+
+def write_cloud(
+    path: Place,
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray | None,
+    classes: Classes = Classes(),
+    additions: Additions = Additions(),
+    *,
+    overwrite: bool = False,
+    in_place: bool = False,
+) -> Place:
+    """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
         raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
-    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, names, noise_class)
-    labels.add_heights(heights, replace_z)
+    labels = _Labels(cloud, result, classes, additions)
     source: Handle | None = cloud.source
     if source is not None:
         source.check_unchanged()
@@ -109,40 +189,36 @@ def write(
             raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
     if kind in text.SUFFIXES and result is None:
         raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
-    if kind in text.SUFFIXES and (names or heights is not None):
+    if kind in text.SUFFIXES and (additions.extra or additions.columns or additions.z is not None):
+        names = (*additions.extra, *additions.columns)
         raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
-    if noise_class is not None and not holds_classes(path, cloud):
+    if classes.noise_class is not None and not holds_classes(path, cloud):
         raise OutputError(
-            f"{path}: this text holds labels only; noise_class={noise_class!r} needs classes, .las or .laz"
+            f"{path}: this text holds labels only; noise_class={classes.noise_class!r} needs classes, .las or .laz"
         )
     origin = None if source is None else source.path
-    again = contextlib.nullcontext(Replay()) if source is None else source.again()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as replay:
+    again = contextlib.nullcontext(Tally()) if source is None else source.again()
+    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
         if kind in text.SUFFIXES:
-            _write_text(path, temporary, cloud, labels, replay)
+            _write_text(path, temporary, cloud, labels, tally)
         else:
             with open(temporary, "xb") as file:
-                _write_las(path, file, cloud, labels, replay)
+                _write_las(path, file, cloud, labels, tally)
     return path
 
 
 def holds_classes(path: Place, cloud: PointCloud) -> bool:
     """Whether what :func:`write` makes of a cloud there has classes: text has them if its lines had, and else labels only."""
-    of_text = cloud.source is not None and cloud.source.kind == "text" and cloud.classification is not None
-    return of_text or path.suffix.lower() not in text.SUFFIXES
+    if path.suffix.lower() not in text.SUFFIXES:
+        return True
+    source: Handle | None = cloud.source
+    return source is not None and source.kind == "text" and "classification" in text.layout_of(source.table).columns
 
 
 def class_changes(
-    cloud: PointCloud,
-    result: FilterResult | np.ndarray,
-    *,
-    ground_class: int = GROUND_CLASS,
-    other_class: int = 1,
-    reset: str = "ground",
-    only_ground: bool = False,
-    noise_class: int | None = None,
+    cloud: PointCloud, result: FilterResult | np.ndarray, classes: Classes = Classes()
 ) -> dict[tuple[int, int], int]:
-    """What :func:`write` makes of the classes with these arguments: number of points by (old class, new class), in order.
+    """What :func:`write` makes of the classes: number of points by (old class, new class), in order.
 
     Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
 
@@ -150,9 +226,9 @@ def class_changes(
     >>> bool(changes[0, 2] == result.ground.sum()), sum(changes.values()) == len(cloud)
     (True, True)
     """
-    labels = _Labels(cloud, result, ground_class, other_class, "none" if only_ground else reset, (), noise_class)
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-    pairs = np.bincount(old.astype(np.int64) * 256 + labels.classes(old, slice(None)), minlength=1)
+    new = _Labels(cloud, result, classes).classes(old, slice(None))
+    pairs = np.bincount(old.astype(np.int64) * 256 + new, minlength=1)
     return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
 
 
@@ -163,90 +239,69 @@ class _Labels:
         self,
         cloud: PointCloud,
         result: FilterResult | np.ndarray | None,
-        ground_class: int,
-        other_class: int,
-        reset: str,
-        extra: tuple[str, ...],
-        noise_class: int | None,
+        classes: Classes,
+        additions: Additions = Additions(),
     ) -> None:
-        self.candidate = cloud.candidate
+        self.rule, self.candidate, self.noise = classes, cloud.candidate, None
         if result is None:
             self.candidate = result = np.zeros(len(cloud), bool)
-        ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
-        if ground.shape != (len(cloud),) or ground.dtype != bool:
-            shape = list(ground.shape)
-            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{shape}")
-        if reset not in RESETS:
-            raise ParameterError(f"reset={reset!r}: choose one of {', '.join(RESETS)}")
-        classes = {"ground_class": ground_class, "other_class": other_class, "noise_class": noise_class}
-        for name, value in classes.items():
-            if value is not None and not 0 <= value <= 255:
-                raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
-        unknown = set(extra) - set(EXTRAS)
-        if unknown or len(set(extra)) < len(extra):
-            raise ParameterError(f"extra={extra!r}: distinct names out of {', '.join(EXTRAS)} are needed")
-        if extra and not isinstance(result, FilterResult):
-            raise ParameterError(f"extra={extra!r}: labels alone hold no such quantities; pass the FilterResult")
-        absent = [name for name in extra if getattr(result, name) is None]
-        if absent:
-            raise ParameterError(f"extra={extra!r}: the method states no {absent[0]}; OST does")
-        self.noise: np.ndarray | None = None
-        if noise_class is not None:
-            if not isinstance(result, FilterResult):
-                raise ParameterError(
-                    f"noise_class={noise_class!r}: labels alone do not tell outliers; pass the FilterResult"
+        found = result if isinstance(result, FilterResult) else None
+        self.ground = np.asarray(result) if found is None else found.ground
+        if self.ground.shape != (len(cloud),) or self.ground.dtype != bool:
+            given = f"{self.ground.dtype}{list(self.ground.shape)}"
+            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
+        names = tuple(additions.extra)
+        if found is None and names:
+            raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
+        if found is None and classes.noise_class is not None:
+            raise ParameterError(
+                f"noise_class={classes.noise_class!r}: labels alone do not tell outliers; pass the FilterResult"
+            )
+        if found is not None and classes.noise_class is not None:
+            self.noise = found.low_noise
+        self.extra: dict[str, np.ndarray] = {name: getattr(found, name) for name in names}
+        if absent := [name for name, values in self.extra.items() if values is None]:
+            raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
+        self.extra |= additions.columns
+        self.z = None if additions.z is None else additions.z.astype(np.float64)
+        for name, values in {**additions.columns, **({} if self.z is None else {"heights": self.z})}.items():
+            if values.shape != self.ground.shape:
+                raise InputError(
+                    f"{name}: {len(cloud)} finite numbers are needed for this cloud, not {list(values.shape)}"
                 )
-            self.noise = result.low_noise
-        self.ground = ground
-        self.ground_class, self.other_class, self.noise_class = ground_class, other_class, noise_class or 0
-        self.largest = max(value for value in classes.values() if value is not None)
-        self.resets = np.zeros(256, bool)
-        self.resets[{"ground": [0, GROUND_CLASS, ground_class], "all": slice(None), "none": []}[reset]] = True  # type: ignore[call-overload]
-        self.extra = {name: getattr(result, name) for name in extra}
-        self.z: np.ndarray | None = None
-
-    def add_heights(self, heights: np.ndarray | None, replace_z: bool) -> None:
-        """Write heights above ground as well. Raises InputError, ParameterError."""
-        if heights is None:
-            if replace_z:
-                raise ParameterError("replace_z=True: there are no heights to put there; pass heights=")
-            return
-        heights = np.asarray(heights)
-        if heights.shape != self.ground.shape or not np.isfinite(heights).all():
-            shape = list(heights.shape)
-            raise InputError(f"heights: {len(self.ground)} finite numbers are needed for this cloud, not {shape}")
-        if replace_z:
-            self.z = heights.astype(np.float64)
-        else:
-            self.extra[HEIGHT] = heights
 
     def classes(self, old: np.ndarray, rows: slice) -> np.ndarray:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
-        ground, candidate = self.ground[rows], self.candidate[rows]
-        other = np.where(candidate & self.resets[old], np.uint8(self.other_class), old)
-        new = np.where(candidate & ground, np.uint8(self.ground_class), other)
-        return new if self.noise is None else np.where(candidate & self.noise[rows], np.uint8(self.noise_class), new)
+        rule, candidate = self.rule, self.candidate[rows]
+        resets = np.full(256, rule.reset == "all" and not rule.only_ground)
+        if rule.reset == "ground" and not rule.only_ground:
+            resets[[0, GROUND_CLASS, rule.ground_class]] = True
+        new = np.where(candidate & resets[old], np.uint8(rule.other_class), old)
+        new = np.where(candidate & self.ground[rows], np.uint8(rule.ground_class), new)
+        if rule.noise_class is None or self.noise is None:
+            return new
+        return np.where(candidate & self.noise[rows], np.uint8(rule.noise_class), new)
 
     def texts(self, rows: slice) -> np.ndarray:
         """Labels as text files have them."""
         return np.where(self.ground[rows], text.GROUND, text.OBJECT)
 
 
-def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
+def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
     source: Handle | None = cloud.source
-    from_las = source is not None and source.kind == "las"
-    if source is not None and from_las:
-        with reading(source.path):
-            header = read_header(source.path)
-        chunks = _replayed(read_records(header, source.bounds, blocks=source.blocks), replay)
+    las = source if source is not None and source.kind == "las" else None
+    if las is not None:
+        header = las.header()
+        chunks = las.records(header, tally)
     else:
         header = _fresh_header(path, cloud)
-        chunks = _fresh_records(path, header, cloud, replay)
+        chunks = _fresh_records(path, header, cloud, tally)
     number = header.point_format
-    if number < 6 and labels.largest > 31:
+    largest = max(labels.rule.ground_class, labels.rule.other_class, labels.rule.noise_class or 0)
+    if number < 6 and largest > 31:
         raise OutputError(
-            f"{path}: class {labels.largest} does not fit into point format {number}, which holds 0 to 31; upgrade the input "
-            "to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
+            f"{path}: class {largest} does not fit into point format {number}, which holds 0 to 31; upgrade the "
+            "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
     for dimension in existing.values():
@@ -254,7 +309,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             raise OutputError(
                 f"{path}: the input has extra bytes named {dimension.name!r} that are not float32 or float64"
             )
-    added = {name: _DESCRIPTIONS[name] for name in labels.extra if name not in existing}
+    added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
     compressor = None
     if path.suffix.lower() == ".laz":
         width = header.record_length + 4 * len(added)
@@ -263,11 +318,10 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
-    recount = not from_las or source.bounds is not None  # type: ignore[union-attr]
     rewritten = header.rewritten(compressor, added, drop)
     if labels.z is not None:
         rewritten = _with_heights(path, rewritten, labels.z)
-    writer = Writer(file, rewritten, recount)
+    writer = Writer(file, rewritten, las is None or las.bounds is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
     start, channels = 0, 0
     for chunk in chunks:
@@ -288,13 +342,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
         writer.write(chunk)
-    writer.finish(header if from_las else None, drop)
-
-
-def _replayed(chunks: Iterator[np.ndarray], replay: Replay) -> Iterator[np.ndarray]:
-    for chunk in chunks:
-        replay.add(records.places(chunk))
-        yield chunk
+    writer.finish(None if las is None else header, drop)
 
 
 def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Labels, rows: slice) -> None:
@@ -338,12 +386,13 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)
 
 
-def _fresh_records(path: Place, header: Header, cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
+def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
     """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
     start = 0
-    for xyz in _coordinates(cloud, replay):
+    for xyz, columns in _runs(cloud, tally):
         rows = slice(start, start + len(xyz))
         start = rows.stop
+        columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         ticks = np.rint((xyz - header.offsets) / header.scales)
         bad = ~(np.abs(ticks) < 2**31)
         if bad.any():
@@ -354,45 +403,41 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, replay: Repla
             )
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
         chunk[:, :12] = np.ascontiguousarray(ticks, "<i4").view(np.uint8)
-        one = np.ones(len(xyz), np.uint8)
-        number = one if cloud.return_number is None else cloud.return_number[rows] & 15
-        total = one if cloud.number_of_returns is None else cloud.number_of_returns[rows] & 15
+        one, no = np.ones(len(xyz), np.uint8), np.zeros(len(xyz), np.uint8)
+        number, total = (columns.get(name, one) & 15 for name in ("return_number", "number_of_returns"))
+        withheld, overlap = (columns.get(name, no).astype(np.uint8) for name in ("withheld", "overlap"))
         chunk[:, 14] = number | total << 4
-        if cloud.withheld is not None:
-            chunk[:, 15] |= cloud.withheld[rows].astype(np.uint8) << 2
-        if cloud.overlap is not None:
-            chunk[:, 15] |= cloud.overlap[rows].astype(np.uint8) << 3
-        if cloud.classification is not None:
-            chunk[:, 16] = cloud.classification[rows]
+        chunk[:, 15] = withheld << 2 | overlap << 3
+        chunk[:, 16] = columns.get("classification", no)
         yield chunk
 
 
-def _coordinates(cloud: PointCloud, replay: Replay) -> Iterator[np.ndarray]:
-    """Chunks of f64[k, 3] in file units: those of the source file where there is one, else the cloud's."""
+def _runs(cloud: PointCloud, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """The coordinates in file units, f64[k, 3], and columns: those of the source file where there is one, else the cloud's."""
     source: Handle | None = cloud.source
-    if source is None:
-        for start in range(0, len(cloud), CHUNK):
-            rows = slice(start, start + CHUNK)
-            valid = None if cloud.valid is None else cloud.valid[rows]
-            xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-            yield xyz if valid is None else np.where(valid[:, None], xyz, np.nan)
-    else:
-        yield from source.runs(replay)
+    if source is not None:
+        yield from source.runs(tally)
+        return
+    for start in range(0, len(cloud), CHUNK):
+        rows = slice(start, start + CHUNK)
+        valid = None if cloud.valid is None else cloud.valid[rows]
+        xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
+        yield xyz if valid is None else np.where(valid[:, None], xyz, np.nan), {}
 
 
-def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, replay: Replay) -> None:
+def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
     source: Handle | None = cloud.source
     with open(temporary, "xb") as file:
         if source is not None and source.kind == "text":
             layout = text.layout_of(source.table)
-            text.rewrite_text(source.table, layout, file, source.bounds, labels.texts, labels.classes, replay)
+            text.rewrite_text(source.table, layout, file, source.bounds, labels.texts, labels.classes, tally)
             return
-        decimals = 3 if source is None else _decimals(read_header(source.path))
+        decimals = 3 if source is None else _decimals(source.header())
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
         start = 0
-        for xyz in _coordinates(cloud, replay):
+        for xyz, _ in _runs(cloud, tally):
             text.write_table(file, xyz, labels.ground[start : start + len(xyz)], decimals, delimiter)
             start += len(xyz)
 

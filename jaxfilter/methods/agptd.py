@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, ClassVar
 
-import numpy as np
-
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.growth import Mirror, Network
+from ..engines.tin.growth import Growth, Mirror, Network, Outliers
 from ..steps.adaptive_grid import REMAINDERS, lowest_per_adaptive_cell
-from ..steps.tin_filter import OutlierFate, OutlierRadius, TerrainAngle
-from . import papers
+from ..steps.outlier_filter import OutlierFate, OutlierRadius
+from ..steps.outliers import bar_outliers
+from ..steps.tin_filter import TerrainAngle, surrounded
+from .papers import bibtex
 
 _PAPER = {
     "remainder": "own_cells",
@@ -62,71 +62,50 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     """
 
     max_angle: float = param(
-        default=15.0,
-        symbol="theta",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this",
+        "a point is ground only if its angle to the facet is at most this", "theta > 0 and < 90 degrees", default=15.0
     )
     max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.4
     )
     seed_cell: float = static(
+        "the cells of the first grid level have this size; it must be larger than any building",
+        "s_pri > 0 m",
         default=60.0,
-        symbol="s_pri",
-        unit="m",
-        gt=0,
-        doc="the cells of the first grid level have this size; it must be larger than any building",
     )
     levels: int = static(
-        default=2, ge=1, le=8, doc="the grid has this many levels; each halves the cells that it divides"
+        "the grid has this many levels; each halves the cells that it divides", ">= 1 and <= 8", default=2
     )
-    least_points: int = static(
-        default=5, symbol="n_pp", ge=2, doc="a cell is divided only if it holds at least this many points"
-    )
+    least_points: int = static("a cell is divided only if it holds at least this many points", "n_pp >= 2", default=5)
     relative_slope: float = param(
+        "a cell is divided if its mean slope exceeds the least of all cells by this much",
+        "s_r >= 0 rise/run",
         default=0.06,
-        symbol="s_r",
-        unit="rise/run",
-        ge=0,
-        doc="a cell is divided if its mean slope exceeds the least of all cells by this much",
     )
     remainder: str = static(
+        "points beyond the last whole cell join it (absorbed), or have smaller cells (own_cells)",
         default="absorbed",
         choices=REMAINDERS,
-        doc="points beyond the last whole cell join it (absorbed), or have smaller cells (own_cells)",
     )
     terrain_angle: str = static(
+        "a point is mirrored over facets steeper than max_terrain_angle, or than the steepest cell if that is less",
         default="constant",
         choices=("constant", "steepest_cell"),
-        doc="a point is mirrored over facets steeper than max_terrain_angle, or than the steepest cell if that is less",
     )
-    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
+    refresh_border: bool = static("the simulated border points follow the ground as it grows", default=True)
     neighbours: int = static(
+        "a point is no seed if its elevation is unlike that of this many neighbours; 0 = no test",
+        "k >= 0 and <= 4096",
         default=0,
-        symbol="k",
-        ge=0,
-        le=4096,
-        doc="a point is no seed if its elevation is unlike that of this many neighbours; 0 = no test",
     )
     _: dataclasses.KW_ONLY
     radius: float = static(
-        default=6.0,
-        symbol="r",
-        unit="m",
-        ge=0,
-        doc="the outlier test counts the points within this distance; 0 = no test",
+        "the outlier test counts the points within this distance; 0 = no test", "r >= 0 m", default=6.0
     )
     min_neighbours: int = static(
-        default=4,
-        symbol="num",
-        ge=1,
-        le=4096,
-        doc="a point is no seed if it has fewer neighbours than this within the radius",
+        "a point is no seed if it has fewer neighbours than this within the radius", "num >= 1 and <= 4096", default=4
     )
 
-    BIBTEX: ClassVar[str] = papers.ZHENG_2024
+    BIBTEX: ClassVar[str] = bibtex("zheng2024improved")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: seed cells as large as the largest building, clusters of low points are barred"
@@ -148,18 +127,26 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
         radius = max(1.0, round(6.0 * spacing, 1))  # four times the largest spacing, which is half as much again
         return super().from_spacing(spacing, largest_building) | {"radius": radius}
 
-    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
+    def outliers(self, points: Points, workers: int | None) -> Outliers:
         """As in the other TIN filters, and points whose elevation is unlike that of their neighbours."""
-        return super().outliers(points, workers, neighbours=self.neighbours, **tests)
+        found = bar_outliers(
+            points,
+            clusters=self.low_clusters,
+            radius=self.radius,
+            min_neighbours=self.min_neighbours,
+            neighbours=self.neighbours,
+            workers=workers,
+        )
+        return found._replace(removed=self.outlier_fate == "removed")
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
         seeds = lowest_per_adaptive_cell(
             points,
             self.seed_cell,
-            barred,
+            outliers.barred,
             levels=self.levels,
             least_points=self.least_points,
             relative_slope=self.relative_slope,
@@ -171,8 +158,9 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
             "divided_cells": seeds.divided,
             "terrain_angle": min(self.max_terrain_angle, steepest),
         }
-        return self.network(points, seeds.rows, self.seed_cell, barred, late, info=info)
+        return dataclasses.replace(surrounded(self, points, seeds.rows, outliers, self.seed_cell), info=info)
 
-    def mirroring(self, network: Network) -> Mirror | None:
-        """Over facets steeper than the limit, or than the steepest cell of the seeds."""
-        return Mirror(network.info["terrain_angle"])
+    def growth(self, network: Network) -> Growth:
+        """Points are mirrored over facets steeper than the limit, or than the steepest cell of the seeds."""
+        mirror = Mirror(network.info["terrain_angle"])
+        return dataclasses.replace(super().growth(network), mirror=mirror, border_follows=self.refresh_border)

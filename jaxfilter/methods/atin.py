@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import ClassVar
 
@@ -11,18 +12,17 @@ from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.tin.facets import Rule
-from ..engines.tin.growth import Adaptive, Network
+from ..engines.tin.growth import Adaptive, Growth, Network
 from ..engines.tin.network import corner_positions, one_network
 from ..steps.seeds import lowest_per_cell
-from ..steps.tin_filter import SlopeMirroring, VertexSpacing
-from . import papers
+from ..steps.tin_filter import SlopeMirroring, VertexSpacing, surrounded
+from .papers import bibtex
+from .stin import TABLE2
 
 _SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _DEVIATIONS = 15.0
 """The limits are this many standard deviations above the median."""
-
-
 _PAPER = {
     "thresholds": "adaptive",
     "border": "corners",
@@ -30,11 +30,6 @@ _PAPER = {
     "low_clusters": False,
     "mirror": "nearest",
 }
-_TABLE2 = {
-    11: (30.0, 17.0, 2.0, 30.0), 12: (30.0, 3.0, 2.0, 45.0), 23: (40.0, 15.0, 4.0, 45.0), 52: (35.0, 10.0, 2.4, 25.0),
-    71: (25.0, 5.0, 4.0, 20.0),
-}  # fmt: skip
-"""seed_cell, max_terrain_slope, max_distance and max_angle of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 @filter_params
@@ -65,39 +60,33 @@ class ATIN(SlopeMirroring, VertexSpacing):
     """
 
     max_angle: float = param(
+        "a point is ground only if its angle to the facet is at most this; adaptive limits may be lower",
+        "alpha > 0 and < 90 degrees",
         default=25.0,
-        symbol="alpha",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this; adaptive limits may be lower",
     )
     max_distance: float = param(
+        "a point is ground only if it lies at most this far from its facet; adaptive limits may be lower",
+        "d > 0 m",
         default=1.4,
-        symbol="d",
-        unit="m",
-        gt=0,
-        doc="a point is ground only if it lies at most this far from its facet; adaptive limits may be lower",
     )
     thresholds: str = static(
+        "the limits stay the same (constant), or each round derives them from its triangulation (adaptive)",
         default="constant",
         choices=("constant", "adaptive"),
-        doc="the limits stay the same (constant), or each round derives them from its triangulation (adaptive)",
     )
     seed_cell: float = static(
+        "each square cell of this size has one seed, its lowest point; it must be larger than any building",
+        "> 0 m",
         default=60.0,
-        unit="m",
-        gt=0,
-        doc="each square cell of this size has one seed, its lowest point; it must be larger than any building",
     )
     border: str = static(
+        "simulated points stand all round the data (perimeter), or only at its four corners (corners)",
         default="perimeter",
         choices=("perimeter", "corners"),
-        doc="simulated points stand all round the data (perimeter), or only at its four corners (corners)",
     )
-    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
+    refresh_border: bool = static("the simulated border points follow the ground as it grows", default=True)
 
-    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.URAY_2024
+    BIBTEX: ClassVar[str] = bibtex("axelsson2000dem", "uray2024filtering")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: border points all round follow the ground, clusters of low points are no seeds, no mirroring, "
@@ -108,20 +97,21 @@ class ATIN(SlopeMirroring, VertexSpacing):
             "histograms is not reported: median plus 15 robust standard deviations, at most these medians",
             **_PAPER, seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0,
         ),
-        **sample_presets("; else as paper", "seed_cell max_terrain_slope max_distance max_angle", _TABLE2, **_PAPER),
+        **sample_presets("; else as paper", "seed_cell max_terrain_slope max_distance max_angle", TABLE2, **_PAPER),
     }  # fmt: skip
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
-        seeds = lowest_per_cell(points, self.seed_cell, barred)
+        seeds = lowest_per_cell(points, self.seed_cell, outliers.barred)
         if self.border == "corners":
-            return one_network(points, seeds, corner_positions(*points.extent), barred, late)
-        return self.network(points, seeds, self.seed_cell, barred, late)
+            return one_network(points, seeds, corner_positions(*points.extent), outliers)
+        return surrounded(self, points, seeds, outliers, self.seed_cell)
 
-    def adaptive(self) -> Adaptive | None:
-        return Adaptive(self.adapted) if self.thresholds == "adaptive" else None
+    def growth(self, network: Network) -> Growth:
+        adaptive = Adaptive(self.adapted) if self.thresholds == "adaptive" else None
+        return dataclasses.replace(super().growth(network), adaptive=adaptive, border_follows=self.refresh_border)
 
     def adapted(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
         """Thresholds from distances f32[s], metres, and angles f32[s], degrees, of vertices over the facets next to theirs.
@@ -134,6 +124,8 @@ class ATIN(SlopeMirroring, VertexSpacing):
             spread = _SIGMA * np.median(np.abs(values - middle))
             return min(float(most), step * math.ceil((middle + _DEVIATIONS * spread) / step))
 
-        return self.rule(
-            max_angle=above(angle, 1.0, self.max_angle), max_distance=above(distance, 0.05, self.max_distance)
+        return Rule(
+            max_angle=above(angle, 1.0, self.max_angle),
+            max_distance=above(distance, 0.05, self.max_distance),
+            noise_floor=self.noise_floor,
         )

@@ -12,19 +12,18 @@ import numpy as np
 from ..core.cloud import QUANTUM
 from ..core.compilation import bucket
 from ..core.errors import InputError
-from ..core.filter import Filter, Labels
+from ..core.filter import Filter, Labels, lowest_among, passed
 from ..core.grid import grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
-from ..engines.cloth.coloured import fill_along_lines, lowest_below, settle
-from ..engines.cloth.wavefront import drape, join_slopes
+from ..engines.chunks import padded
+from ..engines.cloth.drape import drape, join_slopes
+from ..engines.cloth.surface import fill_along_lines, lowest_below
 from ..engines.grid.cells import inside, padded_shape
 from ..engines.grid.sampling import corners
-from ..steps.grid_filter import Heights, Surface
 from ..steps.outliers import bar_outliers
-from ..steps.surfaces import Cells
-from . import papers
+from .papers import bibtex
 
 GRAVITY = 0.2  # m per unit of time squared, as in the authors' program
 START = 0.05  # metres between the lowest point and the cloth at the start
@@ -47,7 +46,7 @@ class CSF(Filter):
     1. Particles stand on a grid of ``resolution`` metres. Each has the elevation of one of the points that are nearer
        to it than to other particles (``surface``); without one, that of the next particle that has one.
     2. The cloud is turned upside down. The cloth falls, held together by springs of a given ``rigidness``; particles
-       that reach their elevation stay there for good (:func:`jaxfilter.engines.cloth.wavefront.drape`).
+       that reach their elevation stay there for good (:func:`jaxfilter.engines.cloth.drape.drape`).
     3. Optional (``smooth``): particles beside one that lies on the ground, at an elevation that differs by less than
        ``max_step``, are put on the ground as well, and so on from there.
     4. Ground are the points less than ``threshold`` above or below the cloth, interpolated bilinearly.
@@ -65,34 +64,28 @@ class CSF(Filter):
     True
     """
 
-    resolution: float = static(
-        default=1.0, doc="particles of the cloth are this far apart", symbol="GR", unit="m", gt=0
-    )
+    resolution: float = static("particles of the cloth are this far apart", "GR > 0 m", default=1.0)
     rigidness: int = static(
-        default=2, doc="the cloth suits steep (1), gentle (2) or flat terrain (3)", symbol="RI", choices=(1, 2, 3)
+        "the cloth suits steep (1), gentle (2) or flat terrain (3)", "RI", default=2, choices=(1, 2, 3)
     )
-    threshold: float = param(
-        default=0.5, doc="ground is less than this far from the cloth", symbol="hcc", unit="m", gt=0
-    )
-    iterations: int = param(default=500, doc="the cloth falls for at most this many steps", ge=1, le=10_000)
+    threshold: float = param("ground is less than this far from the cloth", "hcc > 0 m", default=0.5)
+    iterations: int = param("the cloth falls for at most this many steps", ">= 1 and <= 10000", default=500)
     time_step: float = param(
-        default=0.65, doc="a step takes this time (no unit); gravity is 0.2 m per its square", symbol="dT", gt=0, le=10
+        "a step takes this time (no unit); gravity is 0.2 m per its square", "dT > 0 and <= 10", default=0.65
     )
     gravity: str = static(
+        "a particle falls by 0.2 dT^2 per step, or 0.2 dT^4 (program)",
         default="equation",
-        doc="a particle falls by 0.2 dT^2 per step, or 0.2 dT^4 (program)",
         choices=("equation", "program"),
     )
-    smooth: bool = static(default=True, doc="a free particle joins ground beside it if no step is between", symbol="ST")
-    max_step: float = param(
-        default=0.3, doc="an elevation difference of this much or more is a step", symbol="hcp", unit="m", gt=0
-    )
+    smooth: bool = static("a free particle joins ground beside it if no step is between", "ST", default=True)
+    max_step: float = param("an elevation difference of this much or more is a step", "hcp > 0 m", default=0.3)
     surface: str = static(
-        default="lowest", doc="a particle falls onto its nearest or lowest point", choices=("nearest", "lowest")
+        "a particle falls onto its nearest or lowest point", default="lowest", choices=("nearest", "lowest")
     )
-    low_clusters: bool = static(default=True, doc="clusters of low outliers do not carry the cloth")
+    low_clusters: bool = static("clusters of low outliers do not carry the cloth", default=True)
 
-    BIBTEX: ClassVar[str] = papers.ZHANG_2016
+    BIBTEX: ClassVar[str] = bibtex("zhang2016easy")
     LAST: ClassVar[tuple[str, ...]] = ("threshold",)
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: medium rigidness, lowest points, low clusters carry no cloth"),
@@ -123,32 +116,17 @@ class CSF(Filter):
         return {"resolution": max(0.5, 0.1 * math.ceil(10 * largest_building / _HOLE - 1e-6))}
 
     def halo(self) -> float:
-        """Width of the widest hole that the cloth bridges, and of the margin, metres.
-
-        Beyond it, what holds the cloth is the ground around. Membranes of cloth over voids reach further.
-        """
-        return self.resolution * (_HOLE + MARGIN)
-
-    def tile_halo(self) -> float:
-        """Twice the width that the cloth bridges, so that what holds it there hangs as in the whole."""
-        return 2.0 * self.halo()
+        """Twice the width of the widest hole that the cloth bridges, with the margin, so that what holds it there hangs as in the
+        whole; metres. Membranes of cloth over voids reach further."""
+        return 2.0 * self.resolution * (_HOLE + MARGIN)
 
     def lattice(self) -> float:
         """The distance between particles."""
         return self.resolution
 
-    def lowest(self, points: Points) -> np.ndarray:
-        """The points that carry the cloth, which begins to fall above all of them."""
-        return ~self._barred(points, None)
-
     def _barred(self, points: Points, workers: int | None) -> np.ndarray:
         """bool[m]: points that carry no cloth, but for a cloud in which none would."""
-        return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)[0]
-
-    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
-        """Sets that differ in the threshold share the cloth."""
-        assert labels.height is not None
-        return self._margin(labels.height) < 0
+        return bar_outliers(points, clusters=self.low_clusters, workers=workers).barred
 
     def _margin(self, above: np.ndarray) -> np.ndarray:
         """f32[m], metres by which the distance from the cloth exceeds the threshold."""
@@ -158,29 +136,6 @@ class CSF(Filter):
         """Shares of a gap that a particle moves towards one that is pinned and one that is not; metres of fall per step."""
         moves = (1 - 0.7**self.rigidness, 0.5 * (1 - 0.4**self.rigidness))
         return moves, GRAVITY * self.time_step ** (2 if self.gravity == "equation" else 4)
-
-    def model(self, cells: Cells) -> Surface:
-        """The cloth over the lowest points of cells. Pure, for ``jit`` and ``vmap`` over parameters, clouds, or both.
-
-        The particles stand in the middle of the cells. Their springs act in the order of
-        :func:`jaxfilter.engines.cloth.coloured.settle`,
-        which suits a GPU and is not that of ``classify``, and nothing is joined to the ground afterwards (``smooth``), so
-        the labels are others. There is no gradient. The surface is NaN if no cell is ``seen``, or one that is has no
-        elevation. ``counts`` holds the particles that lie on the ground, and the steps.
-        """
-        top = jnp.where(cells.seen, cells.lowest, jnp.inf).min() - START
-        limit = top - fill_along_lines(cells.lowest, cells.seen, cells.valid)
-        cloth = settle(limit, cells.valid, *self._motion(), REST, self.iterations)
-        counts = {"on_ground": cloth.pinned.sum(dtype=jnp.int32), "steps": cloth.steps}
-        return Surface.over(cells, top - cloth.height, counts=counts)
-
-    def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
-        """Points f32[n, 3] held against the cloth of ``model``: ground are those with a margin below zero.
-
-        Pure, and differentiable in the threshold and the elevations.
-        """
-        height, slope = surface.at(xyz)
-        return Heights(height, slope, height - self.threshold, -height - self.threshold)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
@@ -199,14 +154,13 @@ class CSF(Filter):
         progress(0.0, "outliers")
         barred = self._barred(points, workers)
         size = bucket(len(points))
-        xyz = np.pad(points.xyz, ((0, size - len(points)), (0, 0)))
-        carries = np.pad(~barred, (0, size - len(points)))
+        xyz, carries = padded(points.xyz, size), padded(~barred, size)
         frame, true = np.asarray([*first, cell], np.float32), np.asarray(extent, np.int32)
 
         progress(0.1, "cloth")
-        lowest, carried = lowest_below(xyz, carries, frame, true, shape, self.surface == "nearest")
+        low, carried = lowest_below(xyz, carries, frame, true, shape, self.surface == "nearest")
         top = np.float32(_lowest(points, barred) - np.float32(START))
-        limit = top - np.asarray(fill_along_lines(lowest, carried, inside(shape, jnp.asarray(true))))[:rows, :columns]
+        limit = top - np.asarray(fill_along_lines(low, carried, inside(shape, jnp.asarray(true))))[:rows, :columns]
         cloth = drape(limit, *self._motion(), REST, int(self.iterations), workers)
         height, pinned = cloth.height, cloth.pinned
         if self.smooth:
@@ -230,6 +184,19 @@ class CSF(Filter):
             barred=barred,
             info=info,
         )
+
+
+@passed.register(CSF)
+def _passed(filter_: CSF, labels: Labels | FilterResult) -> np.ndarray:
+    """Sets that differ in the threshold share the cloth."""
+    assert labels.height is not None
+    return filter_._margin(labels.height) < 0
+
+
+@lowest_among.register(CSF)
+def _carriers(filter_: CSF, points: Points) -> np.ndarray:
+    """The points that carry the cloth, which begins to fall above all of them."""
+    return ~filter_._barred(points, None)
 
 
 def _lowest(points: Points, barred: np.ndarray) -> np.float32:

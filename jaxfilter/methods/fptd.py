@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, ClassVar
 
@@ -9,12 +10,12 @@ from ..core.errors import ParameterError
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.facets import Rule
 from ..engines.tin.growth import Growth, Network
 from ..engines.tin.network import block_networks, border_positions
+from ..steps.outlier_filter import OutlierRadius
 from ..steps.seeds import lowest_per_window
-from ..steps.tin_filter import OutlierRadius, VertexSpacing
-from . import papers
+from ..steps.tin_filter import VertexSpacing, facet_reach, surrounded
+from .papers import bibtex
 
 _OVERLAP = 10.0
 """Metres that independent blocks reach into their neighbours: one stride, as a multiple of it is printed."""
@@ -50,35 +51,24 @@ class FPTD(OutlierRadius, VertexSpacing):
     """
 
     max_angle: float = param(
-        default=22.0,
-        symbol="a",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this",
+        "a point is ground only if its angle to the facet is at most this", "a > 0 and < 90 degrees", default=22.0
     )
     max_elevation: float = param(
+        "a point is ground only if it stands at most this high over the highest vertex of its facet",
+        "e > 0 m",
         default=1.2,
-        symbol="e",
-        unit="m",
-        gt=0,
-        doc="a point is ground only if it stands at most this high over the highest vertex of its facet",
     )
     window: float = static(
-        default=60.0,
-        symbol="w",
-        unit="m",
-        gt=0,
-        doc="the seed window and the blocks have this size; it must be larger than any building",
+        "the seed window and the blocks have this size; it must be larger than any building", "w > 0 m", default=60.0
     )
-    stride: float = static(default=10.0, symbol="s", unit="m", gt=0, doc="the seed window moves by this step")
+    stride: float = static("the seed window moves by this step", "s > 0 m", default=10.0)
     blocks: str = static(
+        "all points are in one triangulation (global), or blocks of them grow on their own (independent)",
         default="global",
         choices=("global", "independent"),
-        doc="all points are in one triangulation (global), or blocks of them grow on their own (independent)",
     )
 
-    BIBTEX: ClassVar[str] = papers.LI_2021
+    BIBTEX: ClassVar[str] = bibtex("li2021fptd")
     WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: one triangulation, clusters of low points barred from the seeds"),
@@ -95,8 +85,8 @@ class FPTD(OutlierRadius, VertexSpacing):
         "D4": Preset("steep: a = 38, e = 1.4", max_angle=38.0, max_elevation=1.4),
     }
 
-    def check(self) -> None:
-        super().check()
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.stride > self.window:
             raise ParameterError(
                 f"FPTD(stride={self.stride!r}): must not exceed window={self.window!r}, or points are skipped"
@@ -114,20 +104,18 @@ class FPTD(OutlierRadius, VertexSpacing):
         """The step of the windows."""
         return self.stride
 
-    def schedule(self, network: Network, **changes: Any) -> Growth:
-        return super().schedule(network, **{"border_follows": True, **changes})
+    def growth(self, network: Network) -> Growth:
+        growth = super().growth(network)
+        return dataclasses.replace(growth, rule=growth.rule._replace(signed=1.0), border_follows=True)
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
-        seeds = lowest_per_window(points, self.window, self.stride, barred)
+        seeds = lowest_per_window(points, self.window, self.stride, outliers.barred)
         if self.blocks == "independent":
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             return block_networks(
-                points, seeds, border, barred, late, size=self.window, overlap=_OVERLAP, reach=self.halo()
+                points, seeds, border, outliers, size=self.window, overlap=_OVERLAP, reach=facet_reach(self.window)
             )
-        return self.network(points, seeds, self.window, barred, late)
-
-    def limits(self) -> Rule:
-        return self.rule(max_angle=self.max_angle, max_elevation=self.max_elevation, signed=1.0)
+        return surrounded(self, points, seeds, outliers, self.window)

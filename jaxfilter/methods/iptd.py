@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, ClassVar
 
@@ -13,14 +14,15 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.morphology import opening
 from ..engines.grid.spread import fill_from_neighbours
-from ..engines.tin.densify import densify
+from ..engines.ground import grow
+from ..engines.tin.facets import Rule
+from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Network
-from ..engines.tin.network import labels_of
 from ..steps.local_planes import TRANSLATIONS, over_local_planes
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
-from ..steps.tin_filter import TerrainAngle, facet_reach
-from . import papers
+from ..steps.tin_filter import TerrainAngle, labels_of_nodes, surrounded
+from .papers import bibtex
 
 _TABLE2 = {
     11: (30.0, 300, 0.5, 30.0, 2.0), 12: (30.0, 300, 0.5, 45.0, 2.0), 23: (40.0, 600, 0.8, 45.0, 1.5),
@@ -58,42 +60,31 @@ class IPTD(TerrainAngle):
     True
     """
 
-    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="the grid cells have this side")
-    window: float = static(default=60.0, symbol="w", unit="m", gt=0, cells=1000, doc="the largest object has this size")
+    cell: float = static("the grid cells have this side", "c > 0 m", default=2.0)
+    window: float = static("the largest object has this size", "w > 0 m", default=60.0, cells=1000)
     tolerance: float = param(
-        default=1.0, unit="m", ge=0, doc="a cell gives a potential seed only if the opening lowers it by at most this"
+        "a cell gives a potential seed only if the opening lowers it by at most this", ">= 0 m", default=1.0
     )
     k: int = static(
-        default=100, symbol="k", ge=3, le=4096, doc="a plane is fitted to this many potential seeds around each of them"
+        "a plane is fitted to this many potential seeds around each of them", "k >= 3 and <= 4096", default=100
     )
     plane_error: float = param(
-        default=0.8,
-        symbol="r",
-        unit="m",
-        ge=0,
-        doc="a potential seed is dropped if it lies more than this over its plane",
+        "a potential seed is dropped if it lies more than this over its plane", "r >= 0 m", default=0.8
     )
     translation: str = static(
+        "the planes stay as they are fitted (none), or move down to the lowest of their seeds (lowest)",
         default="none",
         choices=TRANSLATIONS,
-        doc="the planes stay as they are fitted (none), or move down to the lowest of their seeds (lowest)",
     )
     max_angle: float = param(
-        default=25.0,
-        symbol="theta",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this",
+        "a point is ground only if its angle to the facet is at most this", "theta > 0 and < 90 degrees", default=25.0
     )
     max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.4
     )
-    border_spacing: float = static(
-        default=10.0, unit="m", gt=0, doc="the simulated points around the seeds stand this far apart"
-    )
+    border_spacing: float = static("the simulated points around the seeds stand this far apart", "> 0 m", default=10.0)
 
-    BIBTEX: ClassVar[str] = papers.ZHAO_2016
+    BIBTEX: ClassVar[str] = bibtex("zhao2016improved")
     LIMITS: ClassVar[tuple[str, ...]] = ("max_angle", "max_distance")  # others limit downward growth, too
     WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
@@ -127,11 +118,6 @@ class IPTD(TerrainAngle):
         """
         return math.ceil(self.window / self.cell / 2 - 1e-6)
 
-    def halo(self) -> float:
-        """Reach of the opening, of the planes, and of facets over what the opening removes."""
-        planes = self.cell * math.sqrt(self.k)
-        return 2 * self.reach * self.cell + planes + facet_reach(self.window)
-
     def lattice(self) -> float:
         """The cells of the openings."""
         return self.cell
@@ -146,23 +132,22 @@ class IPTD(TerrainAngle):
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "openings")
-        potential = self.potential_seeds(points, barred)
+        potential = self.potential_seeds(points, outliers.barred)
         progress(0.0, "planes")
         over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
-        network = self.network(points, seeds, self.border_spacing, barred, late)
-        below = self.rule(max_angle=0.0, signed=1.0)
-        out = densify(
-            network,
-            self.schedule(network, rule=below, mirror=None, one_per_facet=True),
-            heights=False,
-            workers=workers,
-            progress=lambda share, step: progress(share / 2, "densify downward"),
-            keep_labels=trace,
+        network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
+        below = dataclasses.replace(
+            self.growth(network),
+            rule=Rule(max_angle=0.0, signed=1.0, noise_floor=self.noise_floor),
+            mirror=None,
+            one_per_facet=True,
         )
-        downward = labels_of(network, out, trace)
+        with GroundTin.start(network, below, workers=workers) as out:
+            status = grow(out, self.max_rounds, lambda share, _: progress(share / 2, "densify downward"), trace)
+        downward = labels_of_nodes(out, status)
         info = {
             "seeds": len(seeds),
             "potential_seeds": len(potential),
@@ -170,4 +155,5 @@ class IPTD(TerrainAngle):
             "downward_rounds": len(out.trace),
         }
         seeds = np.flatnonzero(downward.ground)
-        return self.network(points, seeds, self.border_spacing, barred, late, info=info, before=downward)
+        network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
+        return dataclasses.replace(network, info=info, before=downward)

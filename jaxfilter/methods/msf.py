@@ -14,15 +14,15 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.cones import cone_erosion, cone_limits
 from ..engines.grid.morphology import erosion
-from ..steps.grid_filter import GridFilter, Heights, Surface
+from ..steps.grid_filter import Heights, LowOutlierFilter, Surface
 from ..steps.surfaces import Cells, cell_for, lowest_places
-from . import papers
+from .papers import bibtex
 
 MAX_REACH = 100  # cells; the time grows with the square
 
 
 @filter_params
-class MSF(GridFilter):
+class MSF(LowOutlierFilter):
     """Maximum slope: a point is ground if no point near it is lower than the slope of the terrain allows.
 
     G. Vosselman (2000): Slope based filtering of laser altimetry data. Int. Arch. Photogramm. Remote Sens. 33 (B3),
@@ -49,24 +49,19 @@ class MSF(GridFilter):
     True
     """
 
-    window: float = static(
-        default=10.0, symbol="d_max", unit="m", gt=0, cells=MAX_REACH, doc="lower points are sought within this radius"
-    )
-    slope: float = param(
-        default=0.577, unit="rise/run", gt=0, doc="terrain rises at most this steeply; 0.577 is 30 degrees"
-    )
-    max_height: float = param(default=6.0, unit="m", gt=0, doc="terrain rises at most by this within the window")
+    window: float = static("lower points are sought within this radius", "d_max > 0 m", default=10.0, cells=MAX_REACH)
+    slope: float = param("terrain rises at most this steeply; 0.577 is 30 degrees", "> 0 rise/run", default=0.577)
+    max_height: float = param("terrain rises at most by this within the window", "> 0 m", default=6.0)
     initial_distance: float = param(
-        default=0.3, unit="m", ge=0, doc="a point may be this much higher than one beside it, because of noise"
+        "a point may be this much higher than one beside it, because of noise", ">= 0 m", default=0.3
     )
     distance: str = static(
+        "the distance is measured from cell to cell (cells), or from the point to the lowest point of each cell (points)",
         default="cells",
         choices=("cells", "points"),
-        doc="the distance is measured from cell to cell (cells), or from the point to the lowest point of each cell (points)",
     )
-    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the lowest elevations")
 
-    BIBTEX: ClassVar[str] = papers.VOSSELMAN_2000
+    BIBTEX: ClassVar[str] = bibtex("vosselman2000slope")
     ORDER_FREE: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset("the default: terrain up to 30 degrees and 6 m, clusters of low points barred"),
@@ -91,15 +86,13 @@ class MSF(GridFilter):
         return {"cell": cell, "window": window, "max_height": max(6.0, 0.6 * window)}
 
     def halo(self) -> float:
-        """The window, two cells, and what the search for low clusters looks at, metres."""
-        return self.window + 2 * self.cell + 30.0 * self.low_clusters
-
-    def tile_halo(self) -> float:
-        """Twice as far for low clusters, whose depressions may be wide where points are few."""
-        return self.halo() + 30.0 * self.low_clusters
+        """The window, two cells, and for low clusters twice what the search looks at, since their depressions may be wide
+        where points are few; metres."""
+        return self.window + 2 * self.cell + 60.0 * self.low_clusters
 
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
-        """The lowest elevation per ``cell``, and where it is if ``distance`` is "points"; see :class:`GridFilter`."""
+        """The lowest elevation per ``cell``, and where it is if ``distance`` is "points"; see ``GridFilter``."""
+        barred = self._barred(points, None) if barred is None else barred
         cells = super().cells(points, barred)
         if self.distance == "cells":
             return cells

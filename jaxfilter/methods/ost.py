@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.filter import Filter, Labels
+from ..core.cloud import PointCloud
+from ..core.filter import Filter, Labels, of_scene
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
+from ..engines.ground import grow
+from ..engines.tin.ground import GroundTin
+from ..engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
+from ..engines.tin.network import one_network
+from ..engines.tin.triangulation import triangulated
 from ..steps.doubt import evidence, probability
-from ..steps.ground_tin import GroundTin, lowest_of_each
+from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
 from ..steps.outliers import low_clusters, ring_low
+from ..steps.pruning import Scatter, prune
 from ..steps.surfaces import Cells, cell_for, look_up, lowest_cells, steepest_drops
 from ..steps.voids import filled_by
-from . import papers
+from .papers import bibtex
 
 PASSES = 2
 """How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
@@ -32,6 +40,8 @@ RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
+_SAMPLE = 2_000_000
+"""Points from which the scatter of a scene is measured that is too large to be one tile."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -61,8 +71,8 @@ class OST(Filter):
 
     The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
     took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
-    probability that the label is wrong (docs/doubt.md). ``info`` counts ``seeds``, ``objects`` (cells) and ``pruned``.
-    Lengths in metres, angles in degrees.
+    probability that the label is wrong (docs/doubt.md). ``info`` counts ``seeds``, ``objects`` (cells) and
+    ``pruned``, and holds the ``scatter`` of the scene. Lengths in metres, angles in degrees.
 
     Not published. The steps, and where their constants come from, stand in docs/filters/ost.md.
 
@@ -74,84 +84,71 @@ class OST(Filter):
     True
     """
 
-    cell: float = static(default=1.0, unit="m", gt=0, doc="a grid cell is this wide")
+    cell: float = static("a grid cell is this wide", "> 0 m", default=1.0)
     window: float = static(
-        default=25.0, unit="m", gt=0, cells=1000, doc="the largest disk has this radius: half the largest building"
+        "the largest disk has this radius: half the largest building", "> 0 m", default=25.0, cells=1000
     )
     spacing: float | None = static(
-        default=None, unit="m", gt=0, optional=True, doc="tolerances follow this point spacing; None = the measured one"
+        "tolerances follow this point spacing; None = the measured one", "> 0 m", default=None, optional=True
     )
     low_points: int = static(
-        default=30, ge=0, doc="a cluster of low points is barred up to this size, a deep one up to four times; 0 = none"
+        "a cluster of low points is barred up to this size, a deep one up to four times; 0 = none", ">= 0", default=30
     )
     slope: float = param(
-        default=0.09,
-        unit="rise/run",
-        ge=0,
-        doc="a cell is marked as an object if it drops more steeply than this on level land",
+        "a cell is marked as an object if it drops more steeply than this on level land", ">= 0 rise/run", default=0.09
     )
-    relief: float = param(default=0.4, ge=0, doc="this share of the slope of the landscape is added to that slope")
-    landscape: float = param(
-        default=30.0, unit="m", gt=0, doc="the landscape around a place is a mean with weights of this sigma"
-    )
+    relief: float = param("this share of the slope of the landscape is added to that slope", ">= 0", default=0.4)
+    landscape: float = param("the landscape around a place is a mean with weights of this sigma", "> 0 m", default=30.0)
     roof_step: float = param(
-        default=0.42, unit="m", gt=0, doc="neighbouring cells are one segment if they differ by less than this"
+        "neighbouring cells are one segment if they differ by less than this", "> 0 m", default=0.42
     )
-    roof_area: float = param(
-        default=30.0, unit="m2", gt=0, doc="a segment is judged as a whole if it is at least this large"
-    )
+    roof_area: float = param("a segment is judged as a whole if it is at least this large", "> 0 m2", default=30.0)
     roof_share: float = param(
-        default=0.55, gt=0, le=1, doc="a segment is an object if at least this share of its cells is marked"
+        "a segment is an object if at least this share of its cells is marked", "> 0 and <= 1", default=0.55
     )
-    roof_drop: float = param(
-        default=1.8, unit="m", gt=0, doc="the surface falls by more than this at the border of an object"
-    )
+    roof_drop: float = param("the surface falls by more than this at the border of an object", "> 0 m", default=1.8)
     roof_drop_share: float = param(
-        default=0.53, gt=0, le=1, doc="a segment is an object if the surface falls along this share of its border"
+        "a segment is an object if the surface falls along this share of its border", "> 0 and <= 1", default=0.53
     )
     void: float = param(
-        default=8.0, unit="m", gt=0, doc="a triangle spans a void if an edge is longer than this and than 4 spacings"
+        "a triangle spans a void if an edge is longer than this and than 4 spacings", "> 0 m", default=8.0
     )
     tolerance: float = param(
-        default=0.09, unit="m", ge=0, doc="ground is at most this far above or below the triangulation of the seeds"
+        "ground is at most this far above or below the triangulation of the seeds", ">= 0 m", default=0.09
     )
     tolerance_spacing: float = param(
-        default=0.2, unit="m/m", ge=0, doc="the tolerance grows by this per metre of point spacing, up to 0.3 m"
+        "the tolerance grows by this per metre of point spacing, up to 0.3 m", ">= 0 m/m", default=0.2
     )
     scaling: float = param(
-        default=1.0, unit="m/m", ge=0, doc="the tolerance grows by this times the spacing and the slope of the facet"
+        "the tolerance grows by this times the spacing and the slope of the facet", ">= 0 m/m", default=1.0
     )
     max_distance: float = param(
-        default=1.25, unit="tolerances", gt=0, doc="a point joins if it is at most this far from the plane of its facet"
+        "a point joins if it is at most this far from the plane of its facet", "> 0 tolerances", default=1.25
     )
     distance_relief: float = param(
-        default=0.8, unit="m/m", ge=0, doc="the distance grows by this times the spacing and the slope of the landscape"
+        "the distance grows by this times the spacing and the slope of the landscape", ">= 0 m/m", default=0.8
     )
     max_angle: float = param(
-        default=8.0, unit="degrees", gt=0, lt=90, doc="a point joins if its angle to its facet is less than this"
+        "a point joins if its angle to its facet is less than this", "> 0 and < 90 degrees", default=8.0
     )
     angle_relief: float = param(
-        default=60.0, unit="degrees", ge=0, doc="the largest angle grows by this times the slope of the landscape"
+        "the largest angle grows by this times the slope of the landscape", ">= 0 degrees", default=60.0
     )
     noise: float = param(
-        default=0.1, unit="m", ge=0, doc="a point joins at any angle if it is this near to the plane of its facet"
+        "a point joins at any angle if it is this near to the plane of its facet", ">= 0 m", default=0.1
     )
-    rounds: int = static(default=6, ge=0, doc="densification takes at most this many rounds")
+    rounds: int = static("densification takes at most this many rounds", ">= 0", default=6)
     scene_spread: float = param(
-        default=6.0,
-        unit="sigma",
-        gt=0,
-        doc="a vertex is dropped if its residual exceeds this many times the scatter of the scene",
+        "a vertex is dropped if its residual exceeds this many times the scatter of the scene", "> 0 sigma", default=6.0
     )
     local_spread: float = param(
+        "a vertex is dropped only beyond this many times the scatter around it, too, times the spacing (at most 1 m)",
+        "> 0 sigma/m",
         default=3.0,
-        unit="sigma/m",
-        gt=0,
-        doc="a vertex is dropped only beyond this many times the scatter around it, too, times the spacing (at most 1 m)",
     )
 
     DOUBTS: ClassVar[bool] = True
-    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.PINGEL_2013
+    BIBTEX: ClassVar[str] = bibtex("axelsson2000dem", "pingel2013improved")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset("as reported in docs/filters/ost.md: the default, since the method is the library's own"),
         "recommended": Preset("the default: found by hand, see experiments/default"),
@@ -179,8 +176,7 @@ class OST(Filter):
             cells, _ = self.lowest_points(points, low)
             lowest = lowest_of_each(points.xyz, np.arange(len(points)))
         longest = max(float(self.void), 4 * spacing)
-        with GroundTin(points.xyz[lowest], np.arange(len(lowest)), workers) as all_lowest:
-            z = filled_by(all_lowest.tin, cells, math.ceil(RIM / self.cell - 1e-6), longest)
+        z = filled_by(triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest)
         progress(0.2, "openings")
         objects, drop, landscape = self.objects(z, cells)
         in_object, steepness = look_up(points.xyz, cells, jnp.asarray(objects, jnp.float32), drop)
@@ -190,24 +186,34 @@ class OST(Filter):
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
-        with GroundTin(points.xyz, seeds, workers) as ground:
-            height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
-            tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
-            ground.admit(np.full(len(points), height, np.float32), tilt, but=low)
+        height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
+        tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
+        growth = Growth(HeightRule(height, tilt), vertices=Vertices(sinks=False), kept=("margin", "height", "slope"))
+        network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
+        with GroundTin.start(network, growth, workers=workers) as ground:
+            ground.margin.fill(0)
+            ground.change(growth.rule, but=low)
+            ground.step()
             distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
             angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
-            progress(0.5, "densify")
-            ground.densify(distance, angle, float(self.noise), self.rounds)
+            ground.change(AngleRule(distance, angle, float(self.noise)))
+            grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
-            pruned = ground.prune(float(self.scene_spread), float(self.local_spread) * min(1.0, spacing))
-            ground.finish()
-            doubt = probability(evidence(ground, steepness, around, height), ground.ground)
-            progress(1.0, "done")
-            labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
+            scatter = Scatter.of(ground.tin)
+            whole = points.cloud.whole
+            spread = scatter.of_scene(ground.tin) if whole is None or whole.scatter is None else whole.scatter
+            pruned = prune(
+                ground, scatter, float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
+            )
+            ground.finish(np.flatnonzero(~ground.ground))
+            figures = evidence(ground, scatter.of_all(ground.tin), steepness, around, height)
+        doubt = probability(figures, ground.ground)
+        progress(1.0, "done")
+        labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
         other = np.where(in_object > 0.5, Decision.SURFACE, Decision.ELEVATION)
         labels.decision = np.where(labels.ground, Decision.ACCEPTED, other).astype(np.uint8)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
-        labels.info = {"seeds": len(seeds), "objects": int(objects.sum()), "pruned": pruned}
+        labels.info = {"seeds": len(seeds), "objects": int(objects.sum()), "pruned": pruned, "scatter": spread}
         return labels
 
     def low(self, points: Points) -> np.ndarray:
@@ -251,3 +257,11 @@ class OST(Filter):
             objects[inner] = marked[inner]
             objects[inner] |= segments.objects(marked[inner], np.asarray(around)[inner])
         return objects, steepest / jnp.maximum(limit, 1e-6), landscape
+
+
+@of_scene.register(OST)
+def _of_scene(filter_: OST, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
+    """The scatter of the vertices: the median over windows of the scene."""
+    found = [filter_(cloud).info.get("scatter") for cloud in some(_SAMPLE)]
+    known = [scatter for scatter in found if scatter is not None]
+    return {"scatter": float(np.median(known))} if known else {}

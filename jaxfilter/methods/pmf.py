@@ -14,16 +14,16 @@ import numpy as np
 
 from ..core.compilation import bucket
 from ..core.errors import ParameterError
-from ..core.filter import Filter, Labels
+from ..core.filter import Filter, Labels, ground_each
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.inpaint import fill_nearest
 from ..engines.grid.morphology import progressive_opening
-from ..steps.grid_filter import GridFilter, Surface, labels_of
+from ..steps.grid_filter import GridFilter, LowOutlierFilter, Surface, labels_of
 from ..steps.point_boxes import PointBoxes
 from ..steps.surfaces import Cells, cell_for, cell_values, look_up, lowest_cells
-from . import papers
+from .papers import bibtex
 
 Limits = tuple[jax.Array, jax.Array]
 """The highest and the lowest elevation of ground in every cell."""
@@ -31,7 +31,7 @@ _PROGRAM = {"last_window": "beyond", "compare": "points", "low_clusters": False}
 
 
 @filter_params
-class PMF(GridFilter):
+class PMF(LowOutlierFilter):
     """Openings with ever larger windows; what an opening takes off by more than the terrain's slope allows is no ground.
 
     K. Zhang, S.-C. Chen, D. Whitman, M.-L. Shyu, J. Yan, C. Zhang (2003): A progressive morphological filter for removing
@@ -66,37 +66,30 @@ class PMF(GridFilter):
     """
 
     max_window: float = static(
-        default=60.0, symbol="w", unit="m", gt=0, cells=2000, doc="the largest window is as wide as the widest building"
+        "the largest window is as wide as the widest building", "w > 0 m", default=60.0, cells=2000
     )
-    slope: float = param(
-        default=0.268, symbol="s", unit="rise/run", gt=0, doc="terrain rises at most this steeply; 0.268 is 15 degrees"
-    )
-    initial_distance: float = param(
-        default=0.5, symbol="dh0", unit="m", ge=0, doc="the first window has this height threshold"
-    )
+    slope: float = param("terrain rises at most this steeply; 0.268 is 15 degrees", "s > 0 rise/run", default=0.268)
+    initial_distance: float = param("the first window has this height threshold", "dh0 >= 0 m", default=0.5)
     max_distance: float = param(
-        default=3.0, symbol="dhmax", unit="m", gt=0, doc="no threshold exceeds this: the height of the lowest building"
+        "no threshold exceeds this: the height of the lowest building", "dhmax > 0 m", default=3.0
     )
     exponential: bool = static(
-        default=True, doc="each window is twice as wide as the one before; if false, four cells wider"
+        "each window is twice as wide as the one before; if false, four cells wider", default=True
     )
     last_window: str = static(
+        "the last window is max_window, or the last step within or beyond it",
         default="exact",
         choices=("exact", "within", "beyond"),
-        doc="the last window is max_window, or the last step within or beyond it",
     )
     reading: str = static(
-        default="grid", choices=("grid", "points"), doc="windows lie on a grid of minima, or around every point"
+        "windows lie on a grid of minima, or around every point", default="grid", choices=("grid", "points")
     )
     compare: str = static(
-        default="surfaces", choices=("surfaces", "points"), doc="an opening is compared with the last surface or points"
+        "an opening is compared with the last surface or points", default="surfaces", choices=("surfaces", "points")
     )
-    element: str = static(
-        default="disk", choices=("disk", "square", "diamond"), doc="windows on the grid have this shape"
-    )
-    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the surface")
+    element: str = static("windows on the grid have this shape", default="disk", choices=("disk", "square", "diamond"))
 
-    BIBTEX: ClassVar[str] = papers.ZHANG_2003
+    BIBTEX: ClassVar[str] = bibtex("zhang2003progressive")
     ORDER_FREE: ClassVar[bool] = True
     AT_ONCE: ClassVar[int] = 16
     PRESETS: ClassVar[dict[str, Preset]] = {
@@ -122,9 +115,8 @@ class PMF(GridFilter):
         ),
     }  # fmt: skip
 
-    def check(self) -> None:
-        """Validate the fields and their combination. Raises ParameterError."""
-        super().check()
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.reading == "points" and self.compare == "surfaces":
             raise ParameterError("PMF(reading='points'): only points can be compared; set compare='points'")
 
@@ -163,15 +155,13 @@ class PMF(GridFilter):
         return jnp.minimum(rise + jnp.float32(self.initial_distance), jnp.float32(self.max_distance))
 
     def halo(self) -> float:
-        """Reach of all openings, one after the other, and what the search for low clusters looks at, metres.
+        """Reach of all openings, one after the other, and what the search for low clusters looks at, metres, but at most one and
+        a half of the largest window: openings hardly ever add up to more.
 
         An empty cell takes the nearest value at any distance: a void wider than this at the border of a tile is not covered.
         """
-        return self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 30.0 * self.low_clusters
-
-    def tile_halo(self) -> float:
-        """One and a half of the largest window: openings that follow each other hardly ever add up to ``halo()``."""
-        return min(self.halo(), 1.5 * self.max_window)
+        all_openings = self.cell * (2 * sum(self.radii()) + len(self.radii()) + 3) + 30.0 * self.low_clusters
+        return min(all_openings, 1.5 * self.max_window)
 
     def prepare(self, cells: Cells) -> tuple[Cells, jax.Array]:
         """Step 1. Pure. Raises: ParameterError if ``reading`` is "points", which takes no grid."""
@@ -183,7 +173,7 @@ class PMF(GridFilter):
         """Steps 2 to 4. Pure."""
         return self._open(*prepared, self.thresholds())
 
-    def surfaces(self, prepared: tuple[Cells, jax.Array], sets: Sequence[Self]) -> list[Surface]:
+    def _surfaces(self, prepared: tuple[Cells, jax.Array], sets: Sequence[Self]) -> list[Surface]:
         """:meth:`surface` of every set; they share the openings. Limits are sums, which no program rounds differently."""
         padded = [*sets, *[sets[-1]] * (bucket(len(sets), 1) - len(sets))]
         opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
@@ -208,12 +198,12 @@ class PMF(GridFilter):
         )
         return Surface.over(cells, last, limits, {"windows": len(radii)})
 
-    def soft(self, prepared: tuple[Cells, jax.Array], xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+    def _soft(self, prepared: tuple[Cells, jax.Array], xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """Where surfaces are compared, the product over all openings of one minus (how clearly the opening makes the point's
         cell an object) times (how clearly the point is above its limit); else as for :class:`GridFilter`. Continuous, and
         differentiable but for kinks, in all traced fields; f32[n], 0 to 1. Pure."""
         if self.compare == "points":
-            return super().soft(prepared, xyz, width)
+            return super()._soft(prepared, xyz, width)
         (cells, surface), thresholds, xyz = prepared, self.thresholds(), jnp.asarray(xyz)
 
         def look(k: jax.Array, before: jax.Array, opened: jax.Array, passed: jax.Array) -> jax.Array:
@@ -231,15 +221,8 @@ class PMF(GridFilter):
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         if self.reading == "points":
-            return self._open_points(points, self.barred(points, workers), progress)
+            return self._open_points(points, self._barred(points, workers), progress)
         return super().classify(points, key=key, workers=workers, progress=progress, trace=trace)
-
-    def ground_each(
-        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
-    ) -> Iterator[tuple[int, np.ndarray]]:
-        """All sets share the grid and its openings; around points, what is opened depends on the thresholds."""
-        base = GridFilter if self.reading == "grid" else Filter
-        yield from base.ground_each(self, points, sets, key=key, workers=workers, memory=memory)
 
     def _open_points(self, points: Points, barred: np.ndarray, progress: Progress) -> Labels:
         """Windows around points; those that failed take no part in further openings."""
@@ -260,3 +243,9 @@ class PMF(GridFilter):
         labels = labels_of(z - np.where(known, opened, surface), slope, z - ceiling, floor - z)
         labels.barred, labels.info = barred, {"windows": len(widths)}
         return labels
+
+
+@ground_each.register(PMF)
+def _ground_each(filter_: PMF, *arguments: Any, **options: Any) -> Iterator[tuple[int, np.ndarray]]:
+    """All sets share the grid and its openings; around points, what is opened depends on the thresholds."""
+    return ground_each.dispatch(GridFilter if filter_.reading == "grid" else Filter)(filter_, *arguments, **options)

@@ -10,19 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Filter, Labels
+from ..core.filter import Filter, Labels, passed
 from ..core.grid import Grid, grid_over
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import raised_cells
+from ..engines.ground import grow
 from ..steps.outliers import bar_outliers
-from ..steps.references import Compared, NearestReferences, QuadrantReferences, grow_references
-from ..steps.scaled_planes import progressive_planes
+from ..steps.references import Compared, GroundReferences, NearestReferences, QuadrantReferences
+from ..steps.scaled_planes import PlaneSearch, progressive_planes
 from ..steps.seeds import lowest_seeds, under_canopy
 from ..steps.surfaces import MAX_CELLS, check_openings, look_up, lowest_cells
-from . import papers
+from .papers import bibtex
 
 HYPOTHESES = 128  # planes tried per cell
 INLIER_DISTANCE = 0.5  # metres of interior points from their plane
@@ -60,64 +61,55 @@ class PPDF(Filter):
     """
 
     canopy_cell: float = static(
-        default=2.0, unit="m", gt=0, doc="the lowest point of a cell that is this wide is under the canopy"
+        "the lowest point of a cell that is this wide is under the canopy", "> 0 m", default=2.0
     )
     canopy_height: float = param(
+        "a point is under the canopy if it is less than this above the lowest point of its cell",
+        "T_h > 0 m",
         default=5.0,
-        symbol="T_h",
-        unit="m",
-        gt=0,
-        doc="a point is under the canopy if it is less than this above the lowest point of its cell",
     )
-    cell: float = static(
-        default=10.0, unit="m", gt=0, doc="the first planes are searched for in cells that are this wide"
-    )
-    min_points: int = static(default=20, symbol="N_i", ge=3, doc="a plane has at least this many points within 0.5 m")
-    max_slope: float = param(
-        default=75.0, unit="degrees", gt=0, le=90, doc="planes that are steeper than this are not tried"
-    )
+    cell: float = static("the first planes are searched for in cells that are this wide", "> 0 m", default=10.0)
+    min_points: int = static("a plane has at least this many points within 0.5 m", "N_i >= 3", default=20)
+    max_slope: float = param("planes that are steeper than this are not tried", "> 0 and <= 90 degrees", default=75.0)
     division_distance: float = param(
-        default=1.0, symbol="T_d", unit="m", gt=0, doc="a cell is divided if a point is this far below its plane"
+        "a cell is divided if a point is this far below its plane", "T_d > 0 m", default=1.0
     )
     buffer: float = param(
-        default=0.5, unit="m", gt=0, doc="a point is a seed if it is at most this far from the plane of its cell"
+        "a point is a seed if it is at most this far from the plane of its cell", "> 0 m", default=0.5
     )
     window: float = static(
-        default=18.0, unit="m", ge=0, doc="seeds are opened with disks up to this radius: half a building; 0 = none"
+        "seeds are opened with disks up to this radius: half a building; 0 = none", ">= 0 m", default=18.0
     )
-    slope: float = param(
-        default=0.3, unit="rise/run", gt=0, doc="a disk lowers objects by more than this times its radius"
-    )
+    slope: float = param("a disk lowers objects by more than this times its radius", "> 0 rise/run", default=0.3)
     max_step: float = param(
+        "a point is no seed if a disk lowers its cell by more than this, or if it is so much above the lowest point there",
+        "> 0 m",
         default=2.5,
-        unit="m",
-        gt=0,
-        doc="a point is no seed if a disk lowers its cell by more than this, or if it is so much above the lowest point there",
     )
-    low_clusters: bool = static(default=True, doc="clusters of low outliers take no part in the planes")
+    low_clusters: bool = static("clusters of low outliers take no part in the planes", default=True)
     reach: float = static(
-        default=30.0, unit="m", gt=0, endless=True, doc="references are at most this far away; inf = at any distance"
+        "references are at most this far away; inf = at any distance", "> 0 m", default=30.0, endless=True
     )
     reference_cell: float = static(
-        default=1.0, unit="m", ge=0, doc="a cell this wide has one reference, its lowest point; 0 = no such limit"
+        "a cell this wide has one reference, its lowest point; 0 = no such limit", ">= 0 m", default=1.0
     )
     reference_distance: float = param(
-        default=0.5, unit="m", ge=0, doc="a point becomes a reference if it is at most this far from its local plane"
+        "a point becomes a reference if it is at most this far from its local plane", ">= 0 m", default=0.5
     )
     max_distance: float = param(
-        default=0.3, unit="m", gt=0, doc="a point is ground if it is at most this far from its local plane"
+        "a point is ground if it is at most this far from its local plane", "> 0 m", default=0.3
     )
-    max_rounds: int = static(default=100, ge=1, doc="references are added in at most this many rounds")
+    max_rounds: int = static("references are added in at most this many rounds", ">= 1", default=100)
     seeds: str = static(
-        default="planes", choices=("planes", "lowest"), doc="seeds are near planes, or the lowest point of a cell"
+        "seeds are near planes, or the lowest point of a cell", default="planes", choices=("planes", "lowest")
     )
     references: str = static(
+        "a local plane goes through one reference in each quadrant, or through the nearest four",
         default="quadrants",
         choices=("quadrants", "nearest"),
-        doc="a local plane goes through one reference in each quadrant, or through the nearest four",
     )
 
-    BIBTEX: ClassVar[str] = papers.CAI_2023
+    BIBTEX: ClassVar[str] = bibtex("cai2023progressive")
     LAST: ClassVar[tuple[str, ...]] = ("max_distance",)
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
@@ -147,40 +139,33 @@ class PPDF(Filter):
             "reference_cell": max(1.0, spacing),
         }
 
-    def check(self) -> None:
-        super().check()
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.window > 1000 * self.canopy_cell:
             raise ParameterError(
                 f"PPDF(window={self.window!r}): more than 1000 cells of canopy_cell={self.canopy_cell:g} m; use larger cells"
             )
 
     def halo(self) -> float:
-        """Reach of a cell, of all openings one after the other, and of a reference, metres.
+        """Reach of a cell, of all openings one after the other, and of a reference, metres, but at most twice the reach of a
+        reference, or half a building if that is more, and four of the first cells: openings hardly ever add up to more.
 
         Growth goes on from reference to reference, but that is not how far a border is felt in practice.
         """
-        return self.cell + self.canopy_cell * self._disks * (self._disks + 1) + self.reach
+        all_openings = self.cell + self.canopy_cell * self._disks * (self._disks + 1) + self.reach
+        return min(all_openings, 2.0 * max(min(self.reach, 30.0), self.window) + 4.0 * self.cell)
 
     @property
     def _disks(self) -> int:
         """Radius of the largest disk, cells."""
         return math.ceil(self.window / self.canopy_cell - 1e-6)
 
-    def tile_halo(self) -> float:
-        """The farthest reference, seen twice, and four of the first cells: openings hardly ever add up to ``halo()``."""
-        return min(self.halo(), 2.0 * min(self.reach, 30.0) + 4.0 * self.cell)
-
     def lattice(self) -> float:
         """The first cells of the planes."""
         return self.cell
 
-    def passed(self, labels: Labels | FilterResult) -> np.ndarray:
-        """Sets that differ in the distance to the local plane share the references."""
-        assert labels.settled is not None and labels.elevation is not None
-        return self._near(labels.settled, labels.elevation)
-
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """bool[m], references and points within the distance f32[m], metres, from their local planes."""
+        """bool[m], references and points up to the limit from their local planes, f32[m], metres, on either side."""
         return reference | self._within(distance, self.max_distance)
 
     def _within(self, distance: np.ndarray, limit: float) -> np.ndarray:
@@ -195,21 +180,14 @@ class PPDF(Filter):
         xyz = points.xyz
         progress(0.0, "points under the canopy")
         grid = self._grid(points, "canopy_cell")
-        barred, _ = bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)
+        barred = bar_outliers(points, clusters=self.low_clusters, workers=workers).barred
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
         draws = jax.random.uniform(jax.random.key(0) if key is None else key, (HYPOTHESES, 3), np.float32)
-        planes = progressive_planes(
-            points,
-            under if self.seeds == "planes" else np.zeros_like(under),
-            draws,
-            cell=self.cell,
-            min_points=self.min_points,
-            inlier_distance=INLIER_DISTANCE,
-            division_distance=self.division_distance,
-            max_slope=self.max_slope,
-        )
+        search = PlaneSearch(self.cell, self.min_points, INLIER_DISTANCE, self.division_distance, self.max_slope)
+        counted = under if self.seeds == "planes" else np.zeros_like(under)
+        planes = progressive_planes(points, counted, draws, search)
         over = Compared(planes.distance, planes.height, planes.slope)
 
         seed = ~barred & (np.abs(over.distance) <= self.buffer)
@@ -226,16 +204,10 @@ class PPDF(Filter):
             may_be, side = np.ones(len(xyz), bool), points.spacing()
 
         reference = seed & may_be
-        status, steps = grow_references(
-            self._around(xyz, np.flatnonzero(may_be & ~reference), side),
-            reference,
-            over,
-            lambda distance: self._within(distance, self.reference_distance),
-            max_rounds=self.max_rounds,
-            workers=workers,
-            progress=lambda fraction, step: progress(0.3 + 0.4 * fraction, step),
-            trace=trace,
-        )
+        around = self._around(xyz, np.flatnonzero(may_be & ~reference), side)
+        growing = GroundReferences(around, reference, over, lambda d: self._within(d, self.reference_distance), workers)
+        status = grow(growing, self.max_rounds, lambda share, step: progress(0.3 + 0.4 * share, step), trace)
+        reference = growing.ground
 
         progress(0.7, "classifying")
         around = self._around(xyz, np.flatnonzero(~may_be), side)
@@ -262,9 +234,9 @@ class PPDF(Filter):
                 "divided_cells": planes.divided,
                 "seeds": int(seed.sum()),
                 "references": int(reference.sum()),
-                "rounds": len(steps),
+                "rounds": len(growing.trace),
             },
-            trace=steps,
+            trace=growing.trace,
         )
 
     def _grid(self, points: Points, name: str) -> Grid:
@@ -295,3 +267,10 @@ class PPDF(Filter):
         lowest_of = jnp.where(cells.seen, cells.lowest, jnp.inf)
         on_object, low = look_up(points.xyz, cells, raised.astype(jnp.float32), lowest_of)
         return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)
+
+
+@passed.register(PPDF)
+def _passed(filter_: PPDF, labels: Labels | FilterResult) -> np.ndarray:
+    """Sets that differ in the distance to the local plane share the references."""
+    assert labels.settled is not None and labels.elevation is not None
+    return filter_._near(labels.settled, labels.elevation)

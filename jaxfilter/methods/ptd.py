@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import ClassVar
 
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
-from ..engines.tin.growth import Network
+from ..engines.tin.growth import Growth, Network
 from ..steps.seeds import lowest_per_cell
-from ..steps.tin_filter import TerrainAngle
-from . import papers
+from ..steps.tin_filter import TerrainAngle, surrounded
+from .papers import bibtex
 
 
 @filter_params
@@ -39,26 +40,19 @@ class PTD(TerrainAngle):
     """
 
     max_angle: float = param(
-        default=15.0,
-        symbol="theta",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this",
+        "a point is ground only if its angle to the facet is at most this", "theta > 0 and < 90 degrees", default=15.0
     )
     max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.4
     )
     seed_cell: float = static(
+        "each square cell of this size has one seed, its lowest point; it must be larger than any building",
+        "m > 0 m",
         default=60.0,
-        symbol="m",
-        unit="m",
-        gt=0,
-        doc="each square cell of this size has one seed, its lowest point; it must be larger than any building",
     )
-    refresh_border: bool = static(default=True, doc="the simulated border points follow the ground as it grows")
+    refresh_border: bool = static("the simulated border points follow the ground as it grows", default=True)
 
-    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.ZHANG_2013
+    BIBTEX: ClassVar[str] = bibtex("axelsson2000dem", "zhang2013filtering")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: clusters of low points are barred from the seeds, border points follow the ground"
@@ -77,7 +71,10 @@ class PTD(TerrainAngle):
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "seeds")
-        seeds = lowest_per_cell(points, self.seed_cell, barred)
-        return self.network(points, seeds, self.seed_cell, barred, late)
+        seeds = lowest_per_cell(points, self.seed_cell, outliers.barred)
+        return surrounded(self, points, seeds, outliers, self.seed_cell)
+
+    def growth(self, network: Network) -> Growth:
+        return dataclasses.replace(super().growth(network), border_follows=self.refresh_border)

@@ -6,8 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from ..core.params import Preset, filter_params, param, static
-from ..engines.tin.facets import Rule
-from . import papers
+from .papers import bibtex
 from .ptd import PTD
 
 
@@ -33,15 +32,13 @@ class PTDF(PTD):
     """
 
     max_distance: float = param(
-        default=1.5, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.5
     )
-    max_below: float = param(
-        default=0.1, unit="m", gt=0, doc="a point is rejected if it lies more than this below its facet"
-    )
+    max_below: float = param("a point is rejected if it lies more than this below its facet", "> 0 m", default=0.1)
     _: dataclasses.KW_ONLY
-    max_rounds: int = static(default=200, ge=1, doc="the growth ends after this many rounds at the latest")
+    max_rounds: int = static("the growth ends after this many rounds at the latest", ">= 1", default=200)
 
-    BIBTEX: ClassVar[str] = papers.AXELSSON_2000 + "\n\n" + papers.CAI_2023
+    BIBTEX: ClassVar[str] = bibtex("axelsson2000dem", "cai2023progressive")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: seed cells as large as the largest building, clusters of low points are barred, border points "
@@ -55,6 +52,3 @@ class PTDF(PTD):
             refresh_border=False,
         ),
     }
-
-    def rule(self, **limits: float) -> Rule:
-        return super().rule(max_below=self.max_below, **limits)

@@ -16,9 +16,9 @@ from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.morphology import opening
 from ..steps.grid_filter import GridFilter, Heights, Surface
 from ..steps.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
-from . import papers
+from .papers import bibtex
 
-_PER_OCTAVE = 4  # slopes of the series that :meth:`SMRF.soft` interpolates in
+_PER_OCTAVE = 4  # slopes of the series that :func:`jaxfilter.soft_labels` interpolates in
 LOW_SLOPE = 5.0  # rise over run of the pass for low outliers (section 2.2: 500 %)
 _OPTIMA = {
     11: (0.20, 16.0, 0.45, 1.20), 12: (0.18, 12.0, 0.30, 0.95), 21: (0.12, 20.0, 0.60, 0.00), 22: (0.16, 18.0, 0.35, 1.30),
@@ -52,8 +52,8 @@ class SMRF(GridFilter):
     "samp11" to "samp71" are the authors' optima per ISPRS sample. They were found with that sample's labels: an upper
     bound for the method, not settings to expect on unseen data.
 
-    Departures (docs/fidelity.md): exactly Euclidean disks; bilinear interpolation at the points; cells are centred on a lattice
-    that starts at the cloud's lower left corner or at its anchor: with anchor (0, 0) it is that of the authors.
+    Departures (docs/fidelity.md): exactly Euclidean disks; bilinear interpolation at the points. Cells are centred on a lattice
+    that counts from the cloud's anchor, which by default is that of the authors.
 
     >>> result = jf.SMRF(slope=0.2, threshold=0.5)(cloud)
     >>> result.info["object_cells"] > 0
@@ -62,25 +62,16 @@ class SMRF(GridFilter):
     True
     """
 
-    slope: float = param(
-        default=0.15, doc="terrain is at most this steep from cell to cell", symbol="s", unit="rise/run", gt=0
-    )
-    window: float = static(
-        default=18.0, doc="the last disk has this radius: half a building", symbol="w", unit="m", gt=0, cells=1000
-    )
-    threshold: float = param(
-        default=0.5, doc="ground is at most this far from level terrain", symbol="et", unit="m", ge=0
-    )
-    scaling: float = param(
-        default=1.25, doc="this times the slope of the terrain is added to the threshold", symbol="es", unit="m", ge=0
-    )
-    cut: float = static(
-        default=0.0, doc="a net of this spacing cuts larger buildings; 0 = no net", unit="m", ge=0, cells=1000
-    )
+    slope: float = param("terrain is at most this steep from cell to cell", "s > 0 rise/run", default=0.15)
+    window: float = static("the last disk has this radius: half a building", "w > 0 m", default=18.0, cells=1000)
+    threshold: float = param("ground is at most this far from level terrain", "et >= 0 m", default=0.5)
+    scaling: float = param("this times the slope of the terrain is added to the threshold", "es >= 0 m", default=1.25)
+    cut: float = static("a net of this spacing cuts larger buildings; 0 = no net", ">= 0 m", default=0.0, cells=1000)
 
-    BIBTEX: ClassVar[str] = papers.PINGEL_2013
+    BIBTEX: ClassVar[str] = bibtex("pingel2013improved")
     ORDER_FREE: ClassVar[bool] = True
     TESTED: ClassVar[tuple[str, ...]] = ("threshold", "scaling")
+    CENTRED: ClassVar[bool] = True
     PRESETS: ClassVar[dict[str, Preset]] = {
         "paper": Preset(
             "as printed: the authors' single set for all sites, except that heights at the points are bilinear, not splines"
@@ -117,20 +108,13 @@ class SMRF(GridFilter):
         return math.ceil(self.cut / self.cell - 1e-6)
 
     def halo(self) -> float:
-        """Reach of all openings, one after the other, and of the gradient, metres.
+        """Reach of all openings, one after the other, and of the gradient, metres, but at most five radii of the largest disk:
+        openings hardly ever add up to more.
 
         Membranes reach as far as the void they span: a void wider than this at the border of a tile is not covered.
         """
-        return self.cell * (self.reach * (self.reach + 1) + 8 * self.mesh + 3)
-
-    def tile_halo(self) -> float:
-        """Five radii of the largest disk: openings that follow each other hardly ever add up to ``halo()``."""
-        return min(self.halo(), 5.0 * self.window + 8.0 * self.cut)
-
-    def corner(self, points: Points) -> tuple[float, float]:
-        """Cells are centred on the nodes of the lattice."""
-        x, y = points.offset(self.cell)
-        return x - self.cell / 2, y - self.cell / 2
+        all_openings = self.cell * (self.reach * (self.reach + 1) + 8 * self.mesh + 3)
+        return min(all_openings, 5.0 * self.window + 8.0 * self.cut)
 
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
         """As in the other methods on grids. Raises: InputError also where few points take many openings of many cells."""
@@ -168,7 +152,7 @@ class SMRF(GridFilter):
         terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
         return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
 
-    def deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
+    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
         """How many cells are left: of slopes between which there is none the terrain is the same."""
         drops = np.sort(np.asarray(prepared.steepest)[np.asarray(prepared.bare)])
         limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
@@ -181,7 +165,7 @@ class SMRF(GridFilter):
         tolerance = self.threshold + self.scaling * slope
         return Heights(height, slope, height - tolerance, -height - tolerance)
 
-    def soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+    def _soft(self, prepared: Opened, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """A mixture, in every point, of two cases, by how clearly its cell is an object: it is one, and the point is held
         against the terrain without all cells that would be objects at half the slope; or not, and it is held against the
         surface as it is. A terrain changes in jumps. So it is made at two neighbours in a series of slopes, each 19 % larger

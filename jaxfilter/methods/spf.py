@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -12,13 +13,14 @@ from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.morphology import raised_cells
 from ..engines.grid.spread import fill_from_neighbours
-from ..engines.tin.growth import Network
+from ..engines.tin.growth import Network, Outliers
+from ..steps.outlier_filter import OutlierFate
 from ..steps.outliers import isolated_low
 from ..steps.seed_clusters import clustered_seeds
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
-from ..steps.tin_filter import OutlierFate, TerrainAngle, facet_reach
-from . import papers
+from ..steps.tin_filter import TerrainAngle, surrounded
+from .papers import bibtex
 
 FILLS = ("neighbours", "zero")
 BORDER_SPACING = 10.0  # metres between the simulated points around the seeds
@@ -54,37 +56,25 @@ class SPF(OutlierFate, TerrainAngle):
     True
     """
 
-    cell: float = static(default=2.0, symbol="c", unit="m", gt=0, doc="a grid cell is this wide")
-    window: float = static(
-        default=60.0, symbol="W", unit="m", gt=0, cells=1000, doc="the largest building is this wide"
-    )
-    slope: float = param(
-        default=0.5, symbol="s", unit="rise/run", ge=0, doc="terrain is at most this steep; thresholds grow with it"
-    )
-    initial_distance: float = param(
-        default=0.3, symbol="h0", unit="m", gt=0, doc="the smallest window has this height threshold"
-    )
-    max_height: float = param(
-        default=2.5, symbol="hmax", unit="m", gt=0, doc="no threshold exceeds this: the height of the lowest building"
-    )
+    cell: float = static("a grid cell is this wide", "c > 0 m", default=2.0)
+    window: float = static("the largest building is this wide", "W > 0 m", default=60.0, cells=1000)
+    slope: float = param("terrain is at most this steep; thresholds grow with it", "s >= 0 rise/run", default=0.5)
+    initial_distance: float = param("the smallest window has this height threshold", "h0 > 0 m", default=0.3)
+    max_height: float = param("no threshold exceeds this: the height of the lowest building", "hmax > 0 m", default=2.5)
     fill: str = static(
-        default="neighbours", choices=FILLS, doc="empty cells get the mean of their neighbours, or elevation 0"
+        "empty cells get the mean of their neighbours, or elevation 0", default="neighbours", choices=FILLS
     )
-    seed_filter: bool = static(default=True, doc="seeds that stand out of their triangulation as noise are removed")
-    max_angle: float = param(
-        default=25.0, symbol="theta", unit="degrees", gt=0, lt=90, doc="ground has at most this angle to its facet"
-    )
-    max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="ground is at most this far from the plane of its facet"
-    )
+    seed_filter: bool = static("seeds that stand out of their triangulation as noise are removed", default=True)
+    max_angle: float = param("ground has at most this angle to its facet", "theta > 0 and < 90 degrees", default=25.0)
+    max_distance: float = param("ground is at most this far from the plane of its facet", "d > 0 m", default=1.4)
     histogram_margin: float = static(
-        default=0.0, unit="m", ge=0, doc="an outlier is this far beyond the 0.1 or 99.9 % quantile of z; 0 = off"
+        "an outlier is this far beyond the 0.1 or 99.9 % quantile of z; 0 = off", ">= 0 m", default=0.0
     )
     isolated_depth: float = static(
-        default=0.0, unit="m", ge=0, doc="an outlier is this far below the lowest of its 8 nearest points; 0 = off"
+        "an outlier is this far below the lowest of its 8 nearest points; 0 = off", ">= 0 m", default=0.0
     )
 
-    BIBTEX: ClassVar[str] = papers.CHEN_2023
+    BIBTEX: ClassVar[str] = bibtex("chen2023improved")
     WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
@@ -105,10 +95,6 @@ class SPF(OutlierFate, TerrainAngle):
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         """Cells of half a point spacing, in steps of 0.5 m and 1 m at least; on simulated scenes wider ones do no better."""
         return super().from_spacing(spacing, largest_building) | {"cell": cell_for(spacing, 1 / 2)}
-
-    def halo(self) -> float:
-        """Reach of the largest opening (those before it add nothing with squares) and of facets over what it removes."""
-        return 2 * self.windows()[-1] * self.cell + facet_reach(self.window)
 
     def windows(self) -> list[int]:
         """Window sizes W_k = 2 k + 1 in cells (eq. 1); the last exceeds the largest building.
@@ -151,9 +137,9 @@ class SPF(OutlierFate, TerrainAngle):
         raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
         return lowest_of_cells(points, cells, ~raised, barred)
 
-    def outliers(self, points: Points, workers: int | None, **tests: Any) -> tuple[np.ndarray, np.ndarray]:
+    def outliers(self, points: Points, workers: int | None) -> Outliers:
         """As in the other TIN filters, and the tails of the elevations, and isolated low points of the rest (Sec. 2.1)."""
-        barred, late = super().outliers(points, workers, **tests)
+        known = super().outliers(points, workers)
         z, found = points.xyz[:, 2], np.zeros(len(points), bool)
         if self.histogram_margin > 0:
             low, high = np.quantile(z, (_TAIL, 1 - _TAIL))
@@ -161,21 +147,18 @@ class SPF(OutlierFate, TerrainAngle):
         if self.isolated_depth > 0:
             rest = np.flatnonzero(~found)
             found[rest] = isolated_low(points.xyz[rest], 8, self.isolated_depth, workers=workers)
-        return barred | found, late
+        return known._replace(barred=known.barred | found)
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
+        outliers = self.outliers(points, workers)
         progress(0.0, "openings")
-        potential = seeds = self.potential_seeds(points, barred)
+        potential = seeds = self.potential_seeds(points, outliers.barred)
         if self.seed_filter:
             progress(0.0, "seeds")
             keep = clustered_seeds(
-                points.xyz[potential],
-                long_edge=self.window + 2 * self.cell,
-                raised=self.max_height,
-                workers=workers,
+                points.xyz[potential], long_edge=self.window + 2 * self.cell, raised=self.max_height, workers=workers
             )
             seeds = potential[keep]
         info = {"potential_seeds": len(potential), "removed_seeds": len(potential) - len(seeds)}
-        return self.network(points, seeds, BORDER_SPACING, barred, late, info=info)
+        return dataclasses.replace(surrounded(self, points, seeds, outliers, BORDER_SPACING), info=info)

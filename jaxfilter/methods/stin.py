@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
@@ -10,19 +11,21 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
-from ..core.filter import degenerate
+from ..core.filter import degenerate, of_scene
 from ..core.grid import Grid, grid_over
-from ..core.params import Preset, filter_params, param, static
+from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress, silent
-from ..engines.tin.densify import densify
+from ..engines.ground import grow
 from ..engines.tin.facets import Rule
+from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
 from ..engines.tin.network import corner_positions, one_network
+from ..steps.outlier_filter import OutlierFate
 from ..steps.seeds import lowest_on_grid
-from ..steps.tin_filter import OutlierFate, SlopeMirroring
+from ..steps.tin_filter import SlopeMirroring
 from ..steps.trend import low_trend, quadratic_trend
-from . import papers
+from .papers import bibtex
 
 _SAMPLE = 2_000_000
 """Points that tell how many rounds there are on each grid."""
@@ -30,6 +33,11 @@ _OUTLIER_CELL = 10.0
 """Metres: cells that the surface is made from which outliers are far from (Uray & Varlik 2024)."""
 _QUANTILE = 0.97
 """Share of the ground points that stays within the limits when they are lowered."""
+TABLE2 = {
+    11: (30.0, 17.0, 2.0, 30.0), 12: (30.0, 3.0, 2.0, 45.0), 23: (40.0, 15.0, 4.0, 45.0), 52: (35.0, 10.0, 2.4, 25.0),
+    71: (25.0, 5.0, 4.0, 20.0),
+}  # fmt: skip
+"""seed_cell, max_terrain_slope, max_distance and max_angle of ISPRS samples in Table 2 of Uray and Varlik (2024)."""
 
 
 def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
@@ -50,23 +58,6 @@ def _side_by_side(clouds: Sequence[PointCloud], cell: float) -> PointCloud:
         east += (math.ceil(np.ptp(xyz[:, 0]) / cell) + 6) * cell
     whole = next((cloud.whole for cloud in clouds if cloud.whole is not None), None)
     return PointCloud.from_arrays(np.concatenate(moved), anchor=(0.0, 0.0), whole=whole)
-
-
-def _sample(number: int, grid: float, slope: float, distance: float, angle: float, outlier_distance: float) -> Preset:
-    """The settings of an ISPRS sample in Table 2, and the outlier distance of its kind of terrain."""
-    return Preset(
-        f"Table 2 for ISPRS sample {number} ({grid:g} m, {distance:g} m, {angle:g} degrees) as upper limits of thresholds "
-        "that are lowered with each cell size, without mirroring",
-        seed_cell=grid,
-        max_terrain_slope=slope,
-        max_distance=distance,
-        max_angle=angle,
-        outlier_distance=outlier_distance,
-        thresholds="quantile",
-        mirror="off",
-        low_clusters=False,
-        outlier_surface="quadratic",
-    )
 
 
 @filter_params
@@ -99,41 +90,35 @@ class STIN(OutlierFate, SlopeMirroring):
     """
 
     max_angle: float = param(
-        default=30.0,
-        symbol="alpha",
-        unit="degrees",
-        gt=0,
-        lt=90,
-        doc="a point is ground only if its angle to the facet is at most this",
+        "a point is ground only if its angle to the facet is at most this", "alpha > 0 and < 90 degrees", default=30.0
     )
     max_distance: float = param(
-        default=1.4, symbol="d", unit="m", gt=0, doc="a point is ground only if it lies at most this far from its facet"
+        "a point is ground only if it lies at most this far from its facet", "d > 0 m", default=1.4
     )
     seed_cell: float = static(
+        "each cell of the first grid has this size and one seed; it must be larger than any building",
+        "> 0 m",
         default=60.0,
-        unit="m",
-        gt=0,
-        doc="each cell of the first grid has this size and one seed; it must be larger than any building",
     )
-    final_cell: float = static(default=2.0, unit="m", gt=0, doc="the cells are halved until they have this size")
+    final_cell: float = static("the cells are halved until they have this size", "> 0 m", default=2.0)
     stop_ratio: float = param(
-        default=0.001, gt=0, le=1, doc="the cells are halved when a round adds less than this share of all points"
+        "the cells are halved when a round adds less than this share of all points", "> 0 and <= 1", default=0.001
     )
     thresholds: str = static(
+        "the limits stay the same (constant), or are lowered as the cells get smaller (quantile)",
         default="constant",
         choices=("constant", "quantile"),
-        doc="the limits stay the same (constant), or are lowered as the cells get smaller (quantile)",
     )
     outlier_surface: str = static(
+        "outliers lie far from one surface of second degree (quadratic), or far below the low terrain (local)",
         default="local",
         choices=("quadratic", "local", "off"),
-        doc="outliers lie far from one surface of second degree (quadratic), or far below the low terrain (local)",
     )
     outlier_distance: float = param(
-        default=5.0, unit="m", gt=0, doc="a point is an outlier if it lies further than this from that surface"
+        "a point is an outlier if it lies further than this from that surface", "> 0 m", default=5.0
     )
 
-    BIBTEX: ClassVar[str] = papers.URAY_2024
+    BIBTEX: ClassVar[str] = bibtex("uray2024filtering")
     LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
@@ -146,15 +131,16 @@ class STIN(OutlierFate, SlopeMirroring):
             seed_cell=30.0, max_terrain_slope=10.0, max_distance=2.4, max_angle=30.0, thresholds="quantile",
             mirror="nearest", low_clusters=False, outlier_surface="quadratic", outlier_fate="removed",
         ),
-        "samp11": _sample(11, 30.0, 17.0, 2.0, 30.0, 10.0),
-        "samp12": _sample(12, 30.0, 3.0, 2.0, 45.0, 10.0),
-        "samp23": _sample(23, 40.0, 15.0, 4.0, 45.0, 10.0),
-        "samp52": _sample(52, 35.0, 10.0, 2.4, 25.0, 5.0),
-        "samp71": _sample(71, 25.0, 5.0, 4.0, 20.0, 5.0),
+        **sample_presets(
+            "; Table 2, upper limits of thresholds that are lowered with each cell size, without mirroring",
+            "seed_cell max_terrain_slope max_distance max_angle outlier_distance",
+            {number: (*row, 10.0 if number < 50 else 5.0) for number, row in TABLE2.items()},
+            thresholds="quantile", mirror="off", low_clusters=False, outlier_surface="quadratic",
+        ),
     }  # fmt: skip
 
-    def check(self) -> None:
-        super().check()
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.final_cell > self.seed_cell:
             raise ParameterError(f"STIN(final_cell={self.final_cell!r}): must not exceed seed_cell={self.seed_cell!r}")
 
@@ -165,36 +151,18 @@ class STIN(OutlierFate, SlopeMirroring):
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")
-        barred, late = self.outliers(points, workers)
-        far = self.far_from_surface(points)
-        barred = barred | far
+        known = self.outliers(points, workers)
+        outliers = known._replace(barred=known.barred | self.far_from_surface(points))
         progress(0.0, "seeds")
-        seeds = lowest_on_grid(points, self.grids(points)[0], barred)
-        return one_network(points, seeds, corner_positions(*points.extent), barred, late)
+        seeds = lowest_on_grid(points, self.grids(points)[0], outliers.barred)
+        return one_network(points, seeds, corner_positions(*points.extent), outliers)
 
-    def schedule(self, network: Network, **changes: Any) -> Growth:
+    def growth(self, network: Network) -> Growth:
         whole = network.points.cloud.whole
         planned = None if whole is None else whole.rounds
         vertices = Vertices(grids=self.grids(network.points), stop_share=float(self.stop_ratio), rounds=planned)
-        return super().schedule(network, **{"vertices": vertices, **changes})
-
-    def of_scene(self, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
-        """The number of rounds on each grid: a part does not know what share of *all* points a round adds."""
-        points = self.points_of(_side_by_side(some(_SAMPLE), self.seed_cell))
-        if degenerate(points.cloud, points) is not None:
-            return {}
-        network = self.settled(self.start(points, None, silent))
-        out = densify(network, self.schedule(network), scores=False, heights=False)
-        rounds = [self.max_rounds] * (len(self.grids(points)) + 1)
-        for step in out.trace:
-            if "stage" in step and not step["enough"]:  # else the stage ended since nothing was left to be tested
-                rounds[step["stage"]] = 1 + sum(
-                    s.get("stage") == step["stage"] for s in out.trace[: out.trace.index(step)]
-                )
-        return {"rounds": tuple(rounds)}
-
-    def adaptive(self) -> Adaptive | None:
-        return Adaptive(self.lowered, "ground", "grid") if self.thresholds == "quantile" else None
+        adaptive = Adaptive(self.lowered, of_ground=True) if self.thresholds == "quantile" else None
+        return dataclasses.replace(super().growth(network), vertices=vertices, adaptive=adaptive)
 
     def far_from_surface(self, points: Points) -> np.ndarray:
         """bool[m]: outliers. Further from the quadratic surface than the limit, or as far below the low terrain."""
@@ -216,4 +184,21 @@ class STIN(OutlierFate, SlopeMirroring):
     def lowered(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
         """The limits, or where it is less the 0.97 quantile of the ground points' distances f32[g] and angles f32[g]."""
         far, steep = (float(np.quantile(values, _QUANTILE)) for values in (distance, angle))
-        return self.rule(max_angle=min(float(self.max_angle), steep), max_distance=min(float(self.max_distance), far))
+        angle_limit, distance_limit = min(float(self.max_angle), steep), min(float(self.max_distance), far)
+        return Rule(max_angle=angle_limit, max_distance=distance_limit, noise_floor=self.noise_floor)
+
+
+@of_scene.register(STIN)
+def _of_scene(filter_: STIN, some: Callable[[int], list[PointCloud]]) -> dict[str, Any]:
+    """The number of rounds on each grid: a part does not know what share of *all* points a round adds."""
+    points = filter_.points_of(_side_by_side(some(_SAMPLE), filter_.seed_cell))
+    if degenerate(points.cloud, points) is not None:
+        return {}
+    network = filter_.start(points, None, silent)
+    with GroundTin.start(network, filter_.growth(network)) as out:
+        grow(out, filter_.max_rounds)
+    rounds = [filter_.max_rounds] * (len(filter_.grids(points)) + 1)
+    for step in out.trace:
+        if "stage" in step and not step["enough"]:  # else the stage ended since nothing was left to be tested
+            rounds[step["stage"]] = 1 + sum(s.get("stage") == step["stage"] for s in out.trace[: out.trace.index(step)])
+    return {"rounds": tuple(rounds)}

@@ -95,8 +95,10 @@ def shade(z: np.ndarray, cell: float) -> np.ndarray:
     return np.clip((light[2] - light[0] * dx - light[1] * dy) / np.sqrt(1.0 + dx**2 + dy**2), 0.0, 1.0)
 
 
-def _extent(grid: Grid) -> tuple[float, float, float, float]:
-    return grid.x0, grid.x0 + grid.nx * grid.cell, grid.y0, grid.y0 + grid.ny * grid.cell
+def _image(ax: Any, picture: np.ndarray, grid: Grid, **style: Any) -> Any:
+    """Draw an array with a value, or a colour, for each cell."""
+    extent = grid.x0, grid.x0 + grid.nx * grid.cell, grid.y0, grid.y0 + grid.ny * grid.cell
+    return ax.imshow(picture, extent=extent, origin="lower", interpolation="nearest", **style)
 
 
 def _frame(ax: Any, title: str) -> None:
@@ -159,9 +161,7 @@ def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, 
     """
     z, grid = surface if isinstance(surface, tuple) else rasterise(surface)
     ax = axes_or_new(ax, map_size(grid))
-    ax.imshow(
-        shade(z, grid.cell), cmap="gray", vmin=0, vmax=1, extent=_extent(grid), origin="lower", interpolation="nearest"
-    )
+    _image(ax, shade(z, grid.cell), grid, cmap="gray", vmin=0, vmax=1)
     _frame(ax, title)
     return ax
 
@@ -198,16 +198,14 @@ def error_map(
     from matplotlib.patches import Patch
 
     picture = np.repeat(np.nan_to_num(shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
-    real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    real = _valid(cloud)
     objects = np.unique(grid.flat(cloud.xyz[~ground & ~reference & real]))
     pixels = picture.reshape(-1, 3)
     pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT))
-    ax.imshow(picture, extent=_extent(grid), origin="lower", interpolation="nearest")
+    _image(ax, picture, grid)
     handles = [Patch(color=OBJECT, label="objects found")]
-    for where, colour, label in (
-        (reference & ~ground & real, TYPE_1, "Type I, ground lost"),
-        (ground & ~reference & real, TYPE_2, "Type II, object accepted"),
-    ):
+    for label, wrong, colour in _errors(ground, reference):
+        where = wrong & real
         ax.scatter(*cloud.xyz[where, :2].T, s=1.6, c=colour, linewidths=0, rasterized=True)
         handles.append(Patch(color=colour, label=f"{label} ({int(where.sum()):,})"))
     _frame(ax, title)
@@ -230,7 +228,7 @@ def doubt_map(cloud: PointCloud, result: FilterResult, *, ax: Any = None, title:
     """
     if result.doubt is None:
         raise InputError("doubt_map: the result states no doubt; OST does")
-    real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
+    real = _valid(cloud)
     z, grid = rasterise(cloud.xyz[result.ground if result.ground.any() else real], over=cloud.xyz[real])
     judged = np.flatnonzero(np.isfinite(result.doubt) & real)
     at = grid.flat(cloud.xyz[judged])
@@ -239,10 +237,7 @@ def doubt_map(cloud: PointCloud, result: FilterResult, *, ax: Any = None, title:
     mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1)).reshape(grid.shape)
     ax = axes_or_new(ax, map_size(grid))
     hillshade((z, grid), ax=ax, title=title)
-    image = ax.imshow(
-        100 * mean, cmap="YlOrRd", vmin=0, vmax=50, alpha=0.65, extent=_extent(grid), origin="lower",
-        interpolation="nearest",
-    )  # fmt: skip
+    image = _image(ax, 100 * mean, grid, cmap="YlOrRd", vmin=0, vmax=50, alpha=0.65)
     ax.figure.colorbar(image, ax=ax, label="mean doubt (%)", shrink=0.7)
     return ax
 
@@ -280,18 +275,12 @@ def profile(
     along = (end - start) / length
     offset = cloud.xyz[:, :2] - start
     s = offset @ along
-    near = (np.abs(offset @ np.array([-along[1], along[0]])) <= width / 2) & (s >= 0) & (s <= length)
-    if cloud.valid is not None:
-        near &= cloud.valid
+    near = (np.abs(offset @ np.array([-along[1], along[0]])) <= width / 2) & (s >= 0) & (s <= length) & _valid(cloud)
     ground = _labels(result)
     ax = axes_or_new(ax, (7.0, 2.6))
-    groups: list[tuple[str, np.ndarray, str, float]]
     groups = [("non-ground", ~ground, "0.7", 2.0), ("ground", ground, GROUND, 2.0)]
     if reference is not None:
-        groups += [
-            ("Type I, ground lost", reference & ~ground, TYPE_1, 7.0),
-            ("Type II, object accepted", ground & ~reference, TYPE_2, 7.0),
-        ]
+        groups += [(*error, 7.0) for error in _errors(ground, reference)]
     for label, where, colour, size in groups:
         chosen = near & where
         ax.scatter(s[chosen], cloud.xyz[chosen, 2], s=size, c=colour, linewidths=0, label=label, rasterized=True)
@@ -342,3 +331,15 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
 
 def _labels(result: FilterResult | np.ndarray) -> np.ndarray:
     return result.ground if isinstance(result, FilterResult) else np.asarray(result)
+
+
+def _errors(ground: np.ndarray, reference: np.ndarray) -> list[tuple[str, np.ndarray, str]]:
+    """Name, bool[n] and colour of both kinds of errors."""
+    return [
+        ("Type I, ground lost", reference & ~ground, TYPE_1),
+        ("Type II, object accepted", ground & ~reference, TYPE_2),
+    ]
+
+
+def _valid(cloud: PointCloud) -> np.ndarray:
+    return np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid

@@ -11,7 +11,7 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError
 from ..core.grid import Grid
-from ..sweeps.best import LARGER_IS_BETTER, axes_of, is_grid, mean_score
+from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score
 from .maps import TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
 
 if TYPE_CHECKING:
@@ -78,7 +78,6 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
     _check_axes(dataset, axis)
     ax = axes_or_new(ax, (3.2, 2.6))
     place = _Places(dataset[axis].values)
-    best = np.fmax if score in LARGER_IS_BETTER else np.fmin
     if is_grid(dataset):
         others = [name for name in values.dims if name != axis]
         table = values.transpose(axis, *others).values.reshape(len(place.x), -1)
@@ -86,23 +85,26 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
             low, middle, high = np.nanquantile(table, (0.1, 0.5, 0.9), axis=1)
             ax.fill_between(place.x, low, high, color="0.88", linewidth=0, label="four fifths of the sets")
             ax.plot(place.x, middle, color="0.55", linewidth=1, label="median of the sets")
-        x, y = place.x, best.reduce(table, axis=1)
+        x, y = place.x, cost(np.fmin.reduce(cost(table, score), axis=1), score)
         label = "best of the sets" if others else "all sets"
-        at = _best(table.ravel(), score) // table.shape[1]
+        every, rows = table.ravel(), np.repeat(np.arange(len(table)), table.shape[1])
     else:
         ax.scatter(place.x, values.values, s=5, c="0.65", linewidths=0, label="sets", rasterized=True)
         x, y = _envelope(place, values.values, score)
         label = "best of nearby sets"
-        at = _best(values.values, score)
+        every, rows = values.values, np.arange(values.size)
     ax.plot(x, y, color=TYPE_2, linewidth=0 if place.named else 1.4, marker="o", markersize=2.5, label=label)
-    optimum = float(best.reduce(values.values, axis=None))
-    ax.plot(place.x[at], optimum, "*", color=BEST, markersize=9, linestyle="none", zorder=4, label="best set")
-    place.mark(ax.xaxis)
-    ax.set_xlabel(_with_unit(dataset, axis), fontsize=8)
+    best = _best(every, score)
+    ax.plot(
+        place.x[rows[best]], every[best], "*", color=BEST, markersize=9, linestyle="none", zorder=4, label="best set"
+    )
+    _label(ax.xaxis, dataset, axis, place)
     ax.set_ylabel(_NAMES[score], fontsize=8)
     ax.tick_params(labelsize=7)
     ax.set_title(title, fontsize=10)
-    _limit(ax, values.values, score)
+    low, high = _limits([every], score)
+    margin = 0.06 * (high - low) or 0.5
+    ax.set_ylim(low - margin, high + margin)
     ax.legend(fontsize=7, frameon=False)
     return ax
 
@@ -119,7 +121,7 @@ def sweep_maps(dataset: xarray.Dataset, score: str = "total") -> Any:
     values = mean_score(dataset, score)
     if len(names) < 2:
         raise InputError(f"sweep_maps: only {names[0]} was swept; a map needs two axes")
-    limits = _limits(dataset, values, score, list(itertools.combinations(names, 2)))
+    limits = _limits([_drawn(dataset, values, *pair, score) for pair in itertools.combinations(names, 2)], score)
     side = len(names) - 1
     figure = new_figure((2.1 * side + 1.4, 1.9 * side + 0.6))
     panels = figure.subplots(side, side, squeeze=False)
@@ -127,14 +129,14 @@ def sweep_maps(dataset: xarray.Dataset, score: str = "total") -> Any:
         if column > row:
             ax.remove()
             continue
-        sweep_map(dataset, names[column], names[row + 1], score, limits=limits, colour_bar=False, ax=ax)
+        sweep_map(dataset, names[column], names[row + 1], score, limits=limits, ax=ax)
         if row < side - 1:
             ax.set_xlabel("")
             ax.tick_params(labelbottom=False)
         if column > 0:
             ax.set_ylabel("")
             ax.tick_params(labelleft=False)
-    shown = [ax for (row, column), ax in np.ndenumerate(panels) if column <= row]
+    shown = panels[np.tril_indices(side)].tolist()
     _colour_bar(shown[0], dataset, score, shown)
     return figure
 
@@ -146,7 +148,6 @@ def sweep_map(
     score: str = "total",
     *,
     limits: tuple[float, float] | None = None,
-    colour_bar: bool = True,
     ax: Any = None,
     title: str = "",
 ) -> Any:
@@ -159,13 +160,14 @@ def sweep_map(
         dataset: from :func:`jaxfilter.sweep`, or the ``trials`` of a :class:`jaxfilter.Calibration`.
         x, y: fields that were swept.
         score: "total", "kappa", "type1" or "type2".
-        limits: percent, of the colours; by default from the best to where a tenth of what is drawn is worse.
+        limits: percent, of the colours, for maps that share a colour bar, which is then not drawn; by default from the best
+            to where a tenth of what is drawn is worse.
         ax: matplotlib Axes; by default those of a new figure.
 
     Returns: the Axes. Raises: ParameterError for an axis or a score that does not exist; InputError without scores.
 
     >>> data = jf.sweep(jf.SMRF(), cloud, {"slope": [0.1, 0.2], "threshold": [0.3, 0.5]}, votes=True)
-    >>> ax = jf.plots.sweep_map(data, "slope", "threshold", colour_bar=False)
+    >>> ax = jf.plots.sweep_map(data, "slope", "threshold")
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('slope (rise/run)', 'threshold (m)')
     """
@@ -174,27 +176,25 @@ def sweep_map(
     if x == y:
         raise ParameterError(f"sweep_map: x and y are both {x!r}; name two axes")
     ax = axes_or_new(ax, (4.0, 3.1))
-    low, high = limits or _limits(dataset, values, score, [(x, y)])
+    grid, drawn = is_grid(dataset), _drawn(dataset, values, x, y, score)
+    low, high = limits or _limits([drawn], score)
     style = {"cmap": "viridis" if score in LARGER_IS_BETTER else "viridis_r", "vmin": low, "vmax": high}
-    if is_grid(dataset):
-        across, up = (_Places(dataset[name].values, even=True) for name in (x, y))
-        ax.pcolormesh(across.edges, up.edges, _reduced(values, x, y, score), **style)
-        best = np.unravel_index(_best(values.values.ravel(), score), values.shape)
-        star = tuple(place.x[best[values.dims.index(name)]] for place, name in ((across, x), (up, y)))
+    across, up = (_Places(dataset[name].values, even=grid) for name in (x, y))
+    best = _best(values.values.ravel(), score)
+    if grid:
+        ax.pcolormesh(across.edges, up.edges, drawn, **style)
+        at = dict(zip(values.dims, np.unravel_index(best, values.shape), strict=True))
+        star = across.x[at[x]], up.x[at[y]]
     else:
-        across, up = (_Places(dataset[name].values) for name in (x, y))
-        order = np.argsort(values.values if score in LARGER_IS_BETTER else -values.values)
-        ax.scatter(across.x[order], up.x[order], s=14, c=values.values[order], linewidths=0, rasterized=True, **style)
-        at = _best(values.values, score)
-        star = across.x[at], up.x[at]
+        order = np.argsort(-cost(drawn, score))
+        ax.scatter(across.x[order], up.x[order], s=14, c=drawn[order], linewidths=0, rasterized=True, **style)
+        star = across.x[best], up.x[best]
     ax.plot(*star, "*", color=BEST, markeredgecolor="white", markeredgewidth=0.6, markersize=11, linestyle="none")
-    across.mark(ax.xaxis)
-    up.mark(ax.yaxis)
-    ax.set_xlabel(_with_unit(dataset, x), fontsize=8)
-    ax.set_ylabel(_with_unit(dataset, y), fontsize=8)
+    _label(ax.xaxis, dataset, x, across)
+    _label(ax.yaxis, dataset, y, up)
     ax.tick_params(labelsize=7)
     ax.set_title(title, fontsize=10)
-    if colour_bar:
+    if limits is None:
         _colour_bar(ax, dataset, score, [ax])
     return ax
 
@@ -318,14 +318,16 @@ def _check_axes(dataset: xarray.Dataset, *names: str) -> None:
             raise ParameterError(f"axis {name!r} was not swept; there are {', '.join(swept)}")
 
 
-def _with_unit(dataset: xarray.Dataset, name: str) -> str:
+def _label(axis: Any, dataset: xarray.Dataset, name: str, place: _Places) -> None:
+    """Ticks at the values of a field, and its name and unit."""
+    place.mark(axis)
     unit = dataset[name].attrs.get("units", "")
-    return f"{name} ({unit})" if unit else name
+    axis.set_label_text(f"{name} ({unit})" if unit else name, fontsize=8)
 
 
 def _best(values: np.ndarray, score: str) -> int:
     """Number of the best of f[s], the first of equals."""
-    return int(np.nanargmax(values) if score in LARGER_IS_BETTER else np.nanargmin(values))
+    return int(np.nanargmin(cost(values, score)))
 
 
 def _envelope(place: _Places, values: np.ndarray, score: str) -> tuple[np.ndarray, np.ndarray]:
@@ -340,31 +342,19 @@ def _envelope(place: _Places, values: np.ndarray, score: str) -> tuple[np.ndarra
     return place.x[best], values[best]
 
 
-def _reduced(values: xarray.DataArray, x: str, y: str, score: str) -> np.ndarray:
-    """f[ny, nx]: of a grid, the best over all other axes."""
+def _drawn(dataset: xarray.Dataset, values: xarray.DataArray, x: str, y: str, score: str) -> np.ndarray:
+    """What a map shows: f[ny, nx] of a grid, the best over all other axes; f[s] of a design."""
+    if not is_grid(dataset):
+        return values.values
     others = [name for name in values.dims if name not in (x, y)]
-    best = values.max(others) if score in LARGER_IS_BETTER else values.min(others)
-    return best.transpose(y, x).values
+    return cost(cost(values, score).min(others), score).transpose(y, x).values
 
 
-def _limits(
-    dataset: xarray.Dataset, values: xarray.DataArray, score: str, pairs: list[tuple[str, str]]
-) -> tuple[float, float]:
-    """Of the colours: from the best to where the rest of what is drawn is worse; lower first."""
-    drawn = [_reduced(values, x, y, score).ravel() for x, y in pairs] if is_grid(dataset) else [values.values]
-    if score in LARGER_IS_BETTER:
-        return float(np.nanquantile(np.concatenate(drawn), 1 - SHOWN)), float(values.max())
-    return float(values.min()), float(np.nanquantile(np.concatenate(drawn), SHOWN))
-
-
-def _limit(ax: Any, values: np.ndarray, score: str) -> None:
-    """Cut the worst scores off, which would press the others together."""
-    if score in LARGER_IS_BETTER:
-        low, high = np.nanquantile(values, 1 - SHOWN), np.nanmax(values)
-    else:
-        low, high = np.nanmin(values), np.nanquantile(values, SHOWN)
-    margin = 0.06 * (high - low) or 0.5
-    ax.set_ylim(low - margin, high + margin)
+def _limits(drawn: list[np.ndarray], score: str) -> tuple[float, float]:
+    """From the best of what is drawn to where the rest of it is worse, which would press the others together; lower first."""
+    costs = cost(np.concatenate([values.ravel() for values in drawn]), score)
+    ends = sorted(cost(np.nanquantile(costs, (0.0, SHOWN)), score).tolist())
+    return ends[0], ends[1]
 
 
 def _colour_bar(ax: Any, dataset: xarray.Dataset, score: str, panels: list[Any]) -> None:

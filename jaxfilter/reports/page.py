@@ -25,16 +25,73 @@ from ..core.version import __version__
 from ..files.disk import new_file
 from ..files.reading import class_changes
 from ..scoring import Scores, reference_labels
+from ..sweeps.best import SCORES
 from .layers import Layers, doubt_per_point, layers_of, places
 from .packing import pack, script_json
 from .steps import Steps, steps_of
 
 SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
-MAX_POINTS = 1_500_000
-SCORES = ("type1", "type2", "total", "kappa")
 _JUDGED, _TRUE, _COUNTED = 1, 2, 4
 """Bits of a point's flags, as in data.js."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportOptions:
+    """What a page of :func:`report` shows.
+
+    Attributes:
+        title: by default the name of the cloud's file.
+        steps: positions of the slider, 0 for none; at most 250, and 15 where each is a classification.
+        max_points: points to draw; 10 bytes each, or fewer.
+        workers: threads; by default one per core.
+
+    Raises: ParameterError for numbers that are none.
+
+    >>> jf.ReportOptions(steps=0).max_points
+    1500000
+    """
+
+    title: str | None = None
+    steps: int | None = None
+    max_points: int = 1_500_000
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        check_resources(self.workers)
+        for name, value, least in (("steps", self.steps, 0), ("max_points", self.max_points, 1)):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise ParameterError(f"{name}={value!r}: a whole number from {least} on is needed")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Labelled:
+    """What a page is about: n points, their labels bool[n] and the result that has them, if any; the reference bool[n] and
+    where it counts, if there is one."""
+
+    cloud: PointCloud
+    ground: np.ndarray
+    result: FilterResult | None
+    truth: np.ndarray | None
+    counted: np.ndarray | None
+
+    @property
+    def found(self) -> FilterResult | np.ndarray:
+        """The result, or labels of another origin."""
+        return self.ground if self.result is None else self.result
+
+    @classmethod
+    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, reference: Any) -> _Labelled:
+        """Raises: InputError for labels of another length or dtype."""
+        found = result if isinstance(result, FilterResult) else None
+        ground = np.asarray(result) if found is None else found.ground
+        if ground.shape != (len(cloud),) or ground.dtype != bool:
+            given = f"{ground.dtype}{list(ground.shape)}"
+            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
+        truth, counted = (None, None) if reference is None else reference_labels(reference)
+        if truth is not None and len(truth) != len(cloud):
+            raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
+        return cls(cloud, ground, found, truth, counted)
 
 
 def report(
@@ -43,11 +100,8 @@ def report(
     path: str | os.PathLike[str],
     *,
     reference: PointCloud | np.ndarray | None = None,
-    title: str | None = None,
-    steps: int | None = None,
-    max_points: int = MAX_POINTS,
+    options: ReportOptions = ReportOptions(),
     overwrite: bool = False,
-    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write a page on a classification, for people who check terrain models: one HTML file that needs no network.
@@ -64,111 +118,99 @@ def report(
         result: FilterResult; or bool[n], True = ground, of any origin, for which there is no slider.
         path: the file, ``.html`` or ``.htm``.
         reference: as in :func:`jaxfilter.evaluate`: bool[n], or a PointCloud with reference labels, such as ``cloud``.
-        title: by default the name of the cloud's file.
-        steps: positions of the slider, 0 for none; at most 250, and 15 where each is a classification.
-        max_points: points to draw; 10 bytes each, or fewer.
+        options: what the page shows.
         overwrite: replace the file if it exists.
-        workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
 
     Returns: the path.
-    Raises: ParameterError, InputError (labels of another length or dtype), OutputError (suffix, exists and not ``overwrite``,
+    Raises: InputError (labels of another length or dtype), OutputError (suffix, exists and not ``overwrite``,
     cannot be written); all but the last before anything is computed.
 
-    >>> jf.report(cloud, result, "report.html", reference=cloud, steps=0).name
+    >>> jf.report(cloud, result, "report.html", reference=cloud, options=jf.ReportOptions(steps=0)).name
     'report.html'
     """
     path, notify = Path(path), progress or silent
-    check_resources(workers)
     if path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
-    for name, value, least in (("steps", steps, 0), ("max_points", max_points, 1)):
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-            raise ParameterError(f"{name}={value!r}: a whole number from {least} on is needed")
-    cloud = as_cloud(cloud)
-    ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
-    if ground.shape != (len(cloud),) or ground.dtype != bool:
-        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
-    truth = counted = None
-    if reference is not None:
-        truth, counted = reference_labels(reference)
-        if len(truth) != len(cloud):
-            raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
+    what = _Labelled.of(as_cloud(cloud), result, reference)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
         slider = steps_of(
-            result if isinstance(result, FilterResult) else ground, steps, workers=workers,
-            progress=lambda done, step: notify(0.5 * done, step),
-        )  # fmt: skip
+            what.found, options.steps, workers=options.workers, progress=lambda done, step: notify(0.5 * done, step)
+        )
         notify(0.5, "maps")
-        real = len(cloud) if cloud.valid is None else cloud.valid.sum()
-        layers = layers_of(cloud, result, truth, counted) if real else None
+        real = len(what.cloud) if what.cloud.valid is None else what.cloud.valid.sum()
+        layers = layers_of(what.cloud, what.found, what.truth, what.counted) if real else None
         notify(0.7, "points")
-        facts, arrays = _contents(cloud, result, truth, counted, slider, layers, max_points)
+        facts, arrays = _contents(what, slider, layers, options.max_points)
         notify(0.9, "page")
-        name = "the cloud" if cloud.source is None else Path(cloud.source.path).name
-        text = _page(cloud, result, title or name, slider, layers, facts, arrays, workers)
-        temporary.write_text(text, encoding="utf-8")
+        with ThreadPoolExecutor(options.workers or os.cpu_count()) as pool:
+            packed = dict(zip(arrays, pool.map(pack, arrays.values()), strict=True))
+        data = "\n".join(
+            f'<script type="application/octet-stream" id="data-{name}" data-bytes="{arrays[name].dtype.itemsize}">{text}</script>'
+            for name, text in packed.items()
+        )
+        name = "the cloud" if what.cloud.source is None else Path(what.cloud.source.path).name
+        values = {"title": escape(options.title or name), "facts": script_json(facts), "data": data}
+        page = Template(_piece("page.html")).substitute(values | _texts(what, slider, layers))
+        temporary.write_text(page, encoding="utf-8")
     notify(1.0, "done")
     return path
 
 
 def _contents(
-    cloud: PointCloud,
-    result: FilterResult | np.ndarray,
-    truth: np.ndarray | None,
-    counted: np.ndarray | None,
-    slider: Steps,
-    layers: Layers | None,
-    max_points: int,
+    what: _Labelled, slider: Steps, layers: Layers | None, max_points: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the scripts of the page work on: plain facts, and arrays u8 and u16 by name."""
+    cloud = what.cloud
     facts: dict[str, Any] = {
         "step": slider.now,
         "values": slider.values,
         "nested": slider.nested,
-        "threshold": _threshold(result, slider.field),
+        "threshold": _threshold(what.result, slider.field),
         "points": len(cloud),
         "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
-        **_counts(cloud, slider, truth, counted),
+        **_counts(what, slider),
     }
     if layers is None:
         return facts, {}
     facts["grid"] = dataclasses.asdict(layers.grid)
     facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
-    ground = result.ground if isinstance(result, FilterResult) else result
-    wrong = None if truth is None or counted is None else (ground != truth) & counted
-    facts["places"] = places(cloud, doubt_per_point(result, len(cloud))[0], wrong, layers.grid.cell)
+    wrong = None
+    flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
+    if what.truth is not None and what.counted is not None:
+        wrong = (what.ground != what.truth) & what.counted
+        flags = flags + what.truth * np.uint8(_TRUE) + what.counted * np.uint8(_COUNTED)
+    facts["places"] = places(cloud, doubt_per_point(what.found, len(cloud))[0], wrong, layers.grid.cell)
     arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
     facts["doubt_of"] = layers.doubt_of
     if layers.doubt_of:
         arrays["doubt"] = layers.doubt
     if layers.errors is not None:
         arrays["errors"] = layers.errors
-    flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
-    if truth is not None and counted is not None:
-        flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
     facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
     return facts, arrays | sampled
 
 
-def _counts(cloud: PointCloud, steps: Steps, truth: np.ndarray | None, counted: np.ndarray | None) -> dict[str, Any]:
+def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     """Of all points, at every step: ground, classes before and after as ``write`` makes them, scores."""
-    code, labels = steps.code.astype(np.int64), steps.table
+    cloud, code, labels = what.cloud, steps.code.astype(np.int64), steps.table
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-    known = truth is not None and counted is not None
-    kind = np.where(counted, 1 + truth, 0) if known else np.zeros(len(cloud), np.int64)  # type: ignore[arg-type, operator]
+    kind = np.zeros(len(cloud), np.int64)
+    if what.truth is not None and what.counted is not None:
+        kind = np.where(what.counted, 1 + what.truth, 0)
     key = ((old.astype(np.int64) * 2 + cloud.candidate) * 3 + kind) * len(labels) + code
     number = np.bincount(key, minlength=256 * 6 * len(labels)).reshape(256, 2, 3, len(labels))
     ground, every = number @ labels.astype(np.int64), number.sum(axis=-1)
     moves: dict[tuple[int, int], np.ndarray] = {}
+    lost = _classes_lost()
     for c in np.flatnonzero(every.any(axis=(1, 2))).tolist():
         kept, judged, on_ground = every[c, 0].sum(), every[c, 1].sum(), ground[c, 1].sum(axis=0)
-        for new, points in ((c, kept), (GROUND_CLASS, on_ground), (_other(c), judged - on_ground)):
+        for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):
             moves[c, new] = moves.get((c, new), 0) + np.broadcast_to(points, len(steps.values))
     classes = [[*pair, points.tolist()] for pair, points in sorted(moves.items()) if points.any()]
     out: dict[str, Any] = {"ground": ground.sum(axis=(0, 1, 2)).tolist(), "classes": classes}
-    if truth is not None:
+    if what.truth is not None:
         total, hit = every.sum(axis=(0, 1)), ground.sum(axis=(0, 1))
         confusions = [
             Scores.from_confusion(np.array([[hit[2, k], total[2] - hit[2, k]], [hit[1, k], total[1] - hit[1, k]]]))
@@ -179,15 +221,15 @@ def _counts(cloud: PointCloud, steps: Steps, truth: np.ndarray | None, counted: 
     return out
 
 
-def _other(old: int) -> int:
-    """The class that ``write`` gives a judged point of this class that is not ground."""
-    one = PointCloud.from_arrays(np.zeros((1, 3)), classification=np.array([old], np.uint8), ignore_classes=())
-    return next(iter(class_changes(one, np.zeros(1, bool))))[1]
+def _classes_lost() -> dict[int, int]:
+    """The class that ``write`` gives a judged point that is not ground, by the class that it had."""
+    every = PointCloud.from_arrays(np.zeros((256, 3)), classification=np.arange(256, dtype=np.uint8), ignore_classes=())
+    return dict(class_changes(every, np.zeros(256, bool)).keys())
 
 
-def _threshold(result: FilterResult | np.ndarray, field: str | None) -> dict[str, str] | None:
+def _threshold(result: FilterResult | None, field: str | None) -> dict[str, str] | None:
     """What the slider moves, in words."""
-    if field is None or not isinstance(result, FilterResult) or result.run is None:
+    if field is None or result is None or result.run is None:
         return None
     meta = next(one.metadata for one in declared(result.run.filter) if one.name == field)
     return {"name": field, "doc": meta["doc"], "unit": meta.get("unit") or "", "symbol": meta.get("symbol") or ""}
@@ -213,63 +255,47 @@ def _sample(
     return {"number": len(rows), "of": total, "low": low, "step": step}, arrays
 
 
-def _page(
-    cloud: PointCloud,
-    result: FilterResult | np.ndarray,
-    title: str,
-    steps: Steps,
-    layers: Layers | None,
-    facts: dict[str, Any],
-    arrays: dict[str, np.ndarray],
-    workers: int | None,
-) -> str:
-    folder = files(__package__)
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        packed = list(pool.map(pack, arrays.values()))
-    data = "\n".join(
-        f'<script type="application/octet-stream" id="data-{name}" data-bytes="{values.dtype.itemsize}">{text}</script>'
-        for (name, values), text in zip(arrays.items(), packed, strict=True)
-    )
-    run = result.run if isinstance(result, FilterResult) else None
-    values = {
-        "title": escape(title),
-        "style": folder.joinpath("page.css").read_text(encoding="utf-8"),
-        "code": "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS),
-        "facts": script_json(facts),
-        "data": data,
-        "method": escape(type(run.filter).__name__ if run else "labels as given"),
-        "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(cloud, result, steps, layers)),
-        "about": _about(cloud, result),
-        "parameters": _parameters(result),
+def _piece(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, str]:
+    """The parts of the page that are HTML."""
+    filter_ = what.result.run.filter if what.result is not None and what.result.run is not None else None
+    return {
+        "style": _piece("page.css"),
+        "code": "\n".join(map(_piece, SCRIPTS)),
+        "method": escape("labels as given" if filter_ is None else type(filter_).__name__),
+        "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(what, steps, layers)),
+        "about": _about(what),
+        "parameters": _parameters(filter_) if isinstance(filter_, Filter) else "",
         "version": escape(__version__),
     }
-    return Template(folder.joinpath("page.html").read_text(encoding="utf-8")).substitute(values)
 
 
-def _notes(cloud: PointCloud, result: FilterResult | np.ndarray, steps: Steps, layers: Layers | None) -> list[str]:
+def _notes(what: _Labelled, steps: Steps, layers: Layers | None) -> list[str]:
     """What a reader has to know that is not as usual."""
+    if not len(what.cloud):
+        return ["The cloud has no points: there is nothing to show."]
     notes = []
-    if not len(cloud):
-        notes.append("The cloud has no points: there is nothing to show.")
-    elif layers is None:
+    if layers is None:
         notes.append("No point has valid coordinates: there is nothing to show.")
     elif not layers.of_ground:
         notes.append("No point is ground: relief and heights are those of the surface through all points.")
-    if isinstance(result, FilterResult) and result.status.value > 0 and len(cloud):
-        notes.append(f"How the run ended: {result.status.message}.")
-    if steps.field is None and len(cloud):
+    if what.result is not None and what.result.status.value > 0:
+        notes.append(f"How the run ended: {what.result.status.message}.")
+    if steps.field is None:
         notes.append(f"There is no slider: {steps.reason}.")
     return notes
 
 
-def _about(cloud: PointCloud, result: FilterResult | np.ndarray) -> str:
+def _about(what: _Labelled) -> str:
     """A table on the run and the cloud."""
-    rows: list[tuple[str, Any]] = []
-    if cloud.source is not None:
-        rows.append(("file", Path(cloud.source.path).name))
+    cloud, result = what.cloud, what.result
+    rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
     rows += [("points", len(cloud)), ("judged", int(cloud.candidate.sum()))]
     rows += [("CRS", "unknown" if cloud.crs is None else cloud.crs.name), ("units", str(cloud.units))]
-    if isinstance(result, FilterResult):
+    if result is not None:
         counts = np.bincount(result.decision, minlength=len(Decision))
         rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
         rows.append(("ended", result.status.message))
@@ -278,11 +304,7 @@ def _about(cloud: PointCloud, result: FilterResult | np.ndarray) -> str:
     return table((), [*rows, ("jaxfilter", __version__)])
 
 
-def _parameters(result: FilterResult | np.ndarray) -> str:
+def _parameters(filter_: Filter) -> str:
     """A section on the filter: its fields, and what to cite."""
-    if not isinstance(result, FilterResult) or result.run is None or not isinstance(result.run.filter, Filter):
-        return ""
-    filter_ = result.run.filter
-    name = type(filter_).__name__
     cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
-    return f"<section><h2>Parameters of {escape(name)}</h2>{filter_._repr_html_()}{cited}</section>"
+    return f"<section><h2>Parameters of {escape(type(filter_).__name__)}</h2>{filter_._repr_html_()}{cited}</section>"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.filter import Filter
+from ..core.filter import Filter, ground_each, passed
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, Status
 from ..steps.grid_filter import GridFilter
@@ -99,9 +99,9 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
         code = np.full(len(ground), len(sets), np.uint8)
         number = []
         for one in sets:
-            passed = one.passed(result)
-            code -= passed
-            number.append(int(passed.sum()))
+            ground_now = passed(one, result)
+            code -= ground_now
+            number.append(int(ground_now.sum()))
         if not np.array_equal(np.cumsum(np.bincount(code, minlength=len(sets)))[: len(sets)], number):
             return fixed(ground, "what is ground at one value is not so at all larger ones")
         nested = True
@@ -115,7 +115,7 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
 
 def swept_field(filter_: Filter) -> str | None:
     """The threshold that a slider moves: what is applied last if there is such, else the one that matters most."""
-    last = filter_.LAST or getattr(filter_, "TESTED", ())
+    last = filter_.LAST or (filter_.TESTED if isinstance(filter_, GridFilter) else ())
     return next(iter(last or search_ranges(filter_)), None)
 
 
@@ -141,7 +141,7 @@ def _swept(
     points = filter_.points_of(cloud)
     code = np.zeros(len(points), np.uint8 if tested else np.uint16)
     for done, (number, ground) in enumerate(
-        filter_.ground_each(points, sets, key=None, workers=workers, memory=_MEMORY), 1
+        ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY), 1
     ):
         code = code + (~ground if tested else ground * (1 << number)).astype(code.dtype)
         progress(done / len(sets), "slider")

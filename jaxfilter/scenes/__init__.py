@@ -6,7 +6,7 @@
 Scene(981 points on 30 x 30 m, 78.6 % ground, seed 1)
 """
 
-from .layouts import ASPRS, LAYOUTS, Kind, Layout
+from .layouts import ASPRS, LAYOUTS, Kind, SceneLayout
 from .scene import Scene, make
 
-__all__ = ["ASPRS", "LAYOUTS", "Kind", "Layout", "Scene", "make"]
+__all__ = ["ASPRS", "LAYOUTS", "Kind", "SceneLayout", "Scene", "make"]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import functools
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,20 +40,41 @@ class Layer(enum.IntEnum):
     PULSES = 14
 
 
-def uniform(
-    seed: int, layer: Layer, i0: int, j0: int, ni: int, nj: int, *, fields: int = 1, level: int = 0
-) -> np.ndarray:
-    """f64[ni, nj, fields] uniform in [0, 1): nodes i0.. and j0.. of the random lattice ``layer`` at ``level``."""
+class Nodes(NamedTuple):
+    """A rectangle of ``ni`` by ``nj`` nodes of a lattice, from (``i0``, ``j0``) on; each stands for a cell as well."""
+
+    i0: int
+    j0: int
+    ni: int
+    nj: int
+
+    @classmethod
+    def over(cls, box: Box, side: float = 1.0) -> Nodes:
+        """The cells of ``side`` metres that a box touches."""
+        i0, j0, i1, j1 = (math.floor(v / side) for v in box)
+        return cls(i0, j0, i1 - i0 + 1, j1 - j0 + 1)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of arrays with a value for each node."""
+        return self.ni, self.nj
+
+    def mesh(self) -> tuple[np.ndarray, ...]:
+        """i64[ni, nj], i64[ni, nj]: the numbers of the nodes in both directions."""
+        return tuple(np.meshgrid(self.i0 + np.arange(self.ni), self.j0 + np.arange(self.nj), indexing="ij"))
+
+
+def uniform(seed: int, layer: Layer, nodes: Nodes, *, fields: int = 1, level: int = 0) -> np.ndarray:
+    """f64[ni, nj, fields] uniform in [0, 1): nodes of the random lattice ``layer`` at ``level``."""
+    i0, j0, ni, nj = nodes
     out = np.empty((ni, nj, fields))
     for bi in range(i0 // _BLOCK, (i0 + ni - 1) // _BLOCK + 1):
         for bj in range(j0 // _BLOCK, (j0 + nj - 1) // _BLOCK + 1):
             key = (seed, layer, level, bi & 0xFFFFFFFF, bj & 0xFFFFFFFF)  # seeds are unsigned, node indices are not
             block = np.random.default_rng(key).random((_BLOCK, _BLOCK, fields))
-            a0, b0 = bi * _BLOCK, bj * _BLOCK
-            i, j = slice(max(i0, a0), min(i0 + ni, a0 + _BLOCK)), slice(max(j0, b0), min(j0 + nj, b0 + _BLOCK))
-            out[i.start - i0 : i.stop - i0, j.start - j0 : j.stop - j0] = block[
-                i.start - a0 : i.stop - a0, j.start - b0 : j.stop - b0
-            ]
+            a, b = bi * _BLOCK - i0, bj * _BLOCK - j0  # where the block begins in ``out``
+            part = block[max(0, -a) : ni - a, max(0, -b) : nj - b]
+            out[max(0, a) : a + _BLOCK, max(0, b) : b + _BLOCK] = part
     return out
 
 
@@ -92,27 +113,30 @@ def refine(seed: int, layer: Layer, box: Box, coarsest: int, finest: int, detail
     additions (Saupe, "Algorithms for random fractals", in The Science of Fractal Images, 1988, section 2.3), with
     B-spline instead of linear interpolation, which leaves no creases along the coarse nodes.
     """
-    cell = 2.0**finest
-    low = [math.floor(v / cell) for v in box[:2]]
-    high = [math.floor(v / cell) + 1 for v in box[2:]]
-    windows = [(low, high)]
-    for _ in range(coarsest - finest):
-        low, high = [v // 2 - 1 for v in low], [-(-v // 2) + 1 for v in high]
-        windows.append((low, high))
-    parent, surface = low, np.zeros([b - a + 1 for a, b in zip(low, high, strict=True)])
-    for level in range(coarsest, finest - 1, -1):
-        low, high = windows.pop()
-        shape = [b - a + 1 for a, b in zip(low, high, strict=True)]
+
+    def surface(nodes: Nodes, level: int) -> np.ndarray:
+        values = np.zeros(nodes.shape)
         if level < coarsest:
-            surface = _subdivide(_subdivide(surface, low[0], shape[0], parent[0]).T, low[1], shape[1], parent[1]).T
-        surface = detail(surface, functools.partial(_white, seed, layer, low, shape, level), level)
-        parent = low
-    return Sheet(low[0], low[1], cell, np.ascontiguousarray(surface))
+            coarse = _coarser(nodes)
+            values = surface(coarse, level + 1)
+            for axis in range(2):  # each turn ends with the other axis first
+                values = _subdivide(values, nodes[axis], nodes.shape[axis], coarse[axis]).T
+
+        def white() -> np.ndarray:
+            return (uniform(seed, layer, nodes, level=level)[..., 0] - 0.5) * math.sqrt(12)
+
+        return detail(values, white, level)
+
+    cells = Nodes.over(box, 2.0**finest)
+    values = surface(Nodes(cells.i0, cells.j0, cells.ni + 1, cells.nj + 1), finest)
+    return Sheet(cells.i0, cells.j0, 2.0**finest, np.ascontiguousarray(values))
 
 
-def _white(seed: int, layer: Layer, low: list[int], shape: list[int], level: int) -> np.ndarray:
-    """Noise of mean 0 and standard deviation 1 at the nodes of a window, f64[shape]."""
-    return (uniform(seed, layer, *low, *shape, level=level)[..., 0] - 0.5) * math.sqrt(12)
+def _coarser(nodes: Nodes) -> Nodes:
+    """The nodes of twice the spacing that a subdivision needs to make these."""
+    low = nodes.i0 // 2 - 1, nodes.j0 // 2 - 1
+    high = (-(-(first + n - 1) // 2) + 1 for first, n in zip(nodes[:2], nodes.shape, strict=True))
+    return Nodes(*low, *(last - first + 1 for first, last in zip(low, high, strict=True)))
 
 
 def _subdivide(coarse: np.ndarray, i0: int, n: int, parent: int) -> np.ndarray:

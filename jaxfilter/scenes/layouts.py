@@ -35,74 +35,68 @@ ASPRS = np.array([2, 6, 17, 1, 3, 5, 7, 18, 1], np.uint8)
 
 
 @dataclasses.dataclass(frozen=True)
-class Layout:
+class SceneLayout:
     """Terrain and objects of a scene; zero leaves a thing out.
 
     Linear features (cutting, scarp, river, embankment) and pits recur every 520 m across a common meandering course,
     bridges every 220 m along it, so every scene of about that size has them, and a larger one has more. Lengths in metres,
     shares and probabilities from 0 to 1. Raises: ParameterError for a value out of range.
 
-    >>> flat = jf.scenes.Layout(relief=0.0, forest=0.0)
+    >>> flat = jf.scenes.SceneLayout(relief=0.0, forest=0.0)
     >>> jf.scenes.make(flat, size=20, density=1)
     Scene(399 points on 20 x 20 m, 83.7 % ground, seed 0)
     """
 
-    relief: float = param(
-        default=10.0, unit="m", ge=0, le=3000, doc="height range of the landforms: four standard deviations"
-    )
-    landform: float = param(
-        default=256.0, unit="m", ge=16, le=8192, doc="size of the largest landforms, to a power of two"
-    )
+    relief: float = param("height range of the landforms: four standard deviations", ">= 0 and <= 3000 m", default=10.0)
+    landform: float = param("size of the largest landforms, to a power of two", ">= 16 and <= 8192 m", default=256.0)
     hurst: float = param(
-        default=1.0, ge=0.3, le=2, doc="Hurst exponent: detail shrinks by 2**-hurst from scale to scale"
+        "Hurst exponent: detail shrinks by 2**-hurst from scale to scale", ">= 0.3 and <= 2", default=1.0
     )
-    ridges: float = param(default=0.0, ge=0, le=1, doc="how far landforms are folded into sharp ridges")
-    tilt: float = param(default=0.0, ge=0, le=1.5, doc="general slope, rise over run")
-    scarp: float = param(default=0.0, unit="m", ge=0, le=60, doc="height of scarps")
-    terraces: float = param(default=0.0, unit="m", ge=0, le=20, doc="height of terrace steps on open land")
-    pit: float = param(default=0.0, unit="m", ge=0, le=100, doc="depth of open pits, worked in benches")
-    river: float = param(default=0.0, unit="m", ge=0, le=60, doc="width of rivers; water returns no echo")
-    ditches: float = param(default=0.0, unit="m", ge=0, le=3, doc="depth of ditches on open land")
-    embankment: float = param(default=0.0, unit="m", ge=0, le=12, doc="height of embankments")
-    cutting: float = param(default=0.0, unit="m", ge=0, le=12, doc="depth of road cuttings")
+    ridges: float = param("how far landforms are folded into sharp ridges", ">= 0 and <= 1", default=0.0)
+    tilt: float = param("general slope, rise over run", ">= 0 and <= 1.5", default=0.0)
+    scarp: float = param("height of scarps", ">= 0 and <= 60 m", default=0.0)
+    terraces: float = param("height of terrace steps on open land", ">= 0 and <= 20 m", default=0.0)
+    pit: float = param("depth of open pits, worked in benches", ">= 0 and <= 100 m", default=0.0)
+    river: float = param("width of rivers; water returns no echo", ">= 0 and <= 60 m", default=0.0)
+    ditches: float = param("depth of ditches on open land", ">= 0 and <= 3 m", default=0.0)
+    embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
+    cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
     bridges: bool = dataclasses.field(default=True, metadata={"doc": "whether bridges cross the cuttings and rivers"})
-    settlement: float = param(default=0.0, ge=0, le=1, doc="share of the area that is built up")
-    houses: float = param(default=1.0, ge=0, doc="weight of quarters with detached houses, 7 to 15 m")
-    rows: float = param(default=1.0, ge=0, doc="weight of quarters with rows of houses, 25 to 42 m")
-    blocks: float = param(default=0.0, ge=0, doc="weight of quarters with blocks around courtyards, 32 to 44 m")
-    towers: float = param(default=0.0, ge=0, doc="weight of quarters with towers, 16 to 26 m, up to 60 m high")
-    halls: float = param(default=0.5, ge=0, doc="weight of quarters with one hall, 45 to 80 m")
-    parks: float = param(default=0.5, ge=0, doc="weight of quarters left to trees")
-    cars: float = param(default=0.25, ge=0, le=1, doc="share of the kerbside parking places that are taken")
-    walls: float = param(default=0.3, ge=0, le=1, doc="share of house plots with walls")
-    forest: float = param(default=0.1, ge=0, le=1, doc="share of the open land under forest")
-    trees: float = param(default=0.02, ge=0, le=1, doc="share of 5 m cells with a tree outside forests")
-    conifers: float = param(default=0.3, ge=0, le=1, doc="share of trees that are conifers")
-    penetration: float = param(default=0.35, ge=0, le=1, doc="probability of an echo below a crown that was hit")
-    low_vegetation: float = param(default=0.1, ge=0, le=1, doc="share of the open land under shrubs and tall grass")
-    low_clusters: float = param(
-        default=0.0, unit="1/km2", ge=0, le=200, doc="clusters of low outliers, 3 to about 120 points"
-    )
+    settlement: float = param("share of the area that is built up", ">= 0 and <= 1", default=0.0)
+    houses: float = param("weight of quarters with detached houses, 7 to 15 m", ">= 0", default=1.0)
+    rows: float = param("weight of quarters with rows of houses, 25 to 42 m", ">= 0", default=1.0)
+    blocks: float = param("weight of quarters with blocks around courtyards, 32 to 44 m", ">= 0", default=0.0)
+    towers: float = param("weight of quarters with towers, 16 to 26 m, up to 60 m high", ">= 0", default=0.0)
+    halls: float = param("weight of quarters with one hall, 45 to 80 m", ">= 0", default=0.5)
+    parks: float = param("weight of quarters left to trees", ">= 0", default=0.5)
+    cars: float = param("share of the kerbside parking places that are taken", ">= 0 and <= 1", default=0.25)
+    walls: float = param("share of house plots with walls", ">= 0 and <= 1", default=0.3)
+    forest: float = param("share of the open land under forest", ">= 0 and <= 1", default=0.1)
+    trees: float = param("share of 5 m cells with a tree outside forests", ">= 0 and <= 1", default=0.02)
+    conifers: float = param("share of trees that are conifers", ">= 0 and <= 1", default=0.3)
+    penetration: float = param("probability of an echo below a crown that was hit", ">= 0 and <= 1", default=0.35)
+    low_vegetation: float = param("share of the open land under shrubs and tall grass", ">= 0 and <= 1", default=0.1)
+    low_clusters: float = param("clusters of low outliers, 3 to about 120 points", ">= 0 and <= 200 1/km2", default=0.0)
     low_outliers: float = param(
-        default=0.0, ge=0, le=0.1, doc="share of pulses with an isolated echo 2 to 30 m too low"
+        "share of pulses with an isolated echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0
     )
     high_outliers: float = param(
-        default=0.0, ge=0, le=0.1, doc="share of pulses with an echo 20 to 1000 m above the surface"
+        "share of pulses with an echo 20 to 1000 m above the surface", ">= 0 and <= 0.1", default=0.0
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
         if not isinstance(self.bridges, bool):
-            raise ParameterError(f"Layout(bridges={self.bridges!r}): must be True or False")
+            raise ParameterError(f"SceneLayout(bridges={self.bridges!r}): must be True or False")
         if self.settlement > 0 and not sum(self.quarters()) > 0:
             raise ParameterError(
-                f"Layout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"
+                f"SceneLayout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"
             )
 
     def quarters(self) -> tuple[float, ...]:
         """Weights of the kinds of quarter, in the order houses, rows, blocks, towers, halls, parks.
 
-        >>> jf.scenes.Layout(houses=2.0).quarters()[0]
+        >>> jf.scenes.SceneLayout(houses=2.0).quarters()[0]
         2.0
         """
         return self.houses, self.rows, self.blocks, self.towers, self.halls, self.parks
@@ -110,9 +104,11 @@ class Layout:
 
 _STRAY: dict[str, Any] = {"low_clusters": 15.0, "low_outliers": 2e-5, "high_outliers": 1e-5}
 
-LAYOUTS: dict[str, Layout] = {
-    "flat": Layout(relief=1.5, ditches=1.2, settlement=0.15, rows=0.3, halls=0.3, parks=0.1, forest=0.03, **_STRAY),
-    "town": Layout(
+LAYOUTS: dict[str, SceneLayout] = {
+    "flat": SceneLayout(
+        relief=1.5, ditches=1.2, settlement=0.15, rows=0.3, halls=0.3, parks=0.1, forest=0.03, **_STRAY
+    ),
+    "town": SceneLayout(
         relief=8,
         hurst=1.2,
         cutting=6,
@@ -123,7 +119,7 @@ LAYOUTS: dict[str, Layout] = {
         trees=0.035,
         **_STRAY,
     ),
-    "city": Layout(
+    "city": SceneLayout(
         relief=4,
         river=28,
         settlement=1.0,
@@ -140,7 +136,7 @@ LAYOUTS: dict[str, Layout] = {
         low_outliers=5e-5,
         high_outliers=2e-5,
     ),
-    "hills": Layout(
+    "hills": SceneLayout(
         relief=60,
         landform=128,
         hurst=1.2,
@@ -153,7 +149,7 @@ LAYOUTS: dict[str, Layout] = {
         forest=0.35,
         **_STRAY,
     ),
-    "mountain": Layout(
+    "mountain": SceneLayout(
         relief=260,
         landform=512,
         hurst=0.85,
@@ -166,7 +162,7 @@ LAYOUTS: dict[str, Layout] = {
         low_vegetation=0.08,
         **_STRAY,
     ),
-    "forest": Layout(
+    "forest": SceneLayout(
         relief=25,
         ditches=0.8,
         forest=0.93,
@@ -176,8 +172,8 @@ LAYOUTS: dict[str, Layout] = {
         low_vegetation=0.3,
         **_STRAY,
     ),
-    "quarry": Layout(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01, **_STRAY),
-    "terraces": Layout(
+    "quarry": SceneLayout(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01, **_STRAY),
+    "terraces": SceneLayout(
         relief=45,
         landform=128,
         hurst=1.4,
@@ -191,7 +187,7 @@ LAYOUTS: dict[str, Layout] = {
         trees=0.03,
         **_STRAY,
     ),
-    "mixed": Layout(
+    "mixed": SceneLayout(
         relief=26,
         hurst=1.25,
         scarp=6,
@@ -207,7 +203,7 @@ LAYOUTS: dict[str, Layout] = {
         forest=0.35,
         **_STRAY,
     ),
-    "benchmark": Layout(
+    "benchmark": SceneLayout(
         relief=45,
         landform=128,
         hurst=1.2,

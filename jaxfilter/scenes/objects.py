@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .lattice import Layer, smooth_noise, uniform
+from .lattice import Layer, Nodes, box_of, smooth_noise, uniform
 from .terrain import PERIOD, Patch, quantile
 
 _QUARTER = 110.0  # metres between the axes of the streets around a town quarter
@@ -61,20 +61,14 @@ class Town:
 
     def __init__(self, patch: Patch) -> None:
         self._patch, self._layout, seed = patch, patch.layout, patch.seed
-        self._azimuth = np.random.default_rng((seed, Layer.QUARTERS)).uniform(-0.45, 0.45)
+        self._azimuth, self._seed = np.random.default_rng((seed, Layer.QUARTERS)).uniform(-0.45, 0.45), seed
         x0, y0, x1, y1 = patch.box
-        corner_east, corner_north = self._turn(np.array([x0, x1, x0, x1]), np.array([y0, y0, y1, y1]))
-        self._i0, self._j0 = (math.floor(v.min() / _QUARTER) for v in (corner_east, corner_north))
-        ni, nj = (
-            math.floor(v.max() / _QUARTER) + 1 - o for v, o in ((corner_east, self._i0), (corner_north, self._j0))
-        )
-        self._seed, self._shape = seed, (ni, nj)
+        corners = self._turn(np.array([x0, x1, x0, x1]), np.array([y0, y0, y1, y1]))
+        self._quarters = quarters = Nodes.over(box_of(*corners), _QUARTER)
         weights = np.cumsum(self._layout.quarters()) / (sum(self._layout.quarters()) or 1.0)
-        draw = uniform(seed, Layer.QUARTERS, self._i0, self._j0, ni, nj)[..., 0]
-        kind = np.searchsorted(weights[:-1], draw, side="right")
-        i, j = np.meshgrid(np.arange(ni) + self._i0 + 0.5, np.arange(nj) + self._j0 + 0.5, indexing="ij")
-        at = self._back((i * _QUARTER).ravel(), (j * _QUARTER).ravel())
-        settled = patch.settled(*at).reshape(ni, nj) > patch.settlement_threshold
+        kind = np.searchsorted(weights[:-1], uniform(seed, Layer.QUARTERS, quarters)[..., 0], side="right")
+        at = self._back(*(((v + 0.5) * _QUARTER).ravel() for v in quarters.mesh()))
+        settled = patch.settled(*at).reshape(quarters.shape) > patch.settlement_threshold
         self._quarter = np.where(settled, kind, _NONE)
         self._plan()
 
@@ -88,11 +82,11 @@ class Town:
 
     def _plan(self) -> None:
         """Buildings of all plots of the patch, as arrays [ni * 4, nj * 4]; quarters with fewer plots use the first."""
-        ni, nj = self._shape
-        shape = (ni * 4, nj * 4)
-        draw = np.moveaxis(uniform(self._seed, Layer.PLOTS, self._i0 * 4, self._j0 * 4, *shape, fields=9), 2, 0)
+        plots = Nodes(*(4 * v for v in self._quarters))
+        shape = plots.shape
+        draw = np.moveaxis(uniform(self._seed, Layer.PLOTS, plots, fields=9), 2, 0)
         quarter = self._quarter.repeat(4, 0).repeat(4, 1)
-        a, b = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
+        a, b = plots.mesh()
         per_side = np.array(_PLOTS)[quarter]
         plot = (_QUARTER - 2 * _STREET) / per_side
         used = (quarter != _NONE) & (quarter != _PARK) & (a % 4 < per_side) & (b % 4 < per_side)
@@ -122,8 +116,7 @@ class Town:
         self._notched = (draw[8] < 0.3) & np.isin(quarter, (_HOUSES, _TOWERS, _HALLS))
         self._walled = (quarter == _HOUSES) & (draw[8] > 1 - self._layout.walls)
 
-        east = (a // 4 + self._i0) * _QUARTER + _STREET + (a % 4) * plot
-        north = (b // 4 + self._j0) * _QUARTER + _STREET + (b % 4) * plot
+        east, north = (v // 4 * _QUARTER + _STREET + v % 4 * plot for v in (a, b))
         corners, undisturbed = [], np.ones(shape, bool)
         for su, sv in ((-1, -1), (-1, 1), (1, -1), (1, 1), (0, 0)):
             corner = east + centre_u + su * self._half_u, north + centre_v + sv * self._half_v
@@ -137,9 +130,8 @@ class Town:
     def locate(self, x: np.ndarray, y: np.ndarray) -> Plot:
         """Quarter and plot of points f64[n]."""
         east, north = self._turn(x, y)
-        east, north = east / _QUARTER - self._i0, north / _QUARTER - self._j0
-        i = np.clip(east.astype(np.intp), 0, self._shape[0] - 1)
-        j = np.clip(north.astype(np.intp), 0, self._shape[1] - 1)
+        east, north = east / _QUARTER - self._quarters.i0, north / _QUARTER - self._quarters.j0
+        i, j = (np.clip(v.astype(np.intp), 0, n - 1) for v, n in zip((east, north), self._quarter.shape, strict=True))
         east, north = (east - i) * _QUARTER, (north - j) * _QUARTER
         quarter = self._quarter[i, j]
         per_side = np.array(_PLOTS)[quarter]
@@ -195,7 +187,6 @@ class Town:
         height = np.zeros(len(plot.u))
         if not self._layout.cars:
             return height
-        ni, nj = self._shape
         slots = 17  # places of 6.47 m along a quarter, on both kerbs
         kerbs = (Layer.KERB_EAST, plot.east, plot.north), (Layer.KERB_NORTH, plot.north, plot.east)
         for layer, cross, along in kerbs:
@@ -205,7 +196,7 @@ class Town:
             place = along[near] / _QUARTER * slots
             slot = place.astype(np.intp)
             offset = (place - slot - 0.5) * _QUARTER / slots
-            draw = uniform(self._seed, layer, self._i0, self._j0, ni, nj, fields=2 * slots)
+            draw = uniform(self._seed, layer, self._quarters, fields=2 * slots)
             taken = draw[i, j, slot + slots * (cross[near] > _QUARTER / 2)] < self._layout.cars
             profile = np.where(offset > 1.1, 0.95, 1.45)
             height[near] = np.where(taken & (np.abs(offset) < 2.2), profile, 0.0)
@@ -218,13 +209,11 @@ class Woods:
     def __init__(self, patch: Patch, town: Town) -> None:
         layout, seed = patch.layout, patch.seed
         box = patch.box
-        self._i0, self._j0 = (math.floor(v / _TREE_CELL) for v in box[:2])
-        ni, nj = (math.floor(v / _TREE_CELL) + 1 - o for v, o in zip(box[2:], (self._i0, self._j0), strict=True))
-        self._shape = ni, nj
-        draw = np.moveaxis(uniform(seed, Layer.TREES, self._i0, self._j0, ni, nj, fields=6), 2, 0).reshape(6, -1)
-        i, j = (v.ravel() for v in np.meshgrid(np.arange(ni), np.arange(nj), indexing="ij"))
-        x = (i + self._i0 + 0.15 + 0.7 * draw[0]) * _TREE_CELL
-        y = (j + self._j0 + 0.15 + 0.7 * draw[1]) * _TREE_CELL
+        self._cells = Nodes.over(box, _TREE_CELL)
+        ni, nj = self._cells.shape
+        draw = np.moveaxis(uniform(seed, Layer.TREES, self._cells, fields=6), 2, 0).reshape(6, -1)
+        i, j = (v.ravel() for v in self._cells.mesh())
+        x, y = (i + 0.15 + 0.7 * draw[0]) * _TREE_CELL, (j + 0.15 + 0.7 * draw[1]) * _TREE_CELL
         forest = smooth_noise(seed, Layer.FOREST, box, 6)
         plot = town.locate(x, y)
         wooded = (plot.quarter == _NONE) & (forest(x, y) > quantile(1 - layout.forest))
@@ -250,10 +239,10 @@ class Woods:
 
     def crown(self, x: np.ndarray, y: np.ndarray) -> Crown:
         """The highest crown over each point f64[n]: half an ellipsoid, or a cone for conifers."""
-        ni, nj = self._shape
+        i0, j0, ni, nj = self._cells
         top, bottom = np.full(len(x), np.nan), np.full(len(x), np.nan)
-        i = np.clip((x / _TREE_CELL - self._i0).astype(np.intp), 1, ni - 2)
-        j = np.clip((y / _TREE_CELL - self._j0).astype(np.intp), 1, nj - 2)
+        i = np.clip((x / _TREE_CELL - i0).astype(np.intp), 1, ni - 2)
+        j = np.clip((y / _TREE_CELL - j0).astype(np.intp), 1, nj - 2)
         cell = i * nj + j
         near = np.flatnonzero(self._near[cell])
         px, py, cell = x[near], y[near], cell[near]

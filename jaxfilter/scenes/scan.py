@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .lattice import Layer, uniform
+from .lattice import Layer, Nodes, box_of, uniform
 from .layouts import Kind
 from .objects import Town, Woods, bridge_deck
 from .terrain import Patch
@@ -168,11 +168,9 @@ def _strike_low(
     last[struck], kind[struck] = terrain[struck] - depth, Kind.LOW_OUTLIER
     if not layout.low_clusters:
         return
-    i, j = (np.floor(v / _CLUSTER_CELL).astype(np.intp) for v in (x, y))
-    i0, j0 = int(i.min()), int(j.min())
-    i -= i0
-    j -= j0
-    draw = uniform(patch.seed, Layer.LOW_CLUSTERS, i0, j0, int(i.max()) + 1, int(j.max()) + 1, fields=5)
+    cells = Nodes.over(box_of(x, y), _CLUSTER_CELL)
+    i, j = (np.floor(v / _CLUSTER_CELL).astype(np.intp) - first for v, first in zip((x, y), cells[:2], strict=True))
+    draw = uniform(patch.seed, Layer.LOW_CLUSTERS, cells, fields=5)
     present = draw[..., 0] < layout.low_clusters * _CLUSTER_CELL**2 * 1e-6
     near = np.flatnonzero(present[i, j])
     i, j = i[near], j[near]
@@ -181,8 +179,8 @@ def _strike_low(
     radius = np.minimum(np.sqrt(count / (_CLUSTER_SHARE * math.pi * density)), _CLUSTER_REACH)
     margin = _CLUSTER_REACH / _CLUSTER_CELL
     centre = margin + (1 - 2 * margin) * cell[:, 2:4]
-    dx = x[near] - (i0 + i + centre[:, 0]) * _CLUSTER_CELL
-    dy = y[near] - (j0 + j + centre[:, 1]) * _CLUSTER_CELL
+    dx = x[near] - (cells.i0 + i + centre[:, 0]) * _CLUSTER_CELL
+    dy = y[near] - (cells.j0 + j + centre[:, 1]) * _CLUSTER_CELL
     away = np.hypot(dx, dy)
     member = (away < radius) & (rng.random(len(near)) < _CLUSTER_SHARE)
     near, cell = near[member], cell[member]

@@ -14,7 +14,7 @@ from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
 from ..core.grid import Grid, grid_over
 from .lattice import box_of
-from .layouts import ASPRS, LAYOUTS, Kind, Layout
+from .layouts import ASPRS, LAYOUTS, Kind, SceneLayout
 from .scan import echoes, pulses
 from .terrain import Terrain
 
@@ -42,7 +42,7 @@ class Scene:
     True
     """
 
-    layout: Layout
+    layout: SceneLayout
     seed: int
     size: tuple[float, float]
     origin: np.ndarray
@@ -149,7 +149,7 @@ class Scene:
 
 
 def make(
-    layout: str | Layout = "mixed",
+    layout: str | SceneLayout = "mixed",
     *,
     size: float | tuple[float, float] = (400.0, 300.0),
     density: float = 4.0,
@@ -167,7 +167,7 @@ def make(
     sampled, so one place can be surveyed twice.
 
     Args:
-        layout: the name of a ready layout (see :data:`LAYOUTS`) or a :class:`Layout`.
+        layout: the name of a ready layout (see :data:`LAYOUTS`) or a :class:`SceneLayout`.
         size: east-west and north-south extent in metres; one number for a square.
         density: pulses per square metre, 0.1 to 50. Every pulse has one last (or only) echo, except over water;
             vegetation and roof edges add echoes before it.
@@ -190,24 +190,28 @@ def make(
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:
-            raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a Layout")
+            raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a SceneLayout")
         layout = LAYOUTS[layout]
-    elif not isinstance(layout, Layout):
-        raise ParameterError(f"make(layout={layout!r}): must be a Layout or one of {', '.join(LAYOUTS)}")
-    width, height = (size, size) if _is_number(size) else _tuple("size", size, 2)
-    for name, value in (("size", width), ("size", height)):
-        _check(name, value, 1, 100_000, "m")
-    _check("density", density, 0.1, 50, "pulses per square metre")
-    _check("noise", noise, 0, 0.5, "m")
-    _check("swath", swath, 50, 5000, "m")
-    _check("overlap", overlap, 0, 0.6, "")
+    elif not isinstance(layout, SceneLayout):
+        raise ParameterError(f"make(layout={layout!r}): must be a SceneLayout or one of {', '.join(LAYOUTS)}")
+    width, height = (size, size) if _is_number(size) else _numbers("size", size, 2)
+    for name, value, low, high, unit in (
+        ("size", width, 1, 100_000, " m"),
+        ("size", height, 1, 100_000, " m"),
+        ("density", density, 0.1, 50, " pulses per square metre"),
+        ("noise", noise, 0, 0.5, " m"),
+        ("swath", swath, 50, 5000, " m"),
+        ("overlap", overlap, 0, 0.6, ""),
+    ):
+        if not (_is_number(value) and low <= value <= high):
+            raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g}{unit}")
     if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
         raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
     if pattern not in ("parallel", "zigzag"):
         raise ParameterError(f"make(pattern={pattern!r}): choose one of 'parallel', 'zigzag'")
     if rounding not in ROUNDING:
         raise ParameterError(f"make(rounding={rounding!r}): choose one of {', '.join(map(str, ROUNDING))} m")
-    corner = np.rint(np.array(_tuple("origin", origin, 3), np.float64) / rounding) * rounding
+    corner = np.rint(np.array(_numbers("origin", origin, 3), np.float64) / rounding) * rounding
 
     terrain = Terrain(layout, int(seed))
     parts = []
@@ -223,16 +227,8 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
-def _check(name: str, value: Any, low: float, high: float, unit: str) -> None:
-    if not (_is_number(value) and low <= value <= high):
-        raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g} {unit}".rstrip())
-
-
-def _tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
-    if (
-        not isinstance(value, (tuple, list, np.ndarray))
-        or len(value) != length
-        or not all(_is_number(v) and math.isfinite(v) for v in value)
-    ):
-        raise ParameterError(f"make({name}={value!r}): must be {length} finite numbers")
-    return tuple(value)
+def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
+    several = isinstance(values, (tuple, list, np.ndarray)) and len(values) == length
+    if not several or not all(_is_number(v) and math.isfinite(v) for v in values):
+        raise ParameterError(f"make({name}={values!r}): must be {length} finite numbers")
+    return tuple(values)

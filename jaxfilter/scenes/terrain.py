@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .lattice import SPLINE_STD, Box, Layer, Sheet, refine, smooth_noise, smoothstep, uniform
-from .layouts import Layout
+from .lattice import SPLINE_STD, Box, Layer, Nodes, Sheet, box_of, refine, smooth_noise, smoothstep, uniform
+from .layouts import SceneLayout
 
 MARGIN = 170.0
 """Metres around a patch that objects at its edge may need: the diagonal of a town quarter, a pit's radius."""
@@ -23,7 +23,7 @@ _PIT_PERIOD = 400.0
 _BENCH_HEIGHT, _BENCH_WIDTH = 9.0, 12.0
 
 
-class Surface(NamedTuple):
+class TerrainSample(NamedTuple):
     """Terrain at points, each of shape [n]: ``z`` f64 metres; ``undisturbed``: no earthworks there; ``water``: bool."""
 
     z: np.ndarray
@@ -48,7 +48,7 @@ class Course(NamedTuple):
 class Terrain:
     """The terrain that a layout and a seed stand for, in the scene's frame (metres from its lower left corner)."""
 
-    def __init__(self, layout: Layout, seed: int) -> None:
+    def __init__(self, layout: SceneLayout, seed: int) -> None:
         self.layout, self.seed = layout, seed
         rng = np.random.default_rng((seed, Layer.COURSE))
         self._azimuth = rng.uniform(-0.2, 0.2)
@@ -119,7 +119,7 @@ class Patch:
 
         return refine(self.seed, Layer.RELIEF, self.box, coarsest, 0, detail)
 
-    def __call__(self, x: np.ndarray, y: np.ndarray) -> Surface:
+    def __call__(self, x: np.ndarray, y: np.ndarray) -> TerrainSample:
         """Terrain at x, y f64[n] in the scene's frame."""
         layout = self.layout
         course = self.terrain.course(x, y)
@@ -129,9 +129,10 @@ class Patch:
         if layout.ditches:
             self._ditch(z, x, y, course)
         if layout.cutting:
-            self._cut(z, course)
+            z -= layout.cutting * _dam(course.line(_CUTTING)[0], self.cutting_top, 1.5 * layout.cutting)
         if layout.embankment:
-            self._raise(z, course)
+            foot = 1.6 * layout.embankment
+            z += layout.embankment * _dam(course.line(_EMBANKMENT)[0], 4 + foot, foot)
         if layout.pit:
             self._excavate(z, x, y, course)
         if layout.river:
@@ -139,7 +140,7 @@ class Patch:
             z -= 2.2 * smoothstep((5 - far) / 5)
             z -= 1.5 * smoothstep(-far / 4)
             water = far < 0
-        return Surface(z, np.abs(z - natural) < 0.3, water)
+        return TerrainSample(z, np.abs(z - natural) < 0.3, water)
 
     def natural(self, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
         """f64[n]: landforms, valleys, terraces and scarps, before anything is dug or heaped up."""
@@ -167,16 +168,6 @@ class Patch:
         """f64[n]: 1 well outside settlements, 0 in them."""
         return smoothstep(3 * (self.settlement_threshold - self.settled(x, y)) - 1)
 
-    def _cut(self, z: np.ndarray, course: Course) -> None:
-        depth = self.layout.cutting
-        d = np.abs(course.line(_CUTTING)[0])
-        z -= depth * np.clip((self.cutting_top - d) / (1.5 * depth), 0, 1)
-
-    def _raise(self, z: np.ndarray, course: Course) -> None:
-        height = self.layout.embankment
-        d = np.abs(course.line(_EMBANKMENT)[0])
-        z += height * np.clip((4 + 1.6 * height - d) / (1.6 * height), 0, 1)
-
     def _ditch(self, z: np.ndarray, x: np.ndarray, y: np.ndarray, course: Course) -> None:
         """Ditches side by side on open land; where there is a river, on its floodplain."""
         depth, spacing = self.layout.ditches, PERIOD / 13
@@ -196,14 +187,13 @@ class Patch:
         near = np.flatnonzero(np.abs(dt) < 110)
         if not len(near):
             return
-        i0, j0 = int(line[near].min()), int(row[near].min())
-        ni, nj = int(line[near].max()) - i0 + 1, int(row[near].max()) - j0 + 1
-        draw = uniform(self.seed, Layer.PITS, i0, j0, ni, nj, fields=4)
-        i, j = np.meshgrid(np.arange(ni), np.arange(nj), indexing="ij")
-        centre_along = (j0 + j + 0.42 + 0.1 * draw[..., 0]) * _PIT_PERIOD
-        at = self.terrain.position(centre_along.ravel(), (_PIT + PERIOD * (i0 + i)).ravel())
-        floor = self.natural(*at, self.terrain.course(*at)).reshape(ni, nj) - self.layout.pit
-        k, m = (line[near] - i0).astype(np.intp), (row[near] - j0).astype(np.intp)
+        nodes = Nodes.over(box_of(line[near], row[near]))
+        draw = uniform(self.seed, Layer.PITS, nodes, fields=4)
+        i, j = nodes.mesh()
+        centre_along = (j + 0.42 + 0.1 * draw[..., 0]) * _PIT_PERIOD
+        at = self.terrain.position(centre_along.ravel(), (_PIT + PERIOD * i).ravel())
+        floor = self.natural(*at, self.terrain.course(*at)).reshape(nodes.shape) - self.layout.pit
+        k, m = (line[near] - nodes.i0).astype(np.intp), (row[near] - nodes.j0).astype(np.intp)
         radius, phase = 72 + 16 * draw[k, m, 1], 2 * math.pi * draw[k, m, 2]
         du, dt = course.along[near] - centre_along[k, m], dt[near]
         angle = np.arctan2(dt, du)
@@ -235,6 +225,11 @@ class Patch:
         layout = self.layout
         spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
         return spans + ([(_RIVER, layout.river / 2 + 8)] if layout.river else [])
+
+
+def _dam(far: np.ndarray, reach: float, side: float) -> np.ndarray:
+    """f64[n]: 1 on a level top, 0 from ``reach`` metres off the line on, and even slopes ``side`` metres wide between."""
+    return np.clip((reach - np.abs(far)) / side, 0, 1)
 
 
 def quantile(share: float) -> float:

@@ -12,6 +12,7 @@ from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import most_cells
 from ..core.points import Points
+from ..engines.chunks import padded
 from ..engines.grid.cells import cell_index, padded_shape
 from .refinement import cell_slopes
 
@@ -58,13 +59,10 @@ def lowest_per_adaptive_cell(
         levels: of the grid; with one, nothing is divided.
         remainder: one of :data:`REMAINDERS`.
 
-    The grid starts at the lower left corner of the points, or at the nearest multiple of the cell from the cloud's anchor.
+    Cells count from the cloud's anchor.
     Raises: InputError if the extent needs too many cells.
     """
-    corner, high = points.extent
-    if points.cloud.anchor is not None:
-        offset = np.array(points.offset(cell))
-        corner = np.floor((corner - offset) / cell + 1e-9) * cell + offset
+    corner, high = np.array(points.lattice_corner(cell)), points.extent[1]
     cells = (high - corner) / cell
     whole = np.floor(cells + 1e-9) if remainder == "absorbed" else np.ceil(cells - 1e-6)
     columns, rows = np.maximum(whole, 1).astype(np.int64)
@@ -75,12 +73,8 @@ def lowest_per_adaptive_cell(
             "extent: use larger cells or fewer levels, or remove stray points far from the rest"
         )
     n = bucket(len(points))
-    xyz = np.zeros((n, 3), np.float32)
-    xyz[: len(points)] = points.xyz
-    counted = np.zeros(n, bool)
-    counted[: len(points)] = ~barred
-    device = jnp.asarray(xyz)
-    part: jax.Array = jnp.asarray(counted)
+    device = jnp.asarray(padded(points.xyz, n))
+    part: jax.Array = jnp.asarray(padded(~barred, n))
     found, divided, steepest = [], [], 0.0
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)

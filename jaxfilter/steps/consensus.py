@@ -17,7 +17,7 @@ WIDTH = 64  # points per row: cells are cut into rows of this many, so that full
 _Best = tuple[jax.Array, jax.Array, jax.Array]  # score, point and normal of the best plane of every cell
 
 
-class Cells(NamedTuple):
+class CellRows(NamedTuple):
     """Points sorted by cell, and cut into rows of :data:`WIDTH`; padded to few sizes.
 
     Attributes:
@@ -66,7 +66,7 @@ def batches(start: np.ndarray, rows: int) -> list[slice]:
     return [slice(*ends) for ends in itertools.pairwise(cuts)]
 
 
-def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> Cells:
+def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> CellRows:
     """Cells of points f32[n, 3] in local metres, padded to ``rows`` rows, or to more in steps of powers of two.
 
     The points of cell i are start[i] to start[i + 1], i64[cells + 1]; no cell is empty.
@@ -85,12 +85,12 @@ def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> Cells:
     rows_cell = np.full(size, size - 1, np.int32)
     first_row, points = np.zeros(size, np.int32), np.zeros(size, np.int32)
     rows_cell[: len(cell)], first_row[: len(row)], points[: len(count)] = cell, row, count
-    return Cells(*map(jnp.asarray, (local, mask, rows_cell, first_row, points)))
+    return CellRows(*map(jnp.asarray, (local, mask, rows_cell, first_row, points)))
 
 
 @jax.jit
 def consensus_planes(
-    cells: Cells,
+    cells: CellRows,
     draws: jax.Array,
     distance: jax.Array | float,
     max_slope: jax.Array | float,

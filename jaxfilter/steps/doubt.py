@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
+from ..engines.chunks import in_chunks
+from ..engines.tin.ground import GroundTin
 from .doubt_model import MODEL
-from .ground_tin import GroundTin
+from .pruning import Scatter
 
 FEATURES = (
     "height", "near", "below", "drop", "flip", "residual", "roughness", "facet", "landscape",
@@ -18,7 +20,9 @@ _ROWS = 2**18
 """Points that are looked at at a time."""
 
 
-def evidence(ground: GroundTin, drop: np.ndarray, landscape: np.ndarray, tolerance: float) -> np.ndarray:
+def evidence(
+    ground: GroundTin, scatter: Scatter, drop: np.ndarray, landscape: np.ndarray, tolerance: float
+) -> np.ndarray:
     """f32[m, 9]: figures without a unit that tell certain labels from doubtful ones. Lengths are in tolerances.
 
     ``height``: of the point over the triangulation of the ground, log(1 + |h|), at most 4. ``near``: 1 where that is one
@@ -29,18 +33,19 @@ def evidence(ground: GroundTin, drop: np.ndarray, landscape: np.ndarray, toleran
     at most 1.
 
     Args:
-        ground: the points m, and the final triangulation, pruned and finished.
+        ground: the points m, and the final triangulation, pruned and finished; scatter: of all of them.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
         landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
     """
-    given = ground.height, ground.slope, *ground.scatter_of_all(), drop, landscape
+    given = ground.height, ground.slope, *scatter, drop, landscape
     size = bucket(min(len(drop), _ROWS))
-    out = np.empty((len(drop), len(FEATURES)), np.float32)
-    for start in range(0, len(out), size):
-        part = [column[start : start + size] for column in given]
-        padded = (np.pad(column, (0, size - len(column))) for column in part)
-        out[start : start + size] = np.asarray(_figures(*padded, max(tolerance, 0.01)))[: len(part[0])]
-    return out
+    found: np.ndarray = in_chunks(
+        lambda *columns: _figures(*columns, max(tolerance, 0.01)),
+        lambda rows: tuple(column[rows] for column in given),
+        len(drop),
+        (size, size),
+    )
+    return found
 
 
 @jax.jit

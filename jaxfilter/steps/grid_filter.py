@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import in_turn
-from ..core.filter import Filter, Labels, alike, values_but
+from ..core.filter import Filter, Labels, alike, ground_each, values_but
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -98,46 +98,38 @@ class GridFilter(Filter):
     True
     """
 
-    cell: float = static(default=1.0, symbol="c", unit="m", gt=0, doc="a grid cell is this wide")
+    cell: float = static("a grid cell is this wide", "c > 0 m", default=1.0)
 
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
     AT_ONCE: ClassVar[int] = 1
-    """Surfaces that :meth:`surfaces` makes in one call."""
+    """Surfaces that are made in one call."""
+    CENTRED: ClassVar[bool] = False
+    """Whether cells are centred on the nodes of the lattice, instead of lying between them."""
+    TRACED: ClassVar[str] = (
+        "trace its model and test: test(model(cells), xyz), with cells = filter.cells(filter.points_of(cloud))"
+    )
 
     def lattice(self) -> float:
         """The cells."""
         return float(self.cell)
 
-    def barred(self, points: Points, workers: int | None) -> np.ndarray:
-        """bool[m]: points that set no lowest elevation, those in clusters of low outliers if ``low_clusters`` is on.
-
-        >>> points = jf.PMF().points_of(cloud)
-        >>> jf.PMF().barred(points, None).dtype, bool(jf.PMF(low_clusters=False).barred(points, None).any())
-        (dtype('bool'), False)
-        """
-        clusters = getattr(self, "low_clusters", False)
-        return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=clusters, workers=workers)[0]
+    def _barred(self, points: Points, workers: int | None) -> np.ndarray:
+        """bool[m]: points that set no lowest elevation."""
+        return np.zeros(len(points), bool)
 
     def cells(self, points: Points, barred: np.ndarray | None = None) -> Cells:
-        """The lowest elevation per ``cell``, without the points ``barred``, bool[m]. Raises InputError for too many cells.
+        """The lowest elevation per ``cell``, without the points ``barred``, bool[m]; by default without clusters of low outliers,
+        if the method bars them. Raises InputError for too many cells.
 
         >>> cells = jf.SMRF().cells(jf.SMRF().points_of(cloud))
         >>> cells.lowest.shape, np.asarray(cells.extent).tolist(), float(cells.frame[2])
         ((128, 128), [61, 61], 1.0)
         """
-        return lowest_cells(
-            points, self.cell, f"{type(self).__name__}(cell)", corner=self.corner(points), barred=barred
-        )
-
-    def corner(self, points: Points) -> tuple[float, float]:
-        """A corner of the lattice of cells, local metres.
-
-        >>> x, y = jf.SMRF(cell=2.0).corner(jf.SMRF().points_of(cloud))
-        >>> -2 <= x <= 0 and -2 <= y <= 0
-        True
-        """
-        return points.offset(self.cell)
+        x, y = points.offset(self.cell)
+        corner = (x - self.cell / 2, y - self.cell / 2) if self.CENTRED else (x, y)
+        barred = self._barred(points, None) if barred is None else barred
+        return lowest_cells(points, self.cell, f"{type(self).__name__}(cell)", corner=corner, barred=barred)
 
     def model(self, cells: Cells) -> Surface:
         """The surface that ground lies on. Cells with an elevation that is not finite count as empty; without any that
@@ -183,32 +175,22 @@ class GridFilter(Filter):
         """
         return _between(surface, xyz)
 
-    def surfaces(self, prepared: Any, sets: Sequence[Self]) -> list[Surface]:
-        """:meth:`surface` of every set, to the bit; at most ``AT_ONCE``.
-
-        >>> cells = jf.PMF().cells(jf.PMF().points_of(cloud))
-        >>> sets = [jf.PMF(slope=0.2), jf.PMF(slope=0.3)]
-        >>> many = jf.PMF().surfaces(jf.PMF().prepare(cells), sets)
-        >>> bool((many[1].limits[0] == sets[1].model(cells).limits[0]).all())
-        True
-        """
+    def _surfaces(self, prepared: Any, sets: Sequence[Self]) -> list[Surface]:
+        """:meth:`surface` of every set, to the bit; at most ``AT_ONCE``."""
         return [one.surface(prepared) for one in sets]
 
-    def soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
-        """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure.
+    def _deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
+        """For every set what decides its surface: those with equal values share it."""
+        return values_but(self.TESTED, sets)
 
-        >>> points = jf.PMF().points_of(cloud)
-        >>> prepared = jf.PMF().prepare(jf.PMF().cells(points))
-        >>> soft = jf.PMF().soft(prepared, points.xyz, 0.1)
-        >>> bool(((soft >= 0) & (soft <= 1)).all())
-        True
-        """
+    def _soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
+        """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure."""
         return jax.nn.sigmoid(-self.test(self.surface(prepared), xyz).margin / width)
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         """Labels of all points; see the class for the steps and :class:`jaxfilter.core.filter.Filter` for the call."""
         progress(0.0, "outliers")
-        barred = self.barred(points, workers)
+        barred = self._barred(points, workers)
         progress(0.2, "lowest point per cell")
         prepared = self.prepare(self.cells(points, barred))
         progress(0.4, "surface")
@@ -219,37 +201,39 @@ class GridFilter(Filter):
         labels.barred, labels.info = barred, {name: int(n) for name, n in surface.counts.items()}
         return labels
 
-    def ground_each(
-        self, points: Points, sets: Sequence[Self], *, key: Any, workers: int | None, memory: float
-    ) -> Iterator[tuple[int, np.ndarray]]:
-        """All sets share what ``prepare`` makes, and those that :meth:`deciding` calls alike the surface; each is then held
-        against it by the program that ``classify`` runs, since another one would round differently."""
-        prepared = self.prepare(self.cells(points, self.barred(points, workers)))
-        size = max(a.size for a in jax.tree.leaves(prepared))
-        room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
-        threads, most = workers or os.cpu_count() or 1, max(1, min(self.AT_ONCE, room))
-        groups = alike(self.deciding(prepared, sets))
-        batches = [groups[start : start + most] for start in range(0, len(groups), most)]
 
-        def made(batch: list[list[int]]) -> list[Surface]:
-            return self.surfaces(prepared, [sets[numbers[0]] for numbers in batch])
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LowOutlierFilter(GridFilter):
+    """A filter on a grid that may bar clusters of low outliers, which otherwise would lower the surface around them."""
 
-        for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
-            for numbers, surface in zip(batch, surfaces, strict=True):
-                passed = functools.partial(_passed, surface, points.xyz)
-                some = [sets[number] for number in numbers]
-                for number, (_, ground) in zip(numbers, in_turn(passed, some, threads), strict=True):
-                    yield number, ground
+    low_clusters: bool = static("clusters of low outliers take no part in the lowest elevations", default=True)
 
-    def deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
-        """For every set what decides its surface: those with equal values share it.
+    def _barred(self, points: Points, workers: int | None) -> np.ndarray:
+        return bar_outliers(points, radius=0.0, min_neighbours=1, clusters=self.low_clusters, workers=workers)[0]
 
-        >>> cells = jf.MSF().cells(jf.MSF().points_of(cloud))
-        >>> same, other = jf.MSF().deciding(cells, [jf.MSF(slope=0.3), jf.MSF(slope=0.4)])
-        >>> same == other
-        False
-        """
-        return values_but(self.TESTED, sets)
+
+@ground_each.register(GridFilter)
+def _ground_each(
+    filter_: GridFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
+) -> Iterator[tuple[int, np.ndarray]]:
+    """All sets share what ``prepare`` makes, and those that ``_deciding`` calls alike the surface; each is then held against it
+    by the program that ``classify`` runs, since another one would round differently."""
+    prepared = filter_.prepare(filter_.cells(points, filter_._barred(points, workers)))
+    size = max(a.size for a in jax.tree.leaves(prepared))
+    room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
+    threads, most = workers or os.cpu_count() or 1, max(1, min(filter_.AT_ONCE, room))
+    groups = alike(filter_._deciding(prepared, sets))
+    batches = [groups[start : start + most] for start in range(0, len(groups), most)]
+
+    def made(batch: list[list[int]]) -> list[Surface]:
+        return filter_._surfaces(prepared, [sets[numbers[0]] for numbers in batch])
+
+    for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
+        for numbers, surface in zip(batch, surfaces, strict=True):
+            passed = functools.partial(_passed, surface, points.xyz)
+            some = [sets[number] for number in numbers]
+            for number, (_, ground) in zip(numbers, in_turn(passed, some, threads), strict=True):
+                yield number, ground
 
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:
@@ -262,16 +246,15 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
         width: metres over which a label changes from 0.73 to 0.27 at a threshold.
 
     Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold. At the slope of SMRF, and at the
-        thresholds of PMF that surfaces are compared by, cells become objects: there it is a mixture of both cases
-        (:meth:`jaxfilter.methods.smrf.SMRF.soft`, :meth:`jaxfilter.methods.pmf.PMF.soft`), which has no jumps, so that the
-        gradient is that of what is returned. It is not the gradient of the labels, which are steps. Pure.
+        thresholds of PMF that surfaces are compared by, cells become objects: there it is a mixture of both cases, which has no
+        jumps, so that the gradient is that of what is returned. It is not the gradient of the labels, which are steps. Pure.
 
     >>> points = jf.SMRF().points_of(cloud)
     >>> soft = jf.soft_labels(jf.SMRF(), jf.SMRF().cells(points), points.xyz, width=0.1)
     >>> bool(((soft >= 0) & (soft <= 1)).all())
     True
     """
-    return filter_.soft(filter_.prepare(cells.checked()), xyz, width)
+    return filter_._soft(filter_.prepare(cells.checked()), xyz, width)
 
 
 def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,44 +11,61 @@ import numpy as np
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
 from ..core.points import Points, pieces
-from ..engines.grid.depressions import Basins
 from ..engines.grid.morphology import ring_minimum
-from ..engines.grid.sparse import Cells
-from ..engines.neighbours import batches, few_neighbours, groups, nearest, tree_of
-from .surfaces import Cells as GridCells
-from .surfaces import look_up
+from ..engines.grid.sparse import CellSet
+from ..engines.neighbours import batches, groups, nearest, tree_of
+from ..engines.tin.growth import Outliers
+from .surfaces import Cells, look_up
 from .trend import low_trend
+
+if TYPE_CHECKING:
+    from ..engines.grid.depressions import Basins
+
+
+_NEAR = 48
+"""So many points before and after one in canonical order are looked at before a KD-tree is asked."""
 
 
 def radius_outliers(
-    xyz: np.ndarray,
-    weight: np.ndarray,
-    radius: float,
-    min_neighbours: int,
-    *,
-    include_self: bool = False,
-    planar: bool = False,
-    workers: int | None = None,
+    xyz: np.ndarray, weight: np.ndarray, radius: float, min_neighbours: int, workers: int | None = None
 ) -> np.ndarray:
     """bool[m]: points with fewer than ``min_neighbours`` others within ``radius`` metres (Li et al. 2021, Sec. II-B).
+
+    The answer is exact. Most points have enough neighbours near them in canonical order already; only the others ask a
+    KD-tree for as many nearest.
 
     Args:
         xyz: f32[m, 3], local metres, distinct points in canonical order.
         weight: i32[m], how many points each row stands for; points that coincide are neighbours.
-        include_self: count the point itself as well.
-        planar: measure distances in x and y only.
     """
-    least = min_neighbours - 1 if include_self else min_neighbours
-    return few_neighbours(xyz[:, :2] if planar else xyz, weight, radius, least, workers)
+    m = len(xyz)
+    if min_neighbours >= weight.sum(dtype=np.int64):
+        return np.ones(m, bool)
+    found = weight.astype(np.int32) - 1
+    columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
+    limit = np.float32((radius * (1 - 1e-6)) ** 2)  # what rounding could carry in is left to the KD-tree
+    for shift in range(1, min(_NEAR, m - 1) + 1):
+        square = np.zeros(m - shift, np.float32)
+        for column in columns:
+            step = column[shift:] - column[:-shift]
+            step *= step
+            square += step
+        near = square <= limit
+        found[:-shift] += np.where(near, weight[shift:], 0)
+        found[shift:] += np.where(near, weight[:-shift], 0)
+    rows = np.flatnonzero(found < min_neighbours)
+    few = np.zeros(m, bool)
+    if len(rows) == 0:
+        return few
+    tree = tree_of(xyz)
+    for part in batches(rows, min_neighbours + 1):
+        distance, index = nearest(tree, xyz[part], min(min_neighbours + 1, m), radius, workers)
+        counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
+        few[part] = counted - 1 < min_neighbours
+    return few
 
 
-def knn_outliers(
-    xyz: np.ndarray,
-    weight: np.ndarray,
-    k: int,
-    *,
-    workers: int | None = None,
-) -> np.ndarray:
+def knn_outliers(xyz: np.ndarray, weight: np.ndarray, k: int, *, workers: int | None = None) -> np.ndarray:
     """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024).
 
     The statistic is the absolute difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
@@ -136,6 +153,8 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
 
     Only cells with points and those beside them are held, so that memory does not grow with the extent. Raises: ParameterError.
     """
+    from ..engines.grid.depressions import Basins  # imports Numba
+
     for name, value in (("depth", depth), ("max_points", max_points), ("reach", reach)):
         if not value > 0:
             raise ParameterError(f"low_clusters({name}={value!r}): must be > 0")
@@ -143,10 +162,9 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
     grid = lattice_over(points.xyz, cell, points.offset(cell))
-    occupied, at = Cells.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
+    occupied, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
     coarse = max(15.0, 4.0 * cell)
-    corner = (grid.x0, grid.y0) if points.cloud.anchor is None else points.lattice_corner(coarse)
-    z = low_trend(points.xyz, *corner, coarse)
+    z = low_trend(points.xyz, *points.lattice_corner(coarse), coarse)
     np.subtract(points.xyz[:, 2], z, out=z)
     cells = occupied.grown()
     number = cells.find(occupied.row, occupied.column)
@@ -177,7 +195,7 @@ class _Low(NamedTuple):
     ``side``: of a cell, metres; ``around``: i64[9, c]; ``basins``: of ``z`` with small gaps closed.
     """
 
-    cells: Cells
+    cells: CellSet
     side: float
     around: np.ndarray
     basins: Basins
@@ -217,7 +235,7 @@ def _close_gaps(lowest: np.ndarray, around: np.ndarray) -> np.ndarray:
 
 
 def _alone(
-    cells: Cells, side: float, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
+    cells: CellSet, side: float, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
 ) -> np.ndarray:
     """bool[k]: depressions that, with those of about their level around them, hold at most ``max_points`` points."""
     xy = np.stack((cells.column[bottom], cells.row[bottom]), axis=1) * side
@@ -246,7 +264,9 @@ def _climb(elevation: np.ndarray, around: np.ndarray, cell: np.ndarray, owner: n
     return np.subtract(touching, own, out=np.full_like(own, np.inf), where=np.isfinite(touching))
 
 
-def _surroundings(lowest: np.ndarray, cells: Cells, suspect: np.ndarray, bottom: np.ndarray, steps: int) -> np.ndarray:
+def _surroundings(
+    lowest: np.ndarray, cells: CellSet, suspect: np.ndarray, bottom: np.ndarray, steps: int
+) -> np.ndarray:
     """f64[s]: the level over each bottom of the lowest line between cells on opposite sides that are not suspect."""
     outside = np.append(lowest, np.float32(np.inf)).astype(np.float64)
     outside[suspect] = np.inf
@@ -275,8 +295,8 @@ def bar_outliers(
     min_neighbours: int = 1,
     neighbours: int = 0,
     workers: int | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which points no filter should take as seeds: bool[m] all of them, and bool[m] those in low clusters.
+) -> Outliers:
+    """Which points no filter should take as seeds; those in low clusters are late.
 
     ``radius`` 0 switches the radius test off, ``clusters`` False the test for low clusters, ``neighbours`` 0 the test of
     elevations (:func:`knn_outliers`). Where every point would be barred, as in a cloud too sparse for the radius, none is.
@@ -289,10 +309,10 @@ def bar_outliers(
         barred |= knn_outliers(points.xyz, points.weight, neighbours, workers=workers)
     if barred.all():
         low, barred = np.zeros_like(low), np.zeros_like(low)
-    return barred, low
+    return Outliers(barred, low)
 
 
-def ring_low(xyz: np.ndarray, cells: GridCells, depth: float, reach: int) -> np.ndarray:
+def ring_low(xyz: np.ndarray, cells: Cells, depth: float, reach: int) -> np.ndarray:
     """bool[n]: points f32[n, 3] more than ``depth`` metres below the lowest in a ring of cells around theirs.
 
     The ring is a square one, more than ``reach`` and at most two further cells away: lone low points are found, and clusters

@@ -19,7 +19,8 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..core.grid import Grid, grid_over
-from ..core.result import Progress, Status
+from ..engines.chunks import in_chunks
+from ..engines.ground import GroundNodes
 from ..engines.neighbours import nearest, tree_of
 from .planes import fit_planes
 from .quadrants import Buckets, nearest_in_quadrants, rings
@@ -151,46 +152,41 @@ class Compared(NamedTuple):
         self.distance[query], self.height[query], self.slope[query] = local_planes(xyz, query, row)
 
 
-def grow_references(
-    around: NearestReferences,
-    reference: np.ndarray,
-    compared: Compared,
-    accepts: Callable[[np.ndarray], np.ndarray],
-    *,
-    max_rounds: int,
-    workers: int | None,
-    progress: Progress,
-    trace: bool,
-) -> tuple[Status, list[dict[str, Any]]]:
-    """Make references of points near their local plane until no more are found (Cai et al. 2023, Sec. 2.5).
+class GroundReferences(GroundNodes):
+    """Points near the plane through the references around them become references (Cai et al. 2023, Sec. 2.5).
 
-    A round compares the points whose references have changed.
-
-    Args:
-        around: the points that may become references, without references yet.
-        reference: bool[m], where growth begins; those that are found are added.
-        compared: all points; those of ``around`` are updated.
-        accepts: tells from distances f32[k], metres, which points become references.
-        progress: called once per round; trace: put ``"ground"``, bool[m], into each round's dict.
-
-    Returns: how it ended, and counts per round.
+    A step compares the points whose references have changed. ``rule``: from distances f32[n], metres, to bool[n].
     """
-    xyz, new = around.xyz, np.flatnonzero(reference)
-    steps: list[dict[str, Any]] = []
-    for n in range(max_rounds):
-        progress(n / max_rounds, "growing the references")
-        changed = around.add(new, workers)
-        rows = around.query[changed]
-        compared.update(xyz, rows, around.row[changed])
-        new = rows[accepts(compared.distance[rows])]
-        reference[new] = True
-        steps.append({"round": n + 1, "tested": len(rows), "accepted": len(new), "references": int(reference.sum())})
-        if trace:
-            steps[-1]["ground"] = reference.copy()
-        if len(new) == 0:
-            return Status.CONVERGED, steps
-        around.keep(~reference[around.query])
-    return Status.ROUND_LIMIT, steps
+
+    STEP = "growing the references"
+
+    def __init__(
+        self,
+        around: NearestReferences,
+        reference: np.ndarray,
+        compared: Compared,
+        rule: Callable[[np.ndarray], np.ndarray],
+        workers: int | None,
+    ) -> None:
+        """``around``: the points that may become references, without references yet; ``reference``: bool[m], where growth
+        begins; ``compared``: all points, those of ``around`` are updated."""
+        super().__init__(reference.copy(), around.query, rule)
+        self.around, self.compared, self.workers = around, compared, workers
+        self._add(np.flatnonzero(reference))
+
+    def _add(self, references: np.ndarray) -> None:
+        changed = self.around.add(references, self.workers)
+        self.rest, self.todo, self._row = self.around.query, self.around.query[changed], self.around.row[changed]
+
+    def test(self) -> np.ndarray:
+        self.compared.update(self.around.xyz, self.todo, self._row)
+        accepted: np.ndarray = self.todo[self.rule(self.compared.distance[self.todo])]
+        return accepted
+
+    def take(self, accepted: np.ndarray) -> dict[str, Any]:
+        self.around.keep(~self.ground[self.around.query])
+        self._add(accepted)
+        return {"references": int(self.ground.sum())}
 
 
 def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -204,24 +200,21 @@ def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[n
 
     Returns: f32[q] each: distance along the normal and height, metres, negative below the plane; slope, degrees.
     """
-    out = np.empty((3, len(query)), np.float32)
-    for start in range(0, len(query), _BLOCK):
-        part = slice(start, start + _BLOCK)
-        n = len(query[part])
-        reference, known = np.zeros((_BLOCK, 4, 3), np.float32), np.zeros((_BLOCK, 4), bool)
-        reference[:n] = xyz[row[part]] - xyz[query[part]][:, None]
-        known[:n] = row[part] >= 0
-        out[:, part] = np.asarray(_plane_below(reference, known))[:, :n]
-    return out[0], out[1], out[2]
+
+    def around(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        return xyz[row[rows]] - xyz[query[rows]][:, None], row[rows] >= 0
+
+    found = in_chunks(_plane_below, around, len(query), (_BLOCK, _BLOCK))
+    return found[:, 0], found[:, 1], found[:, 2]
 
 
 @jax.jit
 def _plane_below(reference: jax.Array, known: jax.Array) -> jax.Array:
-    """f32[3, q]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin."""
+    """f32[q, 3]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin."""
     planes = fit_planes(reference, known)
     square = jnp.where(known, (reference[..., :2] ** 2).sum(axis=-1), jnp.inf)
     nearest_one = jnp.take_along_axis(reference, jnp.argmin(square, axis=1)[:, None, None], axis=1)[:, 0]
     planes = planes._replace(centre=jnp.where(planes.determined[:, None], planes.centre, nearest_one))
     distance = -(planes.centre * planes.normal).sum(axis=1)
-    answers = jnp.stack([distance, distance / planes.normal[:, 2], planes.slope])
-    return jnp.where(known.any(axis=1), answers, jnp.nan)
+    answers = jnp.stack([distance, distance / planes.normal[:, 2], planes.slope], axis=1)
+    return jnp.where(known.any(axis=1, keepdims=True), answers, jnp.nan)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -31,31 +32,36 @@ class ScaledPlanes:
     divided: int
 
 
-def progressive_planes(
-    points: Points,
-    counted: np.ndarray,
-    draws: jax.Array,
-    *,
-    cell: float,
-    min_points: int,
-    inlier_distance: float,
-    division_distance: float,
-    max_slope: float,
-) -> ScaledPlanes:
+class PlaneSearch(NamedTuple):
+    """What planes are searched for.
+
+    Attributes:
+        cell: metres, of the first cells; they start at the cloud's corner or at multiples from its anchor.
+        min_points: interior points of a plane; a cell with fewer has none.
+        inlier_distance: metres, of interior points from their plane.
+        division_distance: metres. A cell is divided if a point of it lies so far or farther below its plane.
+        max_slope: degrees, of the planes.
+    """
+
+    cell: float
+    min_points: int
+    inlier_distance: float
+    division_distance: float
+    max_slope: float
+
+
+def progressive_planes(points: Points, counted: np.ndarray, draws: jax.Array, search: PlaneSearch) -> ScaledPlanes:
     """Progressive RANSAC plane detection (Cai et al. 2023, Sec. 2.4).
 
-    A cell with fewer than ``min_points`` interior points has no plane. A plane is accepted if no point of its cell lies
-    ``division_distance`` or more below it; else the cell is divided into four, each with a plane of its own.
+    A cell that is divided gives four, each with a plane of its own.
 
     Args:
         counted: bool[m], the points that planes are fitted to; all are compared with the planes.
         draws: f32[hypotheses, 3] in [0, 1), see :func:`jaxfilter.steps.consensus.consensus_planes`.
-        cell: metres, of the first cells; they start at the cloud's corner or at multiples from its anchor.
-        inlier_distance: metres, of interior points from their plane.
-        max_slope: degrees, of the planes.
 
     Raises: InputError if the extent needs too many cells.
     """
+    cell, min_points, inlier_distance, division_distance, max_slope = search
     xyz = points.xyz
     distance, height, slope, side = (np.full(len(xyz), np.nan, np.float32) for _ in range(4))
     rows, accepted, divided = np.arange(len(xyz)), 0, 0

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from ..engines.tin.triangulation import Tin
+from ..engines.neighbours import groups
+from ..engines.tin.triangulation import triangulated
 
 NARROW, STEEP = 30.0, 60.0
 """Degrees: a facet with a smaller angle, in 3-D, is narrow; one of more slope is steep."""
 _RAISED = 2 / 3
 
 
-def clustered_seeds(
-    xyz: np.ndarray,
-    *,
-    long_edge: float,
-    raised: float,
-    workers: int | None = None,
-) -> np.ndarray:
+def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers: int | None = None) -> np.ndarray:
     """bool[s]: the potential seeds that are ground, by the facets of their Delaunay triangulation.
 
     1. The highest vertex of a facet with a long edge is noise.
@@ -42,9 +32,7 @@ def clustered_seeds(
     xy = xyz[:, :2].astype(np.float64)
     if s < 4 or np.linalg.matrix_rank(xy - xy[0], tol=1e-3) < 2:
         return np.ones(s, bool)
-    threads = workers or os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        facet, beside = Tin(xyz, np.zeros(s, np.int32), np.arange(s), pool, threads).facets()
+    facet, beside = triangulated(xyz, workers).facets()
     corner = xyz[facet]
     z = corner[:, :, 2]
     edge = np.roll(corner, -1, axis=1) - np.roll(corner, 1, axis=1)  # edge k lies opposite vertex k
@@ -56,8 +44,7 @@ def clustered_seeds(
         (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
     )
     row, side = np.nonzero((beside >= 0) & ~separates[beside] & ~separates[:, None])
-    links = coo_array((np.ones(len(row), np.int8), (row, beside[row, side])), shape=(len(facet), len(facet)))
-    cluster = connected_components(links, directed=False)[1]
+    cluster = groups(row, beside[row, side], len(facet))
     cluster[separates] = -1
     inner = np.flatnonzero(~separates)
     if len(inner) == 0:

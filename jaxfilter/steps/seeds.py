@@ -22,14 +22,11 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
         window: side of the square window, metres; stride: its step, metres, at most ``window``.
         barred: bool[m], points that must not be seeds. A window without others has no seed.
 
-    Windows start at the lower left corner of the points, or at the nearest multiple of the stride from the cloud's anchor.
+    Windows start at the multiple of the stride, counted from the cloud's anchor, that lies at or south-west of all points.
     Of equally low points the first in canonical order is taken.
     Raises: ParameterError, InputError if window and stride have too small a common measure for the extent.
     """
-    corner, high = points.extent
-    if points.cloud.anchor is not None:
-        offset = np.array(points.offset(stride))
-        corner = np.floor((corner - offset) / stride + 1e-9) * stride + offset
+    corner, high = np.array(points.lattice_corner(stride)), points.extent[1]
     layout = window_layout((float(high[1] - corner[1]), float(high[0] - corner[0])), window, stride)
     if layout.blocks[0] * layout.blocks[1] > most_cells(len(points)):
         rows, columns = layout.blocks

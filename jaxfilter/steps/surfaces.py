@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +15,7 @@ from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
+from ..engines.chunks import in_chunks
 from ..engines.grid.cells import cell_index, inside, padded_shape
 from ..engines.grid.minima import cell_minima, places_in
 from ..engines.grid.morphology import progressive_opening
@@ -25,8 +25,6 @@ _WORK, _WORK_PER_POINT = 250_000_000, 64_000
 """Cells times openings that are done for few points, and for each point of many: some seconds of a processor."""
 _CHUNK = 2**18  # points that are handed to the device at a time
 _IN_FLIGHT = 8  # chunks that may be computed at once
-
-_Part = tuple[slice, tuple[jax.Array, ...]]
 
 
 @functools.partial(
@@ -136,23 +134,8 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
 
     ``test`` is given points f32[m, 3], padded to one of few sizes, and returns arrays f32[m].
     """
-    outputs: list[np.ndarray] = []
-    running: deque[_Part] = deque()
-
-    def collect(part: _Part) -> None:
-        rows, tested = part
-        if not outputs:
-            outputs.extend(np.empty(len(xyz), np.float32) for _ in tested)
-        for values, out in zip(tested, outputs, strict=True):
-            out[rows] = np.asarray(values)[: rows.stop - rows.start]
-
-    for rows, chunk in chunks(xyz):
-        running.append((rows, test(chunk)))
-        if len(running) == _IN_FLIGHT:
-            collect(running.popleft())
-    for part in running:
-        collect(part)
-    return outputs
+    size = min(_CHUNK, bucket(len(xyz)))
+    return list(in_chunks(test, lambda rows: (xyz[rows],), len(xyz), (size, size), _IN_FLIGHT))
 
 
 def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndarray]:
@@ -186,17 +169,6 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
         return (after - before) / (cell * jnp.where(first | last, 1, 2))
 
     return jnp.hypot(difference(0), difference(1))
-
-
-def chunks(xyz: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
-    """Rows, and their points f32[size, 3], padded to one of few sizes."""
-    size = min(_CHUNK, bucket(len(xyz)))
-    for start in range(0, len(xyz), size):
-        rows = slice(start, min(start + size, len(xyz)))
-        part = xyz[rows]
-        if len(part) < size:
-            part = np.concatenate([part, np.zeros((size - len(part), 3), np.float32)])
-        yield rows, part
 
 
 @jax.jit

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.frame import ends
 from ..core.points import pieces
-from ..engines.grid.sparse import Cells
+from ..engines.grid.sparse import CellSet
 
 _MARGIN = 3  # cells around those with points: one each for interpolation, mean and median
 
@@ -23,13 +23,13 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
         x, y = ((xy[..., axis] - corner[axis]) / np.float32(size) + np.float32(lag) for axis in range(2))
         return y, x
 
-    def cells(lag: float) -> tuple[Cells, np.ndarray]:
+    def cells(lag: float) -> tuple[CellSet, np.ndarray]:
         def places(part: slice) -> tuple[np.ndarray, np.ndarray]:
             y, x = steps(xyz[part], lag)
             return y.astype(np.int32), x.astype(np.int32)
 
         rows, columns = (int(last) + 1 for last in steps(high, lag))
-        return Cells.of(places, len(xyz), (rows, columns))
+        return CellSet.of(places, len(xyz), (rows, columns))
 
     occupied, at = cells(0.0)
     low = np.full(len(occupied) + 1, np.inf, np.float32)
@@ -53,7 +53,7 @@ def low_trend(xyz: np.ndarray, x0: float, y0: float, size: float) -> np.ndarray:
     return trend
 
 
-def _smoothed(occupied: Cells, low: np.ndarray) -> tuple[Cells, np.ndarray]:
+def _smoothed(occupied: CellSet, low: np.ndarray) -> tuple[CellSet, np.ndarray]:
     """The cells with points and those beside them, and f32[n], the smooth level of each; ``low``: f32[cells + 1].
 
     Cells without points have the value of the nearest with points, of equally near ones the westernmost, then the
@@ -76,7 +76,7 @@ def _smoothed(occupied: Cells, low: np.ndarray) -> tuple[Cells, np.ndarray]:
     return smooth, ((columns[0] + columns[1] + columns[2]) / 3).astype(np.float32)
 
 
-def _clamped(cells: Cells, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+def _clamped(cells: CellSet, row: np.ndarray, column: np.ndarray) -> np.ndarray:
     return cells.find(np.clip(row, 0, cells.shape[0] - 1), np.clip(column, 0, cells.shape[1] - 1))
 
 

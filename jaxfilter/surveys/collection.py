@@ -18,18 +18,17 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError, warn
-from ..core.units import Reference, Units, not_metric, parse_units
+from ..core.units import Units, parse_units
 from ..files.disk import Bounds
-from ..files.header import Header
-from ..files.reading import open_las
-from ..files.sources import Source, described
+from ..files.sources import Source, describe_file
 from ..files.storage import place_of
 from . import names
 from .findings import OVERLAP, Findings, refuse_mixture
-from .footprints import Footprints
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from .footprints import Footprints
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -92,13 +91,13 @@ class Collection:
         return f"Collection({len(self)} files, {self.count} points)"
 
     @property
-    def sources(self) -> tuple[Source, ...]:
-        """All files.
+    def name(self) -> str:
+        """For messages: that of its file, or the number of files.
 
-        >>> len(jf.open("survey", units="m").sources)
-        2
+        >>> jf.open("survey", units="m").name
+        '2 files'
         """
-        return self[:]
+        return self.uris[0] if len(self) == 1 else f"{len(self):,} files"
 
     @property
     def uris(self) -> Sequence[str]:
@@ -159,34 +158,6 @@ class Collection:
         metre = np.array([units.xy for units in self._columns["units"]], np.float64)
         return np.nan_to_num(sides.prod(axis=1) * metre**2)
 
-    @property
-    def area(self) -> float:
-        """Sum of ``areas``; what two files cover counts twice.
-
-        >>> round(jf.open("survey", units="m").area, -2)
-        3600.0
-        """
-        return float(self.areas.sum())
-
-    @property
-    def densities(self) -> np.ndarray:
-        """f64[n], points per square metre of each file's bounds; NaN without area.
-
-        >>> jf.open("survey", units="m").densities.round().tolist()
-        [1.0, 2.0]
-        """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.areas > 0, self.counts / self.areas, np.nan)
-
-    @property
-    def density(self) -> float:
-        """Points per square metre of ``area``; NaN without area.
-
-        >>> round(jf.open("survey", units="m").density, 1)
-        1.4
-        """
-        return self.count / self.area if self.area > 0 else math.nan
-
     @functools.cached_property
     def crs(self) -> pyproj.CRS | None:
         """The CRS of all files, None if none states one. Raises InputError if two differ, as :attr:`units`.
@@ -217,8 +188,36 @@ class Collection:
         """
         return self.units.xy
 
+    @property
+    def assumes_metres(self) -> bool:
+        """Whether units are metres since LAS files state no CRS. Raises InputError as :attr:`units`.
+
+        >>> jf.open("survey", units="ft").assumes_metres
+        False
+        """
+        return self.crs is None and self.units == Units() and set(self._columns["format"]) != {"text"}
+
+    def clipped(self, box: Bounds) -> Collection:
+        """The files that may hold points of a half-open box, with their bounds as far as it; a file alone stays in any case.
+
+        >>> len(jf.open("survey", units="m").clipped((512000, 5403000, 512010, 5403010)))
+        1
+        """
+        (x0, y0, x1, y1), sources = box, []
+        for number in self.within(box).tolist() if len(self) > 1 else range(len(self)):
+            source = self[number]
+            west, south, east, north = source.bounds
+            bounds = (max(west, x0), max(south, y0), min(east, x1), min(north, y1))
+            meets = bounds[0] <= bounds[2] and bounds[1] <= bounds[3]
+            sources.append(dataclasses.replace(source, bounds=bounds) if meets else source)
+        if not sources:
+            raise InputError(f"bounds={box}: none of the {len(self):,} files has points there")
+        return Collection(sources, self.unreadable, self.repeated)
+
     @functools.cached_property
     def _index(self) -> Footprints:
+        from .footprints import Footprints  # late: it brings SciPy
+
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
@@ -268,11 +267,13 @@ class Collection:
 
         c = self._columns
         crs = {w: None if w is None else pyproj.CRS.from_wkt(w).name for w in dict.fromkeys(c["wkt"])}
+        with np.errstate(divide="ignore", invalid="ignore"):
+            density = np.where(self.areas > 0, self.counts / self.areas, np.nan)
         edges = np.column_stack([c["bounds"], c["z"]])
         return pd.DataFrame(
             {"uri": c["uri"], "format": c["format"], "points": self.counts}
             | dict(zip(("xmin", "ymin", "xmax", "ymax", "zmin", "zmax"), edges.T, strict=True))
-            | {"area": self.areas, "density": self.densities, "crs": [crs[w] for w in c["wkt"]]}
+            | {"area": self.areas, "density": density, "crs": [crs[w] for w in c["wkt"]]}
             | {"metre": [units.xy for units in c["units"]], "point_format": pd.array(c["point_format"], "Int64")}
             | {"date": c["date"]}
         )
@@ -287,7 +288,8 @@ class Collection:
 
         pairs, _ = self._index.overlaps(OVERLAP)
         gaps, label = self._index.holes(), "points per m2"
-        return footprints(self.footprints, self.densities, label=label, overlaps=pairs, gaps=gaps, ax=ax)
+        density = self.table()["density"].to_numpy()
+        return footprints(self.footprints, density, label=label, overlaps=pairs, gaps=gaps, ax=ax)
 
     def to_vpc(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write a virtual point cloud, see ``vpc.py``; files without points are left out.
@@ -312,15 +314,16 @@ def open(
     """Open a survey: read the headers of its files, and nothing of their points.
 
     Args:
-        what: a LAS, LAZ or COPC file; a folder, which stands for all such files directly in it; a pattern (``"*"``, ``"?"``,
-            ``"[...]"``, ``"**"`` for any depth); a virtual point cloud (``.vpc``), whose entries are believed and whose
-            files are not touched; or a list of these. Any of them may be a URL that fsspec knows (``s3://``, ``https://``,
-            ``file://``).
+        what: a LAS, LAZ, COPC or text file; a folder, which stands for all LAS, LAZ and COPC files directly in it; a pattern
+            (``"*"``, ``"?"``, ``"[...]"``, ``"**"`` for any depth), which finds text if it ends with .txt, .xyz or .csv; a
+            virtual point cloud (``.vpc``), whose entries are believed and whose files are not touched; or a list of these.
+            Any of them may be a URL that fsspec knows (``s3://``, ``https://``, ``file://``), but text is read from local
+            disks only.
         units: of the coordinates, as in :func:`jaxfilter.read`; by default what each CRS says, and metres where there is
             none.
 
     Returns: Collection. Files that cannot be read are in its ``unreadable``, those without points are members.
-    Raises: InputError if nothing is named, a name stands for nothing, or no file can be read; for a text file.
+    Raises: InputError if nothing is named, a name stands for nothing, or no file can be read.
 
     >>> jf.open("survey/*.laz", units="m")
     Collection(2 files, 5033 points)
@@ -360,22 +363,6 @@ def _read(
 def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
     """The source, or the name and why there is none."""
     try:
-        header, reference = open_las(place_of(uri), tables=False)
-        reason = _odd(header, None if asked is not None else reference)
-        if reason is not None:
-            raise InputError(f"{uri}: {reason}")
-        return described(uri, header, reference, asked or reference.units or Units())
+        return describe_file(place_of(uri), asked)
     except InputError as error:
         return uri, str(error)
-
-
-def _odd(header: Header, reference: Reference | None) -> str | None:
-    """Why a file cannot be a member, by its header and, unless units are asked for, its CRS; or None."""
-    low, high = header.extent
-    if header.count and not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
-        return (
-            f"the extent in its header is damaged: {low.tolist()} to {high.tolist()}; write the file anew to correct it"
-        )
-    if reference is None or reference.problem is not None or not header.count:
-        return None if reference is None else reference.problem
-    return not_metric(np.stack(header.extent), header.count, reference.units is not None)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..core.errors import InputError, warn
-from .pool import Outcome, attempt
+from .executors import Outcome, attempt
 
 _AHEAD = 2
 """Bundles in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
@@ -76,7 +76,7 @@ class Cluster:
         (self._suspects if tag in self._lost else self._waiting).append((tag, (function, arguments)))
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
-        """Tasks that have ended, see :class:`jaxfilter.surveys.pool.Executor`."""
+        """Tasks that have ended, see :class:`jaxfilter.surveys.executors.Executor`."""
         self._send()
         found: list[tuple[Any, Outcome]] = []
         try:

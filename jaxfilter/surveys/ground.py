@@ -1,111 +1,206 @@
-"""Ground filtering of a survey of any size: the files of a collection in, as many classified files out."""
+"""Ground filtering of a file, or of a survey of any size: files of points in, as many classified files out."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, ClassVar
 
-from ..core.cloud import KEPT_CLASSES, Whole
+import numpy as np
+
+from ..core.cloud import overlap_counts
 from ..core.errors import ParameterError
 from ..core.filter import Filter
-from ..core.inputs import class_numbers
-from .capacity import Layout, layout
+from ..core.reading import Reading
+from ..core.result import FilterResult
+from ..files.text import SUFFIXES as TEXT
+from ..files.writing import Additions, Classes, class_changes, write_cloud
 from .collection import Collection
-from .folder import Folder, run_in
-from .options import RunOptions, begun
-from .outputs import write_file
-from .plan import Plan
-from .run import RunReport, Step
-from .setup import filter_for, sampled, whole_for
-from .task import Job, filter_tile, labels_path
+from .executors import LOCAL
+from .labels import collected, packed
+from .measures import Recipe, recipe_of
+from .options import RunOptions
+from .product import FileTask, Product
+from .report import RunReport, Summary
+from .store import KEPT
+from .survey import Cut, Survey, open_files
+from .targets import Targets, targets_of
+from .tiles import Around, Tile, TileReader, objects_at_border, part_of
 
-GROUND = Step(filter_tile, labels_path, write_file)
+
+@dataclasses.dataclass(frozen=True)
+class Review:
+    """A list of the places to look at, see :func:`jaxfilter.review`: the file, per cent of the area that they cover, and metres
+    of the squares that they are made of.
+
+    Raises: OutputError for another suffix than .gpkg and .geojson; ParameterError.
+
+    >>> review = jf.Review("places.geojson", area=10.0)
+    >>> report = jf.ground("survey", "classified", jf.OST(), reading=jf.Reading(units="m"), review=review)
+    >>> report.review["places"] > 0
+    True
+    """
+
+    path: str | Path
+    area: float = 5.0
+    side: float = 10.0
+
+    def __post_init__(self) -> None:
+        from ..reports.review_list import check_settings
+
+        check_settings(Path(self.path), self.area, self.side)
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundProduct(Product):
+    """Files with the classes of their points changed.
+
+    Attributes:
+        classes: that are written; extra: quantities that are written along; review: the list of places to look at.
+        into_text: the output is text, which has classes only if the lines of the input had.
+    """
+
+    NAME = "ground"
+    COLUMNS: ClassVar[tuple[str, ...]] = ()
+    """Names of further columns, which ``columns`` of a subclass makes."""
+    classes: Classes
+    extra: tuple[str, ...]
+    review: Review | None
+    into_text: bool
+
+    def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
+        """Label the points of a tile. Raises: InputError, ParameterError."""
+        assert self.filter is not None
+        summary, start, local = Summary(), time.perf_counter(), LOCAL.get()
+        around = self.reader.read(tile)
+        summary.seconds["read"] = (read := time.perf_counter()) - start
+        result = self.filter(around.cloud, workers=local.threads, progress=local.progress)
+        summary.seconds["filter"] = (done := time.perf_counter()) - read
+        bare = self.into_text and (around.cloud.classification is None or tile.sources[0].format != "text")
+        summarise(summary, around, result, None if bare else self.classes)
+        cut = objects_at_border(around.cloud, result.ground, tile, self.reader.reading.bounds)
+        summary.cut_objects = [dataclasses.asdict(one) for one in cut]
+        summary.seconds["border"] = time.perf_counter() - done
+        arrays = packed(around, result.ground, self.columns(around, result), result.low_noise)
+        if self.review is not None:
+            from ..reports.review_list import (
+                DoubtSquares,  # late: it brings SciPy's image functions, a quarter of a second
+            )
+
+            squares = DoubtSquares.of(around.cloud, result, self.review.side, around.core)
+            arrays |= {f"{KEPT}{name}": getattr(squares, name) for name in ("square", "points", "doubt")}
+        return arrays, summary
+
+    def columns(self, around: Around, result: FilterResult) -> dict[str, np.ndarray]:
+        """f32[k]: the quantities ``extra`` of the points of a core, by name. Raises: ParameterError if the method has none."""
+        found = {name: getattr(result, name) for name in self.extra}
+        if absent := [name for name, values in found.items() if values is None]:
+            raise ParameterError(f"extra={self.extra!r}: the method states no {absent[0]}; OST does")
+        return {name: values[around.core] for name, values in found.items()}
+
+    def file(self, task: FileTask) -> None:
+        """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
+        found = collected(self, task, dict.fromkeys((*self.extra, *self.COLUMNS), np.float32))
+        result, additions = FilterResult.of_labels(found.ground, found.noise), Additions(columns=found.quantities)
+        write_cloud(task.target, found.cloud, result, self.classes, additions, overwrite=True, in_place=task.in_place)
+
+    def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """Write the list of places to look at. Raises: InputError, OutputError."""
+        if self.review is None:
+            return
+        from ..reports.review_list import DoubtSquares, list_places, write_places
+
+        review = self.review
+        stored = [self.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
+        columns = [[one[f"{KEPT}{name}"] for name in ("square", "points", "doubt")] for one in stored]
+        anchor = np.array(self.reader.reading.anchor)
+        parts = [DoubtSquares(review.side, anchor, *arrays) for arrays in columns]
+        if parts:
+            table = list_places(DoubtSquares.together(parts), review.area, collection.crs, collection.metre)
+            write_places(table, Path(review.path), overwrite=options.overwrite or options.resume)
+            expected = float(table["expected_errors"].sum())
+            report.review = {"output": str(review.path), "places": len(table), "expected_errors": expected}
+
+    def facts(self) -> dict[str, Any]:
+        """Classes and quantities."""
+        review = None if self.review is None else self.review.side
+        return {"classes": dataclasses.asdict(self.classes), "extra": self.extra, "review": review}
+
+
+def summarise(summary: Summary, around: Around, result: FilterResult, classes: Classes | None) -> None:
+    """What is said of the labels of a tile; ``classes``: that are written, None = the output has none."""
+    own = around.own
+    cloud, ground, barred, noise = (
+        part_of(around.cloud, own),
+        result.ground[own],
+        result.barred[own],
+        result.low_noise[own],
+    )
+    summary.points, summary.read, summary.unread = len(own), len(around.cloud), around.left_out
+    summary.candidates, summary.ground = int(cloud.candidate.sum()), int(ground.sum())
+    summary.barred, summary.barred_ground = int(barred.sum()), int((barred & ground).sum())
+    summary.low_noise = int(noise.sum())
+    if classes is not None:
+        summary.classes.update(class_changes(cloud, FilterResult.of_labels(ground, noise), classes))
+    summary.overlap.update(overlap_counts(cloud, ground))
+    summary.statuses[result.status.name] = 1
+    summary.counts = {name: value for name, value in result.info.items() if isinstance(value, (int, float, str))}
 
 
 def ground(
     what: Any,
-    out: str | Path,
-    filter_: Filter | None = None,
+    out: str | Path | None,
+    filter_: Filter | Recipe | None = None,
     *,
-    units: str | None = None,
-    halo: float | None = None,
-    returns: str = "last,only",
-    ignore_classes: Iterable[int] = KEPT_CLASSES,
-    ignore_overlap: bool = False,
-    keep_withheld: bool = False,
-    drop_invalid: bool = False,
-    ground_class: int = 2,
-    other_class: int = 1,
-    reset: str = "ground",
-    only_ground: bool = False,
-    noise_class: int | None = None,
+    reading: Reading = Reading(),
+    classes: Classes = Classes(),
     extra: Iterable[str] = (),
-    setup: Callable[[Collection, dict[str, Any], Path], tuple[Filter, Whole]] | None = None,
-    **run: Unpack[RunOptions],
+    review: Review | None = None,
+    run: RunOptions = RunOptions(),
 ) -> RunReport:
-    """Classify the ground points of the files of a collection, tile by tile, into one file for each in a folder.
+    """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
 
-    Every file is written as it was, with classes changed, when all its tiles are done. The journal in the folder lets a run
-    that was stopped, in whatever way, go on with ``resume``; the files are those of an undisturbed run.
+    Every file is written as it was, with classes changed, when all its points have labels. What is large goes in tiles that see
+    their surroundings, across files. A folder beside the output holds what is done, so that a run that was stopped, in whatever
+    way, goes on with ``resume``; the files are those of an undisturbed run.
 
     Args:
-        what: a :class:`Collection`, or what :func:`jaxfilter.open` takes.
-        out: a folder, made if missing; it must be empty, but for ``resume`` and ``overwrite``. May be a URL that fsspec can
-            write to (``"s3://bucket/prefix"``); every file appears there whole or not at all.
-        filter_: by default the default method, set up for the collection.
-        halo: metres around each tile that are read as well; by default what the method needs (``Filter.tile_halo``).
-        returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid: as in :func:`jaxfilter.read`.
-        ground_class, other_class, reset, only_ground, noise_class, extra: as in :func:`jaxfilter.write`.
-        setup: in place of ``filter_``: makes filter and whole of the collection, the reading options and the folder for
-            what is found out about files.
+        what: a file, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
+        out: a file for one file, else a folder, made if missing; it must be empty, but for ``resume`` and ``overwrite``. May be a
+            URL that fsspec can write to (``"s3://bucket/prefix"``); every file appears there whole or not at all. None with
+            ``in_place``.
+        filter_: by default the default method, set up for the data.
+        reading: which points are read and judged, see :class:`Reading`; with ``bounds`` only points within are written.
+        classes: that are written, see :class:`Classes`; extra: quantities that are written along, as in :func:`jaxfilter.write`.
+        review: a list of places to look at that is written as well, of methods that state their doubt.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it.
     Raises: InputError, ParameterError, OutputError before anything is filtered, JaxfilterError if workers cannot be started;
-    OutputError if the journal cannot be written.
+    OutputError if a disk is full; of a single file what is wrong with it.
 
-    >>> report = jf.ground("survey", "classified", jf.SMRF(), units="m", workers=1)
+    >>> report = jf.ground("survey", "classified", jf.SMRF(), reading=jf.Reading(units="m"))
     >>> len(report.files), report.set_aside, 0 < report.ground < report.candidates
     (2, [], True)
     """
-    if not isinstance(filter_, Filter | None):
-        raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
-    collection = begun("ground", what, units, run)
-    reading = {
-        "returns": returns,
-        "ignore_classes": class_numbers(ignore_classes),
-        "ignore_overlap": ignore_overlap,
-        "keep_withheld": keep_withheld,
-        "drop_invalid": drop_invalid,
-    }
-    classes = {
-        "ground_class": ground_class,
-        "other_class": other_class,
-        "reset": reset,
-        "only_ground": only_ground,
-        "noise_class": noise_class,
-    }
-    folder = Folder.prepared(out, collection, run)
-    index = folder.scratch / "index"
+    recipe = recipe_of(filter_)
+    recipe.alone()  # what is wrong with parameters is said before anything is read
+    if review is not None and not (recipe.method is None or recipe.method.DOUBTS):
+        raise ParameterError(f"review: {recipe.method.__name__} states no doubt; OST does")
+    collection = open_files(what, out, reading, run)
+    targets = targets_of(None if run.in_place else out, collection.uris, run)
+    survey, quantities = Survey(collection, targets, recipe, reading, run), tuple(Additions(extra).extra)
 
-    def prepared(most: float | None) -> tuple[Job, Layout, Plan, dict[str, Any]]:
-        if setup is not None:
-            chosen, whole = setup(collection, reading, index)
-        else:
-            sample = sampled(collection, reading, index)
-            chosen = filter_.replace() if filter_ else filter_for(sample, None, {})
-            whole = whole_for(chosen, sample, collection, reading, index)
-        cut = layout(
-            collection,
-            halo=chosen.tile_halo() if halo is None else halo,
-            lattice=chosen.lattice(),
-            most_points=most,
-            **run,
-        )
-        width, height = (side * collection.metre for side in cut.plan.largest())
-        whole = dataclasses.replace(whole, width=width, height=height)
-        return Job(chosen, reading, classes, tuple(extra), whole, folder.scratch, index), cut, cut.plan, {}
+    def product_for(reader: TileReader, filter_: Filter | None) -> GroundProduct:
+        text = all(place.suffix.lower() in TEXT for place in targets.places)
+        return GroundProduct(reader, targets.store.path, filter_, classes, quantities, review, text)
 
-    return run_in(folder, collection, GROUND, prepared, run)
+    return survey.run(cut_by_filter, product_for)
+
+
+def cut_by_filter(filter_: Filter | None) -> Cut:
+    """Tiles that a filter needs."""
+    assert filter_ is not None
+    return Cut(filter_.halo(), filter_.lattice())

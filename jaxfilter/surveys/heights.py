@@ -1,164 +1,126 @@
-"""Heights above ground of all points of a survey: the files of a collection in, as many files with heights out."""
+"""Heights above ground of all points: files in, as many files with heights out."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError
+from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter
+from ..core.reading import Reading
 from ..core.result import Status
-from ..files.disk import Seal
-from ..files.writing import HEIGHT, class_changes, write
+from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, Classes, write_cloud
 from ..terrain.models import heights_of
-from .capacity import Layout
-from .folder import Folder, run_in
-from .options import RunOptions, begun
-from .outputs import FileReport, FileTask, collected, handle_of
-from .plan import Plan
-from .run import RunReport, Step
-from .surroundings import HALOS, Doubt, GroundJob, ground_job, surroundings
-from .task import CANDIDATE, GROUND, Job, Tile, TileReport, cut_at_border, heard, labels_path, part_of, store
+from .executors import LOCAL
+from .ground import summarise
+from .labels import collected, packed
+from .options import RunOptions
+from .product import FileTask
+from .report import RunReport, Summary
+from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, cut_around, source_of_ground
+from .survey import FIND_GROUND, Survey, open_files
+from .targets import targets_of
+from .tiles import Tile, TileReader, objects_at_border
 
 _GRAIN = 1.0  # metres
-_CLASSES = {"ground_class": GROUND_CLASS, "other_class": 1, "reset": "ground", "only_ground": False}
 
 
 @dataclasses.dataclass(frozen=True)
-class HeightJob(GroundJob):
-    """``replace_z``: heights take the place of Z."""
+class HeightProduct(GroundNeeded):
+    """Files with the height of every point; ``replace_z``: in place of Z."""
 
+    NAME = "heights"
     replace_z: bool
 
-
-def height_tile(job: HeightJob, tile: Tile) -> TileReport:
-    """Heights of the points of a core above the ground in and around it, put into the folder of the job.
-
-    Raises: InputError if there is no ground within the widest halo; as :func:`jaxfilter.surveys.task.filter_tile`.
-    """
-    start, heights, doubt = time.perf_counter(), None, None
-    with heard() as remarks:
-        for found in surroundings(job, tile):
-            around, usable = found.around, found.usable
-            own = np.flatnonzero(around.core)
+    def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
+        """Heights of the points of a tile. Raises: InputError if there is no ground within the widest halo."""
+        summary, heights, doubt, threads = Summary(), None, None, LOCAL.get().threads
+        for found in self.surroundings(tile, summary):
+            around, start = found.around, time.perf_counter()
+            own = around.own
             if not len(own):
                 heights = np.zeros(0)
                 break
-            if usable.any():
-                doubt = Doubt(around.cloud, job.data, found.near)
-                heights = heights_of(around.cloud, usable, own, workers=1, look=doubt.look)
+            if found.usable.any():
+                doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
+                heights = heights_of(around.cloud, found.usable, own, workers=threads, look=doubt.look)
+                summary.seconds["heights"] += time.perf_counter() - start
                 if not doubt.count:
                     break
         if heights is None:
-            raise InputError(
-                f"no point within {HALOS[-1]:g} m of the tile {tile.core} is ground: classify the files first, or find the "
-                "ground with a filter"
-            )
-        result = found.result
-        seal = store(job, tile.number, around, found.ground, {HEIGHT: heights})
-        cloud = part_of(around.cloud, own)
-        changes = {} if result is None else class_changes(cloud, found.ground[own], **job.classes)
-        cut = [] if result is None else cut_at_border(around.cloud, result, found.tile)
-    return TileReport(
-        tile.number,
-        len(own),
-        int(cloud.candidate.sum()),
-        int(found.ground[own].sum()),
-        len(around.cloud),
-        time.perf_counter() - start,
-        changes,
-        Status.CONVERGED.name if result is None else Status(result.status).name,
-        seal,
-        tuple(remarks),
-        around.left_out,
-        tuple(cut),
-        (float(heights.min()), float(heights.max())) if len(heights) else None,
-        0 if doubt is None else doubt.count,
-    )
+            around_it = f"the tile {tile.core} and {HALOS[-1]:g} m around it"
+            where = tile.sources[0].uri if tile.core is None else around_it
+            raise InputError(f"{where}: no point is ground; {FIND_GROUND}")
+        cloud, result = around.cloud, found.result
+        if result is not None:
+            summarise(summary, around, result, Classes())
+            cut = objects_at_border(cloud, result.ground, found.tile, self.reader.reading.bounds)
+            summary.cut_objects = [dataclasses.asdict(one) for one in cut]
+        else:
+            summary.points, summary.read, summary.unread = len(own), len(cloud), around.left_out
+            summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
+            summary.statuses[Status.CONVERGED.name] = 1
+        summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None
+        summary.uncertain = 0 if doubt is None else doubt.count
+        return packed(around, found.ground, {HEIGHT: heights}), summary
 
+    def file(self, task: FileTask) -> None:
+        """Write a file with the heights of its tiles, and classes if a filter found the ground.
 
-def write_heights(job: HeightJob, task: FileTask) -> FileReport:
-    """Write a file with the heights of its tiles, and classes if a filter found the ground.
+        Raises: InputError, OutputError.
+        """
+        found = collected(self, task, {HEIGHT: np.float64})
+        result = found.ground if self.classes_of_ground is None else None
+        additions = Additions.of_heights(found.quantities[HEIGHT], self.replace_z)
+        write_cloud(task.target, found.cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
 
-    Raises: InputError if a point has none, or the file has changed; OutputError.
-    """
-    label, quantities = collected(job, task, {HEIGHT: np.float64})
-    ground = (label & GROUND) > 0
-    with heard() as remarks:
-        cloud = handle_of(job, task.source, (label & CANDIDATE) > 0)
-        result = ground if job.ground_classes is None else None
-        write(
-            task.target,
-            cloud,
-            result,
-            overwrite=task.overwrite,
-            heights=quantities[HEIGHT],
-            replace_z=job.replace_z,
-            **job.classes,
-        )
-    return FileReport(task.number, len(label), int(ground.sum()), tuple(remarks), Seal.of(task.target))
-
-
-HEIGHTS = Step(height_tile, labels_path, write_heights)
+    def facts(self) -> dict[str, Any]:
+        """Classes of ground points, and where heights go."""
+        return {"heights": super().facts() | {"replace_z": self.replace_z}}
 
 
 def heights(
     what: Any,
-    out: str | Path,
-    finder: type[Filter] | None = None,
-    changes: dict[str, Any] | None = None,
+    out: str | Path | None,
+    ground: GroundSource = (GROUND_CLASS,),
     *,
     replace_z: bool = False,
-    units: str | None = None,
-    largest_building: float | None = None,
-    ground_classes: Iterable[int] = (GROUND_CLASS,),
-    **run: Unpack[RunOptions],
+    reading: Reading = Reading(),
+    run: RunOptions = RunOptions(),
 ) -> RunReport:
-    """Write the files of a collection with the height of every point above the ground, tile by tile and without seams.
+    """Write a file, or the files of a collection, with the height of every point above the ground, without seams.
 
     Heights are those of :func:`jaxfilter.height_above_ground` for all files together, but for points over voids so wide that
     320 m of surroundings do not settle their triangle (``RunReport.uncertain``), and for 20 m along the edge of the data.
 
     Args:
-        finder: the method that finds the ground, whose classes are then written as well; by default the points of
-            ``ground_classes`` are it, less withheld ones.
-        changes: its fields. largest_building: metres, as in ``Filter.for_cloud``.
+        what, out, reading: as in :func:`jaxfilter.ground`.
+        ground: what is ground: classes of points, less withheld ones, or a filter that finds it, whose classes are then written
+            as well. In text it is label 0.
         replace_z: put heights in place of Z instead of into the extra dimension ``HeightAboveGround``.
-        what, out, units: as in :func:`jaxfilter.ground`.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it. Tiles without ground within 320 m are set aside.
-    Raises: InputError, ParameterError, OutputError before anything is done, JaxfilterError if workers cannot be started;
-    OutputError if the journal cannot be written.
+    Raises: as :func:`jaxfilter.ground`.
 
-    >>> report = jf.heights("survey", "heights", units="m", workers=1)
+    >>> report = jf.heights("survey", "heights", reading=jf.Reading(units="m"))
     >>> len(report.files), report.points == len(cloud), report.heights[0] < 1 < report.heights[1]
     (2, True, True)
     """
-    collection = begun("heights", what, units, run)
-    folder = Folder.prepared(out, collection, run)
+    recipe, classes = source_of_ground(ground)
+    collection = open_files(what, out, reading, run)
+    targets = targets_of(None if run.in_place else out, collection.uris, run)
+    if wrong := [place for place in targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
+        raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
 
-    def prepared(most: float | None) -> tuple[Job, Layout, Plan, dict[str, Any]]:
-        job, cut, plan = ground_job(
-            HeightJob,
-            collection,
-            finder,
-            changes or {},
-            largest_building=largest_building,
-            ground_classes=ground_classes,
-            grain=_GRAIN,
-            run=run,
-            most_points=most,
-            classes=_CLASSES,
-            scratch=folder.scratch,
-            replace_z=replace_z,
-        )
-        return job, cut, plan, {"heights": {"ground_classes": job.ground_classes, "replace_z": replace_z}}
+    def product_for(reader: TileReader, filter_: Filter | None) -> HeightProduct:
+        return HeightProduct(reader, targets.store.path, filter_, collection.bounds, classes, _GRAIN, replace_z)
 
-    return run_in(folder, collection, HEIGHTS, prepared, run)
+    return Survey(collection, targets, recipe, reading, run).run(
+        lambda filter_: cut_around(filter_, _GRAIN), product_for
+    )

@@ -13,7 +13,6 @@ from ..files.sources import Source
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
-from .vpc import read_vpc
 
 Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
@@ -35,23 +34,25 @@ def _expanded(name: str, asked: Units | None) -> Iterable[Entry]:
     place = place_of(name)
     suffix = place.suffix.lower()
     if suffix == ".vpc":
+        from .vpc import read_vpc
+
         return read_vpc(place, asked)
     if isinstance(place, Remote):
-        if suffix in LAS_SUFFIXES and not any(c in name for c in "*["):
+        if suffix in (*LAS_SUFFIXES, *TEXT) and not any(c in name for c in "*["):
             return [name]
-        _refuse_text(name, suffix)
         return _some(name, place.listed(LAS_SUFFIXES))
     place = Path(os.path.abspath(place))  # which other processes understand as well
     if place.is_dir():
         return _some(name, sorted(str(p) for p in place.iterdir() if _is_member(p)))
     if not place.exists() and any(c in name for c in "*?["):
-        return _some(name, sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p))))
-    _refuse_text(name, suffix)
+        return _some(name, sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p), suffix)))
     return [str(place)]
 
 
-def _is_member(path: Path) -> bool:
-    return path.suffix.lower() in LAS_SUFFIXES and not path.name.startswith(".") and path.is_file()
+def _is_member(path: Path, asked: str = "") -> bool:
+    """Files of LAS, and of text if a pattern asks for their suffix."""
+    known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
+    return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
 
 
 def _some(name: str, found: list[str]) -> list[str]:
@@ -62,8 +63,3 @@ def _some(name: str, found: list[str]) -> list[str]:
             f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"
         )
     return found
-
-
-def _refuse_text(name: str, suffix: str) -> None:
-    if suffix in TEXT:
-        raise InputError(f"{name}: text cannot be a member of a collection; convert it to LAZ first")

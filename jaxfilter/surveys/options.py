@@ -1,60 +1,122 @@
-"""How a run over a collection is carried out: what all functions that make one are told alike."""
+"""How a run is carried out."""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import math
 import os
-from collections.abc import Callable
-from typing import Any, TypedDict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
-from .collection import Collection
-from .collection import open as open_collection
-from .pool import Executor, check_main
-from .run import Standing
+import psutil
+
+from ..core.errors import ParameterError
+from ..core.result import Progress, silent
+from .executors import Executor, Here, Local, Pool
+from .plan import Plan
+from .report import Standing
+
+_BASE, _PER_POINT, _SHARE = 350e6, 330, 0.7
+"""Bytes of a worker before it has read a point, bytes per point of core and halo, and the share of the memory that is free."""
 
 
-class RunOptions(TypedDict, total=False):
-    """Keywords of :func:`jaxfilter.ground`, :func:`jaxfilter.heights` and :func:`jaxfilter.terrain_model`, all of which may be
-    left out: how the run is carried out. None of them changes what is found, but ``tile`` where a label depends on points at any
-    distance.
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How a run is carried out. None of this changes what is found, but ``tile``, ``halo`` and ``measures`` where a label depends
+    on points at any distance.
 
     Attributes:
-        tile: side of a tile in metres; by default as large as the memory allows.
-        memory: bytes for all processes together; by default seven tenths of what is free.
-        workers: processes; by default one per processor, as far as the memory goes.
+        tile: side of a tile in metres; by default one tile for data of 8 million points or fewer, and else as large as holds
+            5 million points with its halo, or as wide as 6 halos.
+        halo: metres around each tile that are read as well; by default what the method needs (``Filter.halo``).
+        workers: processes, or threads where there is one tile; by default one per processor, as far as the memory goes. With
+            1 everything is done in this process.
+        memory: bytes for all processes together; by default seven tenths of what is free. It limits the number of workers.
         client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
         executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
-        work: local folder for the journal, and for what tiles have found until it is written; all workers see it. By default
-            where the output goes, unless that is a URL.
+        work: local folder in which the run keeps what it needs to go on; all workers see it. By default beside the output,
+            or in the folder for temporary files if one file is written to a URL. For several files into a URL it must be given.
         resume: go on with the run that was begun for the output.
         overwrite: begin anew; files that the run writes are replaced.
+        in_place: write the inputs; there is no other output.
+        measures: of the scene, as ``RunReport.measures`` of another run has them, instead of measuring them here.
         progress: called with the :class:`Standing` about four times a second.
 
-    >>> how: jf.RunOptions = {"tile": 50.0, "workers": 1}
-    >>> jf.heights("survey", "heights", units="m", **how).complete
+    >>> run = jf.RunOptions(tile=50.0, workers=1)
+    >>> jf.heights("survey", "heights", run=run, reading=jf.Reading(units="m")).complete
     True
     """
 
-    tile: float | None
-    memory: float | None
-    workers: int | None
-    client: Any
-    executor: Executor | None
-    work: str | os.PathLike[str] | None
-    resume: bool
-    overwrite: bool
-    progress: Callable[[Standing], None] | None
+    tile: float | None = None
+    halo: float | None = None
+    workers: int | None = None
+    memory: float | None = None
+    client: Any = None
+    executor: Executor | None = None
+    work: str | Path | None = None
+    resume: bool = False
+    overwrite: bool = False
+    in_place: bool = False
+    measures: Mapping[str, Any] | None = None
+    progress: Callable[[Standing], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise ParameterError(f"workers={self.workers!r}: must be at least 1")
+        if self.memory is not None and not 0 < self.memory < math.inf:
+            raise ParameterError(f"memory={self.memory!r}: must be > 0 bytes")
 
 
-def begun(caller: str, what: Any, units: str | None, run: RunOptions) -> Collection:
-    """The collection of a run, before that touches anything.
+def check_memory(options: RunOptions, plan: Plan) -> None:
+    """Raises: ParameterError if the memory does not suffice for one worker."""
+    if options.memory is not None and options.memory < _need(plan):
+        raise ParameterError(
+            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {_need(plan):.3g}: pass memory= with "
+            "more, or tile= with less"
+        )
 
-    Raises: TypeError for names that are no options, as Python does; JaxfilterError if its workers would come here themselves;
-    InputError if files cannot be found, or do not go together.
+
+def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:
+    """What does the work: what is given, a cluster, this process, or several. ``progress``: of filters in this process.
+
+    Raises: JaxfilterError if workers cannot be started.
     """
-    unknown = [name for name in run if name not in RunOptions.__annotations__]
-    if unknown:
-        raise TypeError(f"{caller}() got an unexpected keyword argument {unknown[0]!r}")
-    check_main()
-    collection = what if isinstance(what, Collection) else open_collection(what, units=units)
-    _ = collection.units  # which are refused where files do not go together
-    return collection
+    if options.executor is not None:
+        return options.executor
+    if options.client is not None:
+        from .dask import Cluster
+
+        return Cluster(options.client)
+    room = options.memory or _SHARE * free_memory()
+    workers = options.workers
+    count = min(processors(), max(1, int(room // _need(plan)))) if workers is None else workers
+    if count > 1 and len(plan) > 1:
+        return Pool(count)
+    return Here(Local(workers, progress))
+
+
+def _need(plan: Plan) -> float:
+    """Bytes of a worker."""
+    return _BASE + _PER_POINT * float(plan.points.max(initial=0.0))
+
+
+def free_memory() -> float:
+    """Bytes that are free to this process, by the system and by the limit of its control group (Slurm, Kubernetes)."""
+    free = float(psutil.virtual_memory().available)
+    group = Path("/sys/fs/cgroup")
+    for limit, used in (
+        ("memory.max", "memory.current"),
+        ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"),
+    ):
+        with contextlib.suppress(OSError, ValueError):  # no such group, or "max"
+            free = min(free, float((group / limit).read_text()) - float((group / used).read_text()))
+    return free
+
+
+def processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

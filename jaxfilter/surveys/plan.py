@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -20,17 +19,10 @@ _LARGEST_SIDE = 100_000.0  # metres
 _ROUNDS = 12
 _ROUNDED = 0.01
 """Units, and metres, by which bounds in headers may be off."""
-
-
-class Footprinted(Protocol):
-    """Bounds f64[n, 4], file units, and counts i64[n] of files, and metres per unit: a collection."""
-
-    @property
-    def footprints(self) -> np.ndarray: ...
-    @property
-    def counts(self) -> np.ndarray: ...
-    @property
-    def metre(self) -> float: ...
+POINTS, HALOS = 5_000_000, 6
+"""Points of core and halo of a tile, and its width in halos, both sides included, at least: larger tiles save little."""
+WHOLE = 8_000_000
+"""Points of all data up to which they are one tile."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,13 +116,6 @@ class Plan:
         return found.hexdigest()
 
 
-def plan_with_halo(plan: Plan, files: Footprinted, halo: float) -> Plan:
-    """The same cores with another halo, metres."""
-    used = np.flatnonzero(files.counts > 0)
-    sides = (plan.width, plan.height)
-    return _tiles(files.footprints, files.counts, used, plan.origin, sides, halo / files.metre, plan.lattice)
-
-
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
     """A box, ``halo`` around it, and further to multiples of ``lattice``; all in file units."""
     x0, y0, x1, y1 = core
@@ -143,63 +128,57 @@ def plan_tiles(
     bounds: np.ndarray,
     counts: np.ndarray,
     *,
-    metre: float,
-    halo: float,
+    metre: float = 1.0,
+    halo: float = 0.0,
     lattice: float = 1.0,
-    grid: float = 0.0,
-    most_points: float = math.inf,
     side: float | None = None,
-    cuts: int = 1,
+    reach: float | None = None,
 ) -> Plan:
     """Tiles over files, nearly square, all of one size, so that a whole number of them covers the data.
+
+    Nothing but the files, the halo and the lattice decides on them, so that a run has the same tiles on every machine. Without
+    a ``side``, core and halo have about :data:`POINTS` points, by the densities of the files, but are at least
+    :data:`HALOS` halos wide; data of :data:`WHOLE` points or fewer are one tile.
 
     Args:
         bounds: f64[n, 4] of files: xmin, ymin, xmax, ymax, file units, all closed; counts: i64[n], points in each.
         metre: metres per file unit in x and y.
-        halo: metres. lattice: metres; windows end at multiples of it.
-        grid: metres; cores end at multiples of it, by default of the lattice.
-        most_points: in core and halo, as the densities of the files have it; decides the size, unless that is given.
-        side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``grid``.
+        halo: metres. lattice: metres; windows and cores end at multiples of it.
+        side: of cores, metres; then they are squares that end at multiples of it, widened to a multiple of ``lattice``.
+        reach: metres around a core in which files are near it, by default the halo.
 
-        cuts: tiles along the longer side of the data, at least.
-
-    Raises: ParameterError if a core as wide as its halo has too many points; InputError for too many tiles.
+    Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.
     """
+    if not 0 <= halo < math.inf:
+        raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     used = np.flatnonzero(counts > 0)
-    grid = grid or lattice
-    units = (halo / metre, lattice / metre)
+    units = (halo / metre, lattice / metre, (halo if reach is None else reach) / metre)
     if not len(used):
-        return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), *units)
+        return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), units)
     low, high = (pick(bounds[used][:, axes], axis=0) for pick, axes in ((np.min, [0, 1]), (np.max, [2, 3])))
     if side is not None:
         if not side > 0:
             raise ParameterError(f"tile={side!r}: must be > 0 metres")
-        step = grid * math.ceil(side / grid - 1e-9) / metre
-        return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), *units)
-    unit = grid / metre
+        step = lattice * math.ceil(side / lattice - 1e-9) / metre
+        return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), units)
+    unit = lattice / metre
     origin = unit * np.floor((low - _ROUNDED / metre) / unit)
     extent = (high - origin) * metre + _ROUNDED
+    if counts.sum() <= WHOLE:
+        return _tiles(bounds, counts, used, tuple(origin), tuple(unit * np.ceil(extent / lattice + 1e-6)), units)
     area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
     density = float(counts[used].sum()) / max(area, 1.0)
-    least = max(grid, halo)
-    guess = max(
-        least if cuts == 1 else grid,
-        min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()) / cuts, _LARGEST_SIDE),
-    )
+    most_points = max(POINTS, density * (HALOS * halo) ** 2)
+    least = max(lattice, halo)
+    guess = max(least, min(math.sqrt(most_points / density) - 2 * halo, float(extent.max()), _LARGEST_SIDE))
     for _ in range(_ROUNDS):
-        sides = unit * np.ceil(extent / np.ceil(extent / guess) / grid + 1e-6)
-        plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), *units)
+        sides = unit * np.ceil(extent / np.ceil(extent / guess) / lattice + 1e-6)
+        plan = _tiles(bounds, counts, used, tuple(origin), tuple(sides), units)
         most = float(plan.points.max(initial=0.0))
-        if most <= most_points:
-            return plan
-        if guess <= least:
+        if most <= most_points or guess <= least:
             break
         guess = max(least, 0.95 * ((guess + 2 * halo) * math.sqrt(most_points / most) - 2 * halo))
-    raise ParameterError(
-        f"a tile of {plan.width * metre:g} x {plan.height * metre:g} m with a halo of {halo:g} m holds about {most:,.0f} "
-        f"points, more than the {most_points:,.0f} that the memory is good for: pass halo= with less, memory= with more, or "
-        "workers= with fewer"
-    )
+    return plan
 
 
 def _tiles(
@@ -208,10 +187,11 @@ def _tiles(
     used: np.ndarray,
     origin: tuple[float, ...],
     sides: tuple[float, ...],
-    halo: float,
-    lattice: float,
+    widths: tuple[float, float, float],
 ) -> Plan:
-    """The plan of cores of such sides; all lengths in file units. ``used``: i64[k], the files with points."""
+    """The plan of cores of such sides; all lengths in file units. ``used``: i64[k], the files with points; ``widths``: halo,
+    lattice, and how far away files are near."""
+    halo, lattice, reach = widths
     start, size = np.tile(np.array(origin), 2), np.array(sides)
     slack = min(1e-6 * size.min(), _ROUNDED / 2)
     box = bounds[used] - start + [-slack, -slack, slack, slack]
@@ -219,7 +199,7 @@ def _tiles(
     tiles = np.unique(key)
     home = Lists.of(np.searchsorted(tiles, key), file, len(tiles))
     cell = np.stack([tiles % frame.columns + frame.west, tiles // frame.columns + frame.south], axis=1)
-    wide = halo + lattice
+    wide = reach + lattice
     key, file, _ = _covered(box + [-wide, -wide, wide, wide], used, size, frame)
     at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
     kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)

@@ -1,4 +1,4 @@
-"""A run over a collection: tiles are handed out and taken in, files written, and all of it recorded.
+"""A run: the tiles of a plan are handed out and taken in, and files are written. One file is a run of one.
 
 The order in which tiles end, the executor and interruptions change nothing in the files.
 """
@@ -7,391 +7,247 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import itertools
-import json
 import math
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ..core.filter import Filter
-from ..files.disk import Seal, new_file
-from ..files.storage import Place
+from ..core.errors import OutputError
+from ..core.filter import lowest_among
+from ..files.disk import Seal
 from .collection import Collection
-from .journal import Journal
-from .outputs import FileReport, FileTask
+from .executors import RETRIES, Executor, Outcome, Task, carried_out
+from .options import RunOptions, executor_for
 from .plan import Plan
-from .pool import Executor, Outcome, Task, carried_out
-from .task import Job, Tile, survey_tile
+from .product import FileTask, Product, do_tile, lowest_in_tile, write_file
+from .report import Standing, Summary
+from .targets import Targets
+from .tiles import Tile
 
 _WAIT = 0.25  # seconds between looks at the progress
-_MOST_DRAWN = 100_000  # tiles
-
-
-@dataclasses.dataclass(frozen=True)
-class Step:
-    """What a run does.
-
-    Attributes:
-        tile: with each tile: from job and :class:`Tile` to a dataclass with ``number``, ``points``, ``read``, ``seal`` and
-            ``left_out``.
-        kept: where that puts what it found, by folder and number; ``seal`` is of that.
-        file: with each file whose tiles are done: from job and :class:`FileTask` to a FileReport; None = nothing.
-    """
-
-    tile: Callable[[Any, Tile], Any]
-    kept: Callable[[Path, int], Path]
-    file: Callable[[Any, FileTask], FileReport] | None
 
 
 @dataclasses.dataclass
-class Standing:
-    """How far a run is: what progress is made of.
-
-    Attributes:
-        step: ``"survey"`` or ``"tiles"``.
-        tiles, tiles_done: all, and those that are done or set aside.
-        points: of the cores done in this process; read: the same with halos; seconds: since it began.
-        files, files_done: all, and those written.
-        left: seconds, by the tiles done so far; NaN before the first.
-    """
-
-    step: str
-    tiles: int
-    tiles_done: int
-    files: int
-    files_done: int = 0
-    points: int = 0
-    read: int = 0
-    seconds: float = 0.0
-    left: float = math.nan
-
-    @property
-    def rate(self) -> float:
-        """Points per second."""
-        return self.points / self.seconds if self.seconds > 0 else 0.0
-
-
-@dataclasses.dataclass
-class RunReport:
-    """What a run, with those that it went on from, has done.
-
-    Attributes:
-        tiles: number of them; set_aside: number, core and reason of those that failed.
-        files: written; failed: URI and reason of those that were not; left_out: URI and reason of files that could not be
-            read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
-            when this one went on, which made them again, with what was wrong.
-        points, candidates, ground: of all tiles that are done; read: with halos.
-        seconds: of this process; tile_seconds: sum over the tiles.
-        classes: points by (old class, new class).
-        overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
-            ``ground``.
-        statuses: tiles by the filter's status; remarks: what was warned of, with how often.
-        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.surveys.border.CutObject` each,
-            from south to north.
-        heights: lowest and highest height above ground, units of Z, where these were asked for; uncertain: points whose
-            height may be another in the whole.
-        cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
-            tiles that were set aside. For the map.
-    """
-
-    tiles: int
-    set_aside: list[dict[str, Any]]
-    files: list[str]
-    failed: list[dict[str, str]]
-    left_out: list[dict[str, str]]
-    again: list[dict[str, str]]
-    points: int
-    candidates: int
-    ground: int
-    read: int
-    seconds: float
-    tile_seconds: float
-    classes: dict[tuple[int, int], int]
-    overlap: dict[str, int]
-    statuses: dict[str, int]
-    remarks: dict[str, int]
-    cut_objects: list[dict[str, Any]]
-    heights: tuple[float, float] | None
-    uncertain: int
-    cores: np.ndarray
-    state: np.ndarray
-
-    @property
-    def complete(self) -> bool:
-        """Whether every file was written and none was left out."""
-        return not (self.set_aside or self.failed or self.left_out)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON, without the arrays."""
-        found = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del found["cores"], found["state"]
-        found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
-        return found | {"complete": self.complete}
-
-    def draw(self, place: Place) -> None:
-        """Write a map: share of ground of each tile, those set aside with dashes, and objects that the
-        border cuts as dots, large ones for those that are ground. Raises: OutputError."""
-        if not 0 < len(self.cores) <= _MOST_DRAWN:
-            return
-        from ..plots import footprints
-
-        shares = np.where(self.state >= 0, 100 * self.state, np.nan)
-        aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
-        ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)
-        for is_ground, size, name in ((False, 6.0, "cut by the border"), (True, 30.0, "the same, and ground")):
-            shown = [(one["x"], one["y"]) for one in self.cut_objects if (one["ground"] >= 0.5) == is_ground]
-            if shown:
-                ax.scatter(*zip(*shown, strict=True), s=size, c="red", edgecolors="black", linewidths=0.5, label=name)
-        if self.cut_objects:
-            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
-        with new_file(place, overwrite=True) as part:
-            ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
-
-
 class Run:
-    """Tiles of a plan on their way through an executor."""
+    """Tiles of a plan on their way through an executor, and the files that are written out of them."""
 
-    def __init__(
-        self,
-        job: Job,
-        plan: Plan,
-        sources: Collection,
-        targets: Sequence[Place],
-        journal: Journal,
-        executor: Executor,
-        *,
-        step: Step,
-        overwrite: bool = False,
-        progress: Callable[[Standing], None] | None = None,
-    ) -> None:
-        """``targets``: where each source is written to, if ``step`` does; ``overwrite``: replace what is there.
+    product: Product
+    plan: Plan
+    collection: Collection
+    targets: Targets
+    options: RunOptions
 
-        ``sources`` is indexed when a task is made, so that it may make them as they are needed.
-        """
-        self.job, self.plan, self.sources, self.targets = job, plan, sources, targets
-        self.journal, self.executor, self.step, self.overwrite = journal, executor, step, overwrite
-        self._progress = progress or (lambda standing: None)
+    def __post_init__(self) -> None:
+        product, plan, options = self.product, self.plan, self.options
+        self.store = self.targets.store
+        self._progress = options.progress or (lambda standing: None)
         self._start = time.perf_counter()
         self._shown = 0.0
         self._unwritten = np.diff(plan.home.start).astype(np.int32)  # files per tile whose labels are still needed
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
-        self.again: list[dict[str, str]] = []
+        self._standing = Standing("tiles", len(plan), 0, len(self._missing) if product.writes_files else 0)
+        self.report = product.REPORT(tiles=len(plan), cores=plan.cores(), state=np.full(len(plan), np.nan))
 
     def __call__(self) -> None:
-        """Do what is not done yet. Raises: OutputError if the journal cannot be written."""
+        """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
+        executor = executor_for(self.options, self.plan, self._show_step)
         try:
-            if type(self.job.filter).lowest is not Filter.lowest:
-                self._survey()
-            self._carry_out()
+            self._find_lowest(executor)
+            self._carry_out(executor)
         finally:
-            self.executor.close()
-            self.journal.commit()
+            executor.close()
+        self._complete_report()
 
-    @property
-    def seconds(self) -> float:
-        """Since it was made."""
-        return time.perf_counter() - self._start
-
-    def _survey(self) -> None:
-        """The elevation of the lowest point of the collection, once."""
-        facts = self.journal.fact("lowest")
-        if facts is None:
-            standing = Standing("survey", len(self.plan), 0, 0)
-            lowest: float | None = None
-            todo = (Task(survey_tile, n, self._tile(n)) for n in range(len(self.plan)))
-            for _, outcome in carried_out(self.executor, todo, collections.deque(), lambda: self._show(standing)):
+    def _find_lowest(self, executor: Executor) -> None:
+        """Measure the elevation of the lowest point of the collection, once, if the filter asks for it."""
+        filter_, whole = self.product.filter, self.product.reader.whole
+        if filter_ is None or whole is None or lowest_among.dispatch(type(filter_)) is lowest_among.dispatch(object):
+            return
+        if "lowest" not in self.store.facts:
+            standing, found = dataclasses.replace(self._standing, step="survey"), [math.inf]
+            todo = (Task(lowest_in_tile, n, self._tile(n)) for n in range(len(self.plan)))
+            for _, outcome in carried_out(executor, todo, collections.deque(), lambda: self._show(standing)):
                 standing.tiles_done += 1
-                if outcome.value is not None:
-                    lowest = outcome.value if lowest is None else min(lowest, outcome.value)
+                found += [] if outcome.value is None else [outcome.value]
                 self._show(standing)
-            facts = [lowest]
-            self.journal.keep("lowest", facts)
-        self.job = dataclasses.replace(self.job, whole=dataclasses.replace(self.job.whole, lowest=facts[0]))
+            self.store.note(lowest=None if len(found) == 1 else min(found))
+        whole = dataclasses.replace(whole, lowest=self.store.facts["lowest"])
+        reader = dataclasses.replace(self.product.reader, whole=whole)
+        self.product = dataclasses.replace(self.product, reader=reader)
 
-    def _try_again(self) -> None:
-        """Forget tiles that had to do without a file, and the files that have their labels."""
-        poor = [n for n, done, facts in self.journal.reports("tiles") if done and facts["left_out"]]
-        if poor:
-            self.journal.forget("files", np.unique(np.concatenate([self.plan.home[n] for n in poor])).tolist())
-            self.journal.forget("tiles", poor)
+    def _carry_out(self, executor: Executor) -> None:
+        done = self._look()
+        complete = (self._missing == 0) & ~self._is_written & self.product.writes_files
+        tiles = (Task(do_tile, n, self._tile(n)) for n in np.flatnonzero(~done).tolist())
+        files = collections.deque(self._writing(file) for file in np.flatnonzero(complete).tolist())
+        if self.options.in_place:  # no input is replaced before all are read
+            self._work(executor, tiles, collections.deque(), files)
+        self._work(executor, tiles, files, files)
 
-    def _carry_out(self) -> None:
-        plan, journal = self.plan, self.journal
-        self._try_again()
-        written = self._written()
-        for file in written:
-            self._needs_no_more(file)
-        is_done = np.zeros(len(plan), bool)
-        for number, done, facts in journal.reports("tiles"):
-            is_done[number] = done and not (self._needed(number) and Seal(**facts["seal"]).broken(self._kept(number)))
-        for number in np.flatnonzero(is_done).tolist():
-            self._missing[plan.home[number]] -= 1
-        self._is_written[written] = True
-        standing = Standing("tiles", len(plan), int(is_done.sum()), len(self._missing), len(written))
-        writes = self.step.file is not None
-        complete: list[int] = np.flatnonzero((self._missing == 0) & ~self._is_written).tolist() if writes else []
-        todo = itertools.chain(
-            (self._writing(f) for f in complete),
-            (Task(self.step.tile, n, self._tile(n)) for n in np.flatnonzero(~is_done).tolist()),
-        )
-        now: collections.deque[Task] = collections.deque()
+    def _work(
+        self, executor: Executor, tiles: Iterator[Task], now: collections.deque[Task], files: collections.deque[Task]
+    ) -> None:
+        """Do ``tiles``, and before them what is in ``now``; files that are complete are added to ``files``."""
+        plan, standing = self.plan, self._standing
         before = standing.tiles_done
-        for task, outcome in carried_out(self.executor, todo, now, lambda: self._show(standing)):
-            if task.function is self.step.file:
-                self._took_file(task.number, outcome, standing)
+        alone = len(self.collection) == len(plan) == 1
+        for task, outcome in carried_out(executor, tiles, now, lambda: self._show(standing), 0 if alone else RETRIES):
+            if alone and outcome.error is not None:
+                raise outcome.error
+            if task.function is write_file:
+                self._take_file(task.number, outcome)
             else:
-                now += self._took_tile(task.number, outcome, standing)
+                files.extend(self._writing(file) for file in self._take_tile(task.number, outcome))
             new = standing.tiles_done - before
             if new:
                 standing.left = (len(plan) - standing.tiles_done) * (time.perf_counter() - self._start) / new
             self._show(standing)
 
-    def _written(self) -> list[int]:
-        """Numbers of the files that are done and lie there as they were written."""
-        found = []
-        for number, done, facts in self.journal.reports("files"):
-            if not done:
+    def _look(self) -> np.ndarray:
+        """bool[t]: tiles that are done, and whose labels are there if a file still needs them."""
+        plan, store = self.plan, self.store
+        known: dict[int, Summary] = {}
+        if not self.options.resume:
+            return np.zeros(len(plan), bool)
+        for number in range(len(plan)):
+            summary = store.summary(number)
+            if summary is not None and not summary["unread"]:
+                known[number] = Summary.of_json(summary)
+            elif summary is not None:  # it lacks a file: it is done again, and the files that have its labels
+                for file in plan.home[number].tolist():
+                    store.drop_seal(file)
+        for file, target in enumerate(self.targets.places):
+            kept = store.seal(file)
+            if kept is None or "seal" not in kept:
                 continue
-            wrong = Seal(**facts["seal"]).broken(self.targets[number])
-            if wrong is None:
-                found.append(number)
-            else:
-                self.again.append({"file": str(self.targets[number]), "reason": wrong})
-        return found
+            wrong = Seal(**kept["seal"]).broken(target)
+            if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
+                self.report.again += [] if wrong is None else [{"file": str(target), "reason": wrong}]
+                store.drop_seal(file)
+                continue
+            self._is_written[file] = True
+            self.report.files.append(str(target))
+            self.report.remarks.update(kept["remarks"])
+            self._need_no_more(file)
+        done = np.zeros(len(plan), bool)
+        for number, found in known.items():
+            done[number] = not self._needed(number) or store.summary(number, with_arrays=True) is not None
+            if done[number]:
+                self._missing[plan.home[number]] -= 1
+                self._add(number, found)
+        self._standing.tiles_done, self._standing.files_done = int(done.sum()), int(self._is_written.sum())
+        if self.options.in_place and self._is_written.any() and not done.all():
+            raise OutputError(
+                f"{store.path}: labels are gone or damaged, and inputs were replaced already: pass overwrite=True to begin anew"
+            )
+        return done
 
-    def _tile(self, number: int) -> Callable[[bool], tuple[Job, Tile]]:
-        return lambda last: (self.job, tile_of(self.plan, self.sources, number, patient=last))
+    def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
+        return lambda last: (
+            self.product,
+            tile_of(self.plan, self.collection, number, patient=last and len(self.collection) > 1),
+        )
 
     def _writing(self, number: int) -> Task:
-        def arguments(last: bool) -> tuple[Job, FileTask]:
-            tiles = tuple(self.plan.tiles_of[number].tolist())
-            return self.job, FileTask(number, self.sources[number], tiles, self.targets[number], self.overwrite)
+        def arguments(last: bool) -> tuple[Product, FileTask]:
+            tiles, target = tuple(self.plan.tiles_of[number].tolist()), self.targets.places[number]
+            source, in_place = self.collection[number], self.options.in_place
+            if in_place and self.store.seal(number) is None:  # what the input was, should nobody learn how this ended
+                self.store.put_seal(number, {"identity": source.identity})
+            return self.product, FileTask(number, source, tiles, target, in_place)
 
-        assert self.step.file is not None
-        return Task(self.step.file, number, arguments)
+        return Task(write_file, number, arguments)
 
-    def _took_tile(self, number: int, outcome: Outcome, standing: Standing) -> list[Task]:
-        """Record a tile; the files that are complete with it."""
+    def _take_tile(self, number: int, outcome: Outcome) -> list[int]:
+        """Take in a tile; the files that are complete with it."""
+        standing, homes = self._standing, [int(f) for f in self.plan.home[number]]
         standing.tiles_done += 1
-        homes = [int(f) for f in self.plan.home[number]]
         if outcome.reason is not None:
-            self.journal.record("tiles", number, False, {"reason": outcome.reason})
+            self.report.state[number] = -1
+            core = self.plan.core(number)
+            self.report.set_aside.append({"tile": number, "core": core, "reason": outcome.reason})
             for file in homes:
                 self._hopeless.setdefault(file, f"tile {number} was set aside: {outcome.reason}")
         else:
-            report = outcome.value
-            standing.points += report.points
-            standing.read += report.read
-            self.journal.record("tiles", number, True, _facts_of(report))
-            for file, reason in report.left_out:
+            standing.points += outcome.value.points
+            standing.read += outcome.value.read
+            self._add(number, outcome.value)
+            for file, reason in outcome.value.unread.items():
                 self._hopeless.setdefault(file, reason)
-        if self.step.file is None:
+        if not self.product.writes_files:
             return []
         self._missing[homes] -= 1
         complete = [file for file in homes if self._missing[file] == 0 and not self._is_written[file]]
         for file in complete:
             if file in self._hopeless:
-                self._failed(file)
-        return [self._writing(file) for file in complete if file not in self._hopeless]
+                self._fail(file, self._hopeless[file])
+        return [file for file in complete if file not in self._hopeless]
 
-    def _took_file(self, number: int, outcome: Outcome, standing: Standing) -> None:
+    def _add(self, number: int, summary: Summary) -> None:
+        self.report.add(summary)
+        if summary.points:
+            self.report.state[number] = summary.ground / summary.points
+
+    def _take_file(self, number: int, outcome: Outcome) -> None:
         if outcome.reason is not None:
-            self._hopeless[number] = outcome.reason
-            self._failed(number)
+            self._fail(number, outcome.reason)
             return
-        report: FileReport = outcome.value
-        standing.files_done += 1
-        self.journal.record("files", number, True, _facts_of(report))
-        self.journal.commit()  # before the labels go
-        self._needs_no_more(number)
+        self._standing.files_done += 1
+        self.store.put_seal(number, (self.store.seal(number) or {}) | outcome.value)  # before the labels go
+        self.report.files.append(str(self.targets.places[number]))
+        self.report.remarks.update(outcome.value["remarks"])
+        self.report.seconds["write"] += outcome.value["seconds"]
+        for tile in self._need_no_more(number):
+            self.store.strip(tile)
 
-    def _failed(self, file: int) -> None:
-        self.journal.record("files", file, False, {"reason": self._hopeless[file]})
+    def _fail(self, number: int, reason: str) -> None:
+        self.report.failed.append({"file": self.collection[number].uri, "reason": reason})
 
-    def _needs_no_more(self, file: int) -> None:
-        """Remove the labels that only this file needed."""
+    def _need_no_more(self, file: int) -> list[int]:
+        """The tiles whose labels only this file needed."""
         tiles = self.plan.tiles_of[file]
         self._unwritten[tiles] -= 1
-        for number in tiles[self._unwritten[tiles] == 0]:
-            self._kept(number).unlink(missing_ok=True)
+        return [int(tile) for tile in tiles[self._unwritten[tiles] == 0]]
 
     def _needed(self, tile: int) -> bool:
         """Whether what a tile found is still to be used: by a file that is not written, or at the end."""
-        return self.step.file is None or bool(self._unwritten[tile] > 0)
+        return not self.product.writes_files or bool(self._unwritten[tile] > 0)
 
-    def _kept(self, tile: int) -> Path:
-        return self.step.kept(self.job.folder, int(tile))
+    def _complete_report(self) -> None:
+        report, uris = self.report, self.collection.uris
+        report.left_out = [{"file": uris[n], "reason": reason} for n, reason in sorted(report.unread.items())]
+        report.failed += [{"file": name, "reason": reason} for name, reason in self.collection.unreadable]
+        report.files.sort()
+        report.classes = collections.Counter(dict(sorted(report.classes.items())))
+        report.cut_objects.sort(key=lambda one: (one["y"], one["x"]))
+        filter_ = self.product.filter
+        if filter_ is not None:
+            report.method, report.parameters = type(filter_).__name__, dataclasses.asdict(filter_)  # type: ignore[call-overload]
+        whole = self.product.reader.whole
+        report.measures = None if whole is None else dataclasses.asdict(whole)
+        self.product.finish(report, self.collection, self.targets, self.options)
+        report.elapsed = time.perf_counter() - self._start
+
+    def _show_step(self, share: float, step: str) -> None:
+        """The progress of a filter in this process."""
+        if len(self.plan) == 1:
+            self._progress(dataclasses.replace(self._standing, step=step, share=share))
 
     def _show(self, standing: Standing) -> None:
         now = time.perf_counter()
         if now - self._shown > _WAIT or standing.tiles_done == standing.tiles:
             self._shown, standing.seconds = now, now - self._start
+            standing.share = standing.tiles_done / max(standing.tiles, 1)
             self._progress(standing)
 
 
-def tile_of(plan: Plan, sources: Collection, number: int, patient: bool = False) -> Tile:
-    """A tile of a plan as a task takes it."""
+def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = False) -> Tile:
+    """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
-    return Tile(number, plan.core(number), plan.window(number), files, tuple(sources[f] for f in files), patient)
-
-
-def report_of(run: Run) -> RunReport:
-    """What the journal knows of a run that labels points."""
-    plan, sources, journal = run.plan, run.sources, run.journal
-    report = RunReport(
-        tiles=len(plan), set_aside=[], files=[], failed=[], left_out=[], again=run.again, points=0, candidates=0, ground=0,
-        read=0, seconds=run.seconds, tile_seconds=0.0, classes=collections.Counter(), overlap=collections.Counter(),
-        statuses=collections.Counter(), remarks=collections.Counter(), cut_objects=[], heights=None, uncertain=0,
-        cores=plan.cores(), state=np.full(len(plan), np.nan),
-    )  # fmt: skip
-    left_out: dict[int, str] = {}
-    heights: list[float] = []
-    for number, done, facts in journal.reports("tiles"):
-        if not done:
-            report.state[number] = -1
-            report.set_aside.append({"tile": number, "core": plan.core(number), "reason": facts["reason"]})
-            continue
-        for name in ("points", "candidates", "ground", "read", "uncertain"):
-            setattr(report, name, getattr(report, name) + facts[name])
-        report.tile_seconds += facts["seconds"]
-        for old, new, n in facts["classes"]:
-            report.classes[old, new] += n
-        report.overlap.update(facts["overlap"])
-        report.statuses[facts["status"]] += 1
-        report.remarks.update(facts["remarks"])
-        report.cut_objects += facts["cut_objects"]
-        heights += facts["heights"] or ()
-        left_out |= dict(facts["left_out"])
-        if facts["points"]:
-            report.state[number] = facts["ground"] / facts["points"]
-    for number, done, facts in journal.reports("files"):
-        if done:
-            report.files.append(str(run.targets[number]))
-            report.remarks.update(facts["remarks"])
-        else:
-            report.failed.append({"file": sources[number].uri, "reason": facts["reason"]})
-    report.left_out = [{"file": sources[n].uri, "reason": reason} for n, reason in sorted(left_out.items())]
-    report.classes = dict(sorted(report.classes.items()))
-    report.cut_objects.sort(key=lambda one: (one["y"], one["x"]))
-    report.heights = (min(heights), max(heights)) if heights else None
-    return report
-
-
-def _facts_of(report: Any) -> dict[str, Any]:
-    facts = dataclasses.asdict(report)
-    del facts["number"]
-    if "classes" in facts:
-        facts["classes"] = [[old, new, n] for (old, new), n in report.classes.items()]
-    return facts
-
-
-def write_report(facts: dict[str, Any], place: Place) -> None:
-    """Put a report beside the output. Raises: OutputError."""
-    with new_file(place, overwrite=True) as part:
-        part.write_text(json.dumps(facts, indent=1) + "\n")
+    sources = tuple(collection[f] for f in files)
+    if len(plan) == 1:
+        return Tile(number, None, None, files, sources, patient)
+    return Tile(number, plan.core(number), plan.window(number), files, sources, patient)

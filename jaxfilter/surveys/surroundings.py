@@ -3,68 +3,47 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Iterable, Iterator
-from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
-from ..core.cloud import KEPT_CLASSES, PointCloud, Whole
+from ..core.cloud import PointCloud
+from ..core.errors import InputError
 from ..core.filter import Filter
+from ..core.inputs import class_numbers
 from ..core.result import FilterResult
 from ..files.disk import Bounds
-from ..methods import PMF
 from ..terrain.interpolation import Heights, Linear
-from .capacity import Layout, layout
-from .collection import Collection
-from .options import RunOptions
-from .plan import Plan, plan_with_halo, window_around
-from .setup import filter_for, sampled, whole_for
-from .task import Around, Job, Tile, inside, read_tile
+from .executors import LOCAL
+from .measures import Recipe, recipe_of
+from .plan import window_around
+from .product import Product
+from .report import Summary
+from .survey import FIND_GROUND, Cut
+from .tiles import Around, Tile, inside
 
 HALOS = (40.0, 80.0, 160.0, 320.0)
 """Metres around a tile whose ground points take part: the first that suffices, by the circles of the triangles."""
-READING = {
-    "returns": "last,only", "ignore_classes": KEPT_CLASSES, "ignore_overlap": False, "keep_withheld": False,
-    "drop_invalid": False,
-}  # fmt: skip
 _EDGE = 20.0
 """Metres along the edge of the data where triangles at the hull of a tile are let stand."""
-
-
-@dataclasses.dataclass(frozen=True)
-class GroundJob(Job):
-    """A job that needs the ground points around each tile.
-
-    Attributes:
-        data: bounds of all points, file units.
-        ground_classes: classes of ground points, less withheld ones; None: ``filter`` finds them.
-        grain, lattice, filter_halo: file units: ground points are taken as far as multiples of the first; the others are the
-            filter's.
-    """
-
-    data: Bounds
-    ground_classes: tuple[int, ...] | None
-    grain: float
-    lattice: float
-    filter_halo: float
-
-
-Kind = TypeVar("Kind", bound=GroundJob)
+GroundSource = Filter | Recipe | Iterable[int]
+"""What is ground: a filter that finds it, or classes of points, less withheld ones."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Points of a tile and around it; ``tile``: as it was read; ``halo``: metres; ``result``: of the filter, if it was asked.
+    """Points of a tile and around it; ``halo``: metres; ``result``: of the filter, if it was asked.
 
-    ``ground``: bool[n], all that was found; ``near``: the box within which these are ground points of the whole.
+    ``ground``: bool[n], all that was found; ``near``: the box within which these are ground points of the whole, None =
+    everywhere.
     """
 
     around: Around
     tile: Tile
     halo: float
     ground: np.ndarray
-    near: Bounds
+    near: Bounds | None
     result: FilterResult | None
 
     @property
@@ -73,68 +52,76 @@ class Surroundings:
         return self.ground & inside(self.around.cloud, self.near)
 
 
-def ground_job(
-    kind: type[Kind],
-    collection: Collection,
-    finder: type[Filter] | None,
-    changes: dict[str, Any],
-    *,
-    largest_building: float | None,
-    ground_classes: Iterable[int],
-    grain: float,
-    run: RunOptions,
-    most_points: float | None,
-    classes: dict[str, Any],
-    scratch: Path,
-    **more: Any,
-) -> tuple[Kind, Layout, Plan]:
-    """Job of a ``kind`` with ``more`` fields, layout and plan; ``grain``: metres; ``classes``: how labels are written; the rest
-    as in :func:`jaxfilter.ground`."""
-    metre, index = collection.metre, scratch / "index"
-    filter_, whole, filter_halo, lattice = None, Whole(), 0.0, grain
-    if finder is not None:
-        sample = sampled(collection, READING, index)
-        filter_ = filter_for(sample, finder, changes, largest_building=largest_building)
-        whole = whole_for(filter_, sample, collection, READING, index)
-        filter_halo, lattice = filter_.tile_halo(), filter_.lattice()
-    cut = layout(
-        collection,
-        lattice=grain,
-        halo=HALOS[0] + filter_halo,
-        most_points=most_points,
-        **run,
-    )
-    job = kind(
-        filter_ or PMF(), READING, classes, (), whole, scratch, index, collection.bounds,
-        None if finder is not None else tuple(ground_classes), grain / metre, lattice / metre, filter_halo / metre, **more,
-    )  # fmt: skip
-    return job, cut, plan_with_halo(cut.plan, collection, HALOS[-1] + filter_halo + lattice)
+@dataclasses.dataclass(frozen=True)
+class GroundNeeded(Product):
+    """A product for which the ground around each tile must be known.
+
+    Attributes:
+        data: bounds of all points, file units.
+        classes_of_ground: None: ``filter`` finds it.
+        grain: metres: ground points are taken as far as multiples of it.
+    """
+
+    data: Bounds
+    classes_of_ground: tuple[int, ...] | None
+    grain: float
+
+    def surroundings(self, tile: Tile, summary: Summary) -> Iterator[Surroundings]:
+        """What is around a tile, with wider and wider halos. Raises: InputError unless the tile is ``patient``."""
+        metre, local = tile.sources[0].metre, LOCAL.get()
+        halo_, lattice = (0.0, self.grain) if self.filter is None else (self.filter.halo(), self.filter.lattice())
+        for halo in HALOS:
+            start, near, wide = time.perf_counter(), None, tile
+            if tile.core is not None:
+                near = window_around(tile.core, halo / metre, self.grain / metre)
+                wide = dataclasses.replace(tile, window=window_around(near, halo_ / metre, lattice / metre))
+            around = self.reader.read(wide)
+            summary.seconds["read"] += (read := time.perf_counter()) - start
+            result = None
+            if self.filter is not None:
+                result = self.filter(around.cloud, workers=local.threads, progress=local.progress)
+                summary.seconds["filter"] += time.perf_counter() - read
+            ground = self._classified(around.cloud, tile) if result is None else result.ground
+            yield Surroundings(around, wide, halo, ground, near, result)
+            if tile.core is None:
+                return
+
+    def _classified(self, cloud: PointCloud, tile: Tile) -> np.ndarray:
+        """bool[n]: ground by class, or by the labels of text. Raises: InputError if there are neither."""
+        if not self.classes_of_ground:
+            return np.zeros(len(cloud), bool)
+        if cloud.classification is not None:
+            ground = np.isin(cloud.classification, self.classes_of_ground)
+            return ground if cloud.withheld is None else ground & ~cloud.withheld
+        if cloud.reference is not None or not len(cloud):
+            return np.zeros(0, bool) if cloud.reference is None else cloud.reference
+        raise InputError(f"{tile.sources[0].uri} has neither classes nor labels: {FIND_GROUND}")
+
+    def facts(self) -> dict[str, object]:
+        """Classes of ground points."""
+        return {"classes_of_ground": self.classes_of_ground}
 
 
-def surroundings(job: GroundJob, tile: Tile) -> Iterator[Surroundings]:
-    """What is around a tile, with wider and wider halos. Raises: as :func:`jaxfilter.surveys.task.filter_tile`."""
-    metre = tile.sources[0].metre
-    for halo in HALOS:
-        near = window_around(tile.core, halo / metre, job.grain)
-        wide = dataclasses.replace(tile, window=window_around(near, job.filter_halo, job.lattice))
-        around = read_tile(job, wide)
-        cloud, result = around.cloud, None
-        if job.ground_classes is None:
-            result = job.filter(cloud, workers=1)
-            ground = result.ground
-        elif cloud.classification is None:
-            ground = np.zeros(len(cloud), bool)
-        else:
-            ground = np.isin(cloud.classification, job.ground_classes)
-            ground = ground if cloud.withheld is None else ground & ~cloud.withheld
-        yield Surroundings(around, wide, halo, ground, near, result)
+def source_of_ground(ground: GroundSource) -> tuple[Recipe | None, tuple[int, ...] | None]:
+    """The recipe of the filter that finds the ground, or the classes that say what it is. Raises: ParameterError, InputError."""
+    if isinstance(ground, Filter | Recipe):
+        recipe = recipe_of(ground)
+        recipe.alone()
+        return recipe, None
+    return None, class_numbers(ground)
 
 
-class Doubt:
+def cut_around(filter_: Filter | None, grain: float) -> Cut:
+    """Tiles whose cores end at multiples of ``grain`` metres."""
+    halo, lattice = (0.0, grain) if filter_ is None else (filter_.halo(), filter_.lattice())
+    return Cut(HALOS[0] + halo, grain, HALOS[-1] + halo + lattice)
+
+
+class DoubtfulTriangles:
     """Counts positions whose triangle may be another in the whole: the circle through its corners holds a place that has
     data and was not read. Outside the hull of the ground points that is any such place, but along the edge of the data."""
 
-    def __init__(self, cloud: PointCloud, data: Bounds, near: Bounds) -> None:
+    def __init__(self, cloud: PointCloud, data: Bounds, near: Bounds | None) -> None:
         """``data``, ``near``: bounds of all points and of what was read, file units."""
         self.count = 0
         factor, origin = cloud.units.xy, cloud.origin[:2]
@@ -143,9 +130,9 @@ class Doubt:
             return (np.array(box).reshape(2, 2) - origin) * factor
 
         (x0, y0), (x1, y1) = self._inner = local(data) + [[_EDGE], [-_EDGE]]
-        (w, s), (e, n) = local(near)
+        (w, s), (e, n) = local(data if near is None else near)
         boxes = ((x0, y0, w, y1), (e, y0, x1, y1), (x0, y0, x1, s), (x0, n, x1, y1))
-        self._strips = [np.array(box) for box in boxes if box[0] < box[2] and box[1] < box[3]]
+        self._strips = [np.array(box) for box in boxes if near is not None and box[0] < box[2] and box[1] < box[3]]
 
     @property
     def reaches(self) -> bool:

@@ -22,7 +22,7 @@ from ..core.errors import InputError
 from ..core.units import WKT, Reference, Units, reference_of
 from ..files.disk import new_file
 from ..files.header import opened
-from ..files.records import reading
+from ..files.records import reading_errors
 from ..files.sources import NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
@@ -58,7 +58,7 @@ def read_vpc(place: Place, asked: Units | None) -> Iterator[str | Source]:
     """
     base = str(place).rpartition("/")[0] if isinstance(place, Remote) else os.path.dirname(os.path.abspath(place))
     known: dict[Any, tuple[Reference, str | None]] = {}
-    with reading(place), opened(place, sequential=True) as (file, _):
+    with reading_errors(place), opened(place, sequential=True) as (file, _):
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
                 yield _member(item, base, isinstance(place, Remote), known, asked, str(place))

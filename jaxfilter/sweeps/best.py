@@ -21,6 +21,11 @@ def word(value: Any) -> str:
     return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def cost(values: Any, score: str) -> Any:
+    """Scores such that less is better."""
+    return -values if score in LARGER_IS_BETTER else values
+
+
 def is_grid(dataset: xarray.Dataset) -> bool:
     """Whether each axis is a dimension; else all lie along the dimension ``set``."""
     return "set" not in dataset.sizes

@@ -17,15 +17,15 @@ from scipy.stats import qmc
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError, warn
-from ..core.filter import Filter, check_resources, degenerate
+from ..core.filter import Filter, alike
 from ..core.params import declared
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import word
-from .design import Design, make_design
+from .design import make_design
 from .inference import Sample
-from .ranges import Range, around, check_filter, search_ranges
-from .sweep import about
+from .ranges import Range, around, check_filter, fields_of, is_number, search_ranges
+from .sweep import Subject, SweepOptions, about
 
 if TYPE_CHECKING:
     import xarray
@@ -77,6 +77,61 @@ class Calibration:
         )
 
 
+def _check_whole(least: int = 1, **arguments: Any) -> None:
+    for name, value in arguments.items():
+        if not isinstance(value, numbers.Integral) or value < least:
+            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
+
+
+@dataclasses.dataclass(frozen=True)
+class CrossValidation:
+    """How labelled points are cut into parts that are held out in turn.
+
+    Attributes:
+        folds: number of parts, each of whole blocks.
+        block: side of the square blocks, metres; by default as large as leaves two blocks for each fold.
+
+    Raises: ParameterError for fewer than 2 folds, and for blocks without a size.
+
+    >>> jf.CrossValidation(folds=2, block=10.0).folds
+    2
+    """
+
+    folds: int = 5
+    block: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_whole(2, folds=self.folds)
+        if self.block is not None and not 0 < self.block < math.inf:
+            raise ParameterError(f"block={self.block!r}: must be > 0 metres, and finite")
+
+    def assign(self, xyz: np.ndarray) -> np.ndarray:
+        """i64[n]: the fold of each point f[n, >=2], metres; all folds are about as large. Raises: InputError for one block.
+
+        >>> np.unique(jf.CrossValidation(folds=2, block=10.0).assign(cloud.xyz)).tolist()
+        [0, 1]
+        """
+
+        def blocks(side: float) -> np.ndarray:
+            cell = np.floor(xyz[:, :2].astype(np.float64) / side).astype(np.int64)
+            return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+
+        side = self.block or max(float(np.ptp(xyz[:, :2], axis=0).max()), 1.0)
+        while self.block is None and blocks(side).max() + 1 < 2 * self.folds and side > 1.0:
+            side /= 2
+        owner = blocks(side)
+        count = np.bincount(owner)
+        if len(count) < 2:
+            raise InputError(
+                "labels: all labelled points lie in one block; label points in several places, or pass block="
+            )
+        fold_of, size = np.zeros(len(count), np.int64), np.zeros(min(self.folds, len(count)))
+        for number in np.argsort(-count, kind="stable"):  # the largest first, each to the fold that has least
+            fold_of[number] = int(np.argmin(size))
+            size[fold_of[number]] += count[number]
+        return fold_of[owner]
+
+
 class Study:
     """Labelled points of a cloud, which sets of parameters are scored against, many at a time.
 
@@ -86,18 +141,17 @@ class Study:
     Args:
         filter_: fields that are not searched stay as they are.
         cloud: the cloud that the filter sees, all of it.
-        labels: bool[n] with ``labelled``; or integers, 1 = ground, 0 = object, -1 = unlabelled.
-        labelled: bool[n], where boolean labels are known; by default everywhere.
+        labels: integers [n], 1 = ground, 0 = object, -1 = unlabelled; or bool[n], if all are known.
         axes: field name to (low, high), or to a :class:`Range`; by default those of
             :func:`jaxfilter.sweeps.ranges.search_ranges`.
         score: one of :data:`SCORES`.
-        folds: the labelled points are cut into so many parts, each of whole blocks.
-        block: side of the square blocks, metres; by default as large as leaves two blocks for each fold.
+        validation: how the labelled points are cut into folds.
+        options: how sets are computed.
 
     Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
 
     >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
-    >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+    >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)})
     >>> study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}]).shape
     (2,)
     >>> 0.2 <= study.result().filter.threshold <= 1.0
@@ -110,48 +164,37 @@ class Study:
         cloud: Any,
         labels: Any,
         *,
-        labelled: np.ndarray | None = None,
         axes: Mapping[str, Any] | None = None,
         score: str = "total",
-        folds: int = 5,
-        block: float | None = None,
-        key: Any = None,
-        workers: int | None = None,
-        memory: float = 2e9,
+        validation: CrossValidation = CrossValidation(),
+        options: SweepOptions = SweepOptions(),
     ) -> None:
         filter_ = check_filter(filter_)
-        check_resources(workers, memory)
-        _check_whole(folds=folds)
         if score not in SCORES:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
-        if folds < 2:
-            raise ParameterError(f"folds={folds!r}: must be at least 2")
-        if block is not None and not 0 < block < math.inf:
-            raise ParameterError(f"block={block!r}: must be > 0 metres, and finite")
         self.filter, self.score = filter_, score
-        self.options: dict[str, Any] = {"key": key, "workers": workers, "memory": memory}
         cloud = as_cloud(cloud)
         self.ranges = _ranges(filter_, axes)
-        truth, known = _labels(cloud, labels, labelled)
+        truth, known = _labels(cloud, labels)
         for name, kind in (("ground", truth), ("object", ~truth)):
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
         if not (known & cloud.candidate).any():
             raise InputError(
-                "labels: all labelled points are set aside before filtering (they are no last echoes, or noise)"
+                "labels: all labelled points are set aside before filtering (they are not last echoes, or they are noise)"
             )
-        self.points = filter_.points_of(cloud)
-        self.same = degenerate(cloud, self.points)
-        if self.same is not None:
-            warn(f"{type(filter_).__name__}: {self.same.status.message}")
-        fold = _folds(cloud.xyz[known], folds, block)
+        self.subject = Subject(filter_, cloud, options)
+        points = self.subject.points
+        if self.subject.same is not None:
+            warn(f"{type(filter_).__name__}: {self.subject.same.status.message}")
+        fold = validation.assign(cloud.xyz[known])
         self.folds = int(fold.max()) + 1
         self.truth, self.fold = truth[known], fold
         self.cell = (2 * fold + ~self.truth) * 2 + 1  # of the table fold by reference by label, for objects
-        row = np.full(len(cloud), len(self.points))  # one more row: points that are set aside, never ground
-        row[self.points.index] = self.points.member
+        row = np.full(len(cloud), len(points))  # one more row: points that are set aside, never ground
+        row[points.index] = points.member
         self.row = row[known]
-        self.sample = Sample.of(cloud.xyz, known, self.truth, fold, self.points.spacing())
+        self.sample = Sample.of(cloud.xyz, known, self.truth, fold, points.spacing())
         self.sets: list[dict[str, Any]] = []
         self.confusion = np.zeros((0, self.folds, 2, 2), np.int64)
         self.row_of_sample = row[self.sample.index]
@@ -164,7 +207,7 @@ class Study:
         Raises: ParameterError naming a field that does not exist or a value out of range.
 
         >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
-        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)})
         >>> scores = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
         >>> bool(((scores >= 0) & (scores <= 100)).all())
         True
@@ -181,7 +224,12 @@ class Study:
         plan = make_design(self.filter, {name: [one[name] for one in sets] for name in names}, "list")
         found = np.zeros((len(sets), self.folds, 2, 2), np.int64)
         bits = np.zeros((len(sets), self.bits.shape[1]), np.uint8)
-        for done, (number, ground) in enumerate(self._ground_each(plan), 1):
+        found_sets = (
+            (group[number], ground)
+            for group in plan.groups
+            for number, ground in self.subject.ground_each([plan.filters[i] for i in group])
+        )
+        for done, (number, ground) in enumerate(found_sets, 1):
             called = np.append(ground, False)
             found[number] = self._counts(called)
             if plan.filters[number] == self.filter:
@@ -197,15 +245,6 @@ class Study:
         """i64[folds, 2, 2] of labels bool[m + 1]."""
         cell = self.cell - called[self.row]
         return np.bincount(cell, minlength=4 * self.folds).reshape(self.folds, 2, 2)
-
-    def _ground_each(self, plan: Design) -> Any:
-        for group in plan.groups:
-            if self.same is not None:
-                yield from ((number, self.same.ground) for number in group)
-                continue
-            some = [plan.filters[i] for i in group]
-            for number, ground in some[0].ground_each(self.points, some, **self.options):
-                yield group[number], ground
 
     def _of(self, confusion: np.ndarray) -> np.ndarray:
         """f64[...]: the score of counts [..., 2, 2]; those to expect are no whole numbers."""
@@ -227,7 +266,7 @@ class Study:
             without: per view the fold whose labels are left out; -1 for none.
 
         >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
-        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)})
         >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
         >>> study.expected().shape
         (1, 2)
@@ -248,15 +287,13 @@ class Study:
 
     def _places(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Sets that agree in all fields that are no numbers, i64[k], and where they lie, f64[k, fields]."""
-        names = list(dict.fromkeys(name for one in self.sets for name in one))
-        values = [[one.get(name, getattr(self.filter, name)) for name in names] for one in self.sets]
-        kinds: dict[tuple[Any, ...], list[int]] = {}
-        for number, row in enumerate(values):
-            kinds.setdefault(tuple("number" if _is_number(v) else v for v in row), []).append(number)
-        for kind in kinds.values():
+        tried = self._tried()
+        rows = zip(*tried.values(), strict=True)
+        for kind in alike(tuple("number" if is_number(v) else v for v in row) for row in rows):
             columns = [np.zeros(len(kind))]
-            for name, *column in zip(names, *(values[number] for number in kind), strict=True):
-                if not _is_number(column[0]):
+            for name, values in tried.items():
+                column = [values[number] for number in kind]
+                if not is_number(column[0]):
                     continue
                 finite = [v for v in column if math.isfinite(v)]
                 r = self.ranges.get(name)
@@ -265,11 +302,16 @@ class Study:
                 columns.append(np.array([r.position(v) if r else float(math.isfinite(v)) for v in column]))
             yield np.array(kind), np.column_stack(columns)
 
+    def _tried(self) -> dict[str, list[Any]]:
+        """The value of each field in every set, the given filter's where a set does not name the field."""
+        names = dict.fromkeys(name for one in self.sets for name in one)
+        return {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
+
     def best(self, expected: np.ndarray) -> np.ndarray:
         """i64[...]: numbers of the best sets by scores f64[..., s], percent; of equal ones the first.
 
         >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
-        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)})
         >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
         >>> study.best(np.array([[4.0, 2.5]])).tolist()
         [1]
@@ -281,7 +323,7 @@ class Study:
         """The best of the sets evaluated so far. Raises: ParameterError if there are none.
 
         >>> labels = np.where(cloud.xyz[:, 0] < 20, truth, -1)
-        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)}, folds=2, block=10.0)
+        >>> study = jf.Study(jf.SMRF(), cloud, labels, axes={"threshold": (0.2, 1.0)})
         >>> _ = study.evaluate([{"threshold": 0.3}, {"threshold": 0.5}])
         >>> study.result().filter.threshold in (0.3, 0.5)
         True
@@ -293,9 +335,7 @@ class Study:
         chosen = self.best(views)
         held_out = self.confusion[chosen[1:], np.arange(self.folds)]
         both = (held_out.sum(axis=2) > 0).all(axis=1) | (self.score == "total")
-        names = list(dict.fromkeys(name for one in self.sets for name in one))
-        columns = {name: [one.get(name, getattr(self.filter, name)) for one in self.sets] for name in names}
-        fields = {f.name: f for f in declared(self.filter)}
+        columns, fields = self._tried(), {f.name: f for f in declared(self.filter)}
         scores = [Scores.from_confusion(counts) for counts in whole]
         trials = xr.Dataset(
             {
@@ -314,15 +354,13 @@ class Study:
             spread=float(np.nanstd(np.where(both, self._of(held_out), np.nan))) if both.any() else math.nan,
             before=float(self._of(self._counts(np.append(self._given, False)).sum(axis=0))),
             trials=trials,
-            searched=tuple(names),
+            searched=tuple(columns),
         )
 
     @functools.cached_property
     def _given(self) -> np.ndarray:
         """bool[m]: ground among the candidates, by the filter as it was given."""
-        if self.same is not None:
-            return self.same.ground
-        ((_, ground),) = self.filter.ground_each(self.points, [self.filter], **self.options)
+        ((_, ground),) = self.subject.ground_each([self.filter])
         return ground
 
 
@@ -354,7 +392,12 @@ def calibrate(
     were tried, since points next to each other share their fate. With ``rounds`` above 1 all labels decide where the search
     goes on, so that it is a little too good.
 
-    Args: as for :class:`Study`; ``progress`` is called with the fraction done and what is being done.
+    Args: as for :class:`Study`, :class:`CrossValidation` and :class:`SweepOptions`; and
+        labelled: bool[n], where ``labels`` are known; by default everywhere, or where they are not -1.
+        size: sets in each round.
+        rounds: how often sets are drawn.
+        seed: of the Sobol sequences.
+        progress: called with the fraction done and what is being done.
 
     Returns: Calibration; ``.filter`` is the filter with the best parameters.
     Raises: InputError for labels of the wrong length or of one class only; ParameterError for the other arguments.
@@ -367,19 +410,14 @@ def calibrate(
     """
     _check_whole(size=size, rounds=rounds)
     _check_whole(0, seed=seed)
-    study = Study(
-        filter_,
-        cloud,
-        labels,
-        labelled=labelled,
-        axes=axes,
-        score=score,
-        folds=folds,
-        block=block,
-        key=key,
-        workers=workers,
-        memory=memory,
-    )
+    options, validation = SweepOptions(key, workers, memory), CrossValidation(folds, block)
+    cloud = as_cloud(cloud)
+    if labelled is not None:
+        mask, (truth, known) = np.asarray(labelled), _labels(cloud, labels)
+        if mask.shape != (len(cloud),) or mask.dtype != bool:
+            raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
+        labels = np.where(known & mask, truth, -1).astype(np.int8)
+    study = Study(filter_, cloud, labels, axes=axes, score=score, validation=validation, options=options)
     report = progress or silent
     ranges, low, width = study.ranges, np.zeros(len(study.ranges)), np.ones(len(study.ranges))
     for turn in range(rounds):
@@ -404,13 +442,9 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
     if axes is not None:
         if not isinstance(axes, Mapping):
             raise ParameterError(f"axes={axes!r}: map fields of {type(filter_).__name__} to their ranges")
-        fields = {f.name: f for f in declared(filter_)}
+        fields = fields_of(filter_, axes)
         known, ranges = ranges, {}
         for name, given in axes.items():
-            if name not in fields:
-                raise ParameterError(
-                    f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}"
-                )
             if isinstance(given, Range):
                 ranges[name] = given
                 continue
@@ -434,47 +468,9 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
     return ranges
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
-
-
-def _check_whole(least: int = 1, **arguments: Any) -> None:
-    for name, value in arguments.items():
-        if not isinstance(value, numbers.Integral) or value < least:
-            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
-
-
-def _labels(cloud: PointCloud, labels: Any, labelled: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
     """bool[n] ground, bool[n] whether that is known."""
     array = cloud if labels is None else np.asarray(labels)
     if isinstance(array, np.ndarray) and array.shape != (len(cloud),):
         raise InputError(f"labels: {len(cloud)} are needed, one per point of the cloud, not an array {array.shape}")
-    truth, known = reference_labels(array)
-    if labelled is not None:
-        mask = np.asarray(labelled)
-        if mask.shape != (len(cloud),) or mask.dtype != bool:
-            raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
-        known = known & mask
-    return truth, known
-
-
-def _folds(xyz: np.ndarray, folds: int, block: float | None) -> np.ndarray:
-    """i64[n]: the fold of every labelled point; a fold is made of whole square blocks, and all are about as large."""
-
-    def blocks(side: float) -> np.ndarray:
-        cell = np.floor(xyz[:, :2].astype(np.float64) / side).astype(np.int64)
-        return np.unique(cell, axis=0, return_inverse=True)[1].ravel()
-
-    if block is None:
-        block = max(float(np.ptp(xyz[:, :2], axis=0).max()), 1.0)
-        while blocks(block).max() + 1 < 2 * folds and block > 1.0:
-            block /= 2
-    owner = blocks(block)
-    count = np.bincount(owner)
-    if len(count) < 2:
-        raise InputError("labels: all labelled points lie in one block; label points in several places, or pass block=")
-    fold_of, size = np.zeros(len(count), np.int64), np.zeros(min(folds, len(count)))
-    for number in np.argsort(-count, kind="stable"):  # the largest first, each to the fold that has least
-        fold_of[number] = int(np.argmin(size))
-        size[fold_of[number]] += count[number]
-    return fold_of[owner]
+    return reference_labels(array)

@@ -206,18 +206,13 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
     other, own = np.asarray(pairs, np.float64).reshape(-1, 2).T
     gain = own - other if larger_is_better else other - own
     better, worse = int((gain > 0).sum()), int((gain < 0).sum())
-    p = float(wilcoxon(gain).pvalue) if better + worse else 1.0
-    any_ = len(own) > 0
-    return {
-        "clouds": len(own),
-        "mean": float(own.mean()) if any_ else math.nan,
-        "mean_other": float(other.mean()) if any_ else math.nan,
-        "difference": float((own - other).mean()) if any_ else math.nan,
-        "median_difference": float(np.median(own - other)) if any_ else math.nan,
-        "better": better,
-        "worse": worse,
-        "p": p if any_ else math.nan,
-    }
+    figures = dict.fromkeys(("mean", "mean_other", "difference", "median_difference", "p"), math.nan)
+    if len(own):
+        means = own.mean(), other.mean(), (own - other).mean(), np.median(own - other)
+        figures = dict(zip(figures, map(float, means), strict=False))
+        figures["p"] = float(wilcoxon(gain).pvalue) if better + worse else 1.0
+    p = figures.pop("p")
+    return {"clouds": len(own), **figures, "better": better, "worse": worse, "p": p}
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.filter import Filter
-from ..core.params import declared
-from .ranges import check_filter
+from ..core.filter import Filter, alike
+from .ranges import check_filter, fields_of, is_number
 
 DESIGNS = ("grid", "random", "sobol", "list")
 """All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""
@@ -50,47 +49,42 @@ class Design:
 
 
 def make_design(
-    filter_: Filter, axes: Mapping[str, Any], kind: str = "grid", size: int | None = None, seed: int = 0
+    filter_: Filter, axes: Mapping[str, Any], design: str = "grid", size: int | None = None, seed: int = 0
 ) -> Design:
     """Check the axes and lay out the sets; arguments as for :func:`jaxfilter.sweep`.
 
     Raises: ParameterError naming the axis and what is wrong, before anything is computed.
     """
     filter_ = check_filter(filter_)
-    if kind not in DESIGNS:
-        raise ParameterError(f"design={kind!r}: choose one of {', '.join(map(repr, DESIGNS))}")
+    if design not in DESIGNS:
+        raise ParameterError(f"design={design!r}: choose one of {', '.join(map(repr, DESIGNS))}")
     if not isinstance(axes, Mapping) or not axes:
         raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
-    drawn = kind in ("random", "sobol")
+    drawn = design in ("random", "sobol")
     if drawn and (not isinstance(size, numbers.Integral) or size < 1):
-        raise ParameterError(f"size={size!r}: a {kind} design needs the number of its sets, at least 1")
+        raise ParameterError(f"size={size!r}: a {design} design needs the number of its sets, at least 1")
     if not drawn and size is not None:
-        raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {kind} follows from its axes")
-    fields = {f.name: f for f in declared(filter_)}
-    for name in axes:
-        if name not in fields:
-            raise ParameterError(f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}")
+        raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {design} follows from its axes")
+    fields = fields_of(filter_, axes)
     if drawn:
         assert size is not None
-        columns = _drawn(filter_, fields, axes, kind, int(size), seed)
+        columns = _drawn(filter_, fields, axes, design, int(size), seed)
     else:
         columns = {name: _values(name, values) for name, values in axes.items()}
-    if kind == "grid":
+    if design == "grid":
         for name, values in columns.items():
             if len(set(map(repr, values))) < len(values):
                 raise ParameterError(f"axes: {name}={values!r} repeats a value")
-        sets = [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
     else:
         lengths = {name: len(values) for name, values in columns.items()}
         if len(set(lengths.values())) > 1:
             raise ParameterError(f"axes: all axes of a list need as many values, not {lengths}")
-        sets = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    rows = itertools.product(*columns.values()) if design == "grid" else zip(*columns.values(), strict=True)
+    sets = [dict(zip(columns, values, strict=True)) for values in rows]
     filters = [filter_.replace(**one) for one in sets]  # raises ParameterError, naming field and value
     statics = [name for name in columns if fields[name].metadata["static"]]
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    for number, one in enumerate(sets):
-        groups.setdefault(tuple(one[name] for name in statics), []).append(number)
-    return Design(kind, columns, sets, filters, list(groups.values()))
+    groups = alike(tuple(one[name] for name in statics) for one in sets)
+    return Design(design, columns, sets, filters, groups)
 
 
 def _values(name: str, values: Any) -> list[Any]:
@@ -124,10 +118,8 @@ def _drawn(
     for (name, given), u in zip(axes.items(), unit.T, strict=True):
         values = _values(name, given)
         meta = fields[name].metadata
-        is_range = (
-            isinstance(given, tuple) and len(values) == 2 and all(map(_is_number, values)) and not meta.get("choices")
-        )
-        if not is_range:
+        pair = isinstance(given, tuple) and len(values) == 2 and all(map(is_number, values))
+        if not pair or meta.get("choices"):
             columns[name] = [values[i] for i in np.minimum((u * len(values)).astype(int), len(values) - 1)]
             continue
         low, high = values
@@ -136,13 +128,6 @@ def _drawn(
         if not low < high:
             raise ParameterError(f"axes: {name}={values!r}: the range must go from low to high")
         whole = isinstance(low, int) and isinstance(high, int) and isinstance(fields[name].default, int)
-        columns[name] = (
-            [int(v) for v in np.minimum(low + np.floor(u * (high - low + 1)), high)]
-            if whole
-            else [float(v) for v in low + u * (high - low)]
-        )
+        drawn = np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int) if whole else low + u * (high - low)
+        columns[name] = drawn.tolist()
     return columns
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+import numbers
+from collections.abc import Iterable
+from typing import Any, TypeGuard
 
 from ..core.errors import ParameterError
 from ..core.filter import Filter
@@ -94,6 +96,20 @@ def check_filter(filter_: Any) -> Filter:
     return filter_.replace()
 
 
+def fields_of(filter_: Filter, names: Iterable[str]) -> dict[str, dataclasses.Field[Any]]:
+    """All fields of a filter by name. Raises: ParameterError naming an axis that is none of them."""
+    fields = {f.name: f for f in declared(filter_)}
+    for name in names:
+        if name not in fields:
+            raise ParameterError(f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}")
+    return fields
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether this is a real number; True and False are none."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
 def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:
     """The fields of a method to search, with their ranges.
 
@@ -115,9 +131,8 @@ def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:
 def around(field: dataclasses.Field[Any]) -> Range | None:
     """Half to twice the default of a field, within its limits; None if that is not a range."""
     default = field.default
-    if not isinstance(default, (int, float)) or isinstance(default, bool) or not 0 < default < math.inf:
+    if not is_number(default) or not 0 < default < math.inf:
         return None
-    bounds = [field.metadata.get(key) for key in ("lt", "le")]
-    top = min((bound for bound in bounds if bound is not None), default=math.inf)
+    top = min((bound for sign, bound in field.metadata["limits"].items() if "<" in sign), default=math.inf)
     high = min(2.0 * default, 0.99 * top)
     return Range(0.5 * default, high, "log") if high > 0.5 * default else None

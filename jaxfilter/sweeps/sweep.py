@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter, check_resources, degenerate
+from ..core.filter import Filter, check_resources, degenerate, ground_each
 from ..core.params import declared
 from ..core.points import Points
 from ..core.result import Progress, silent
@@ -32,6 +32,44 @@ if TYPE_CHECKING:
 
 _SAVE_EVERY = 10.0
 """Seconds between writes of a checkpoint."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepOptions:
+    """How sets of parameters are computed; what they find does not depend on ``workers`` and ``memory``.
+
+    Attributes:
+        key: JAX random key of methods that draw samples, the same for every set.
+        workers: threads for triangulation; by default one per core.
+        memory: bytes that may be held for sets computed at the same time.
+
+    Raises: ParameterError for threads or bytes that are none.
+
+    >>> jf.SweepOptions(workers=2).memory
+    2000000000.0
+    """
+
+    key: Any = None
+    workers: int | None = None
+    memory: float = 2e9
+
+    def __post_init__(self) -> None:
+        check_resources(self.workers, self.memory)
+
+
+class Subject:
+    """A cloud in the shape that sets are computed in."""
+
+    def __init__(self, filter_: Filter, cloud: PointCloud, options: SweepOptions) -> None:
+        self.points, self.options = filter_.points_of(cloud), options
+        self.same = degenerate(cloud, self.points)
+
+    def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:
+        """Number of the set and bool[m], ground, for every set; they differ in traced fields only."""
+        if self.same is not None:
+            return ((number, self.same.ground) for number in range(len(sets)))
+        options = self.options
+        return ground_each(sets[0], self.points, sets, key=options.key, workers=options.workers, memory=options.memory)
 
 
 def sweep(
@@ -88,7 +126,7 @@ def sweep(
 
     filter_ = check_filter(filter_)
     plan = make_design(filter_, axes, design, size, seed)
-    check_resources(workers, memory)
+    options = SweepOptions(key, workers, memory)
     several, named = named_clouds(clouds)
     for name, cloud in named.items():
         check_reference(name, cloud)
@@ -102,13 +140,11 @@ def sweep(
                 pending = [number for number in group if not state.done[c, number]]
                 if not pending:
                     continue
-                scene = scene or _Scene(filter_, cloud)
+                scene = scene or _Scene(filter_, cloud, options)
                 text = f"{name}: " * several + f"{len(plan.sets)} sets"
                 text += f", group {g + 1} of {len(plan.groups)}" if len(plan.groups) > 1 else ""
                 report(state.done.sum() / jobs, text)
-                for number, ground in scene.ground_each(
-                    [plan.filters[i] for i in pending], key=key, workers=workers, memory=memory
-                ):
+                for number, ground in scene.ground_each([plan.filters[i] for i in pending]):
                     state.add(c, pending[number], scene, ground)
                     report(state.done.sum() / jobs, text)
     finally:
@@ -142,12 +178,11 @@ def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None
             )
 
 
-class _Scene:
+class _Scene(Subject):
     """A cloud in the shape that sets are computed and scored in."""
 
-    def __init__(self, filter_: Filter, cloud: PointCloud) -> None:
-        self.points = filter_.points_of(cloud)
-        self.same = degenerate(cloud, self.points)
+    def __init__(self, filter_: Filter, cloud: PointCloud, options: SweepOptions) -> None:
+        super().__init__(filter_, cloud, options)
         self.weights: np.ndarray | None = None
         if cloud.reference is not None:
             truth, counted = reference_labels(cloud)
@@ -155,12 +190,6 @@ class _Scene:
             of_kind = [counted & truth, counted & ~truth]
             self.weights = np.stack([np.bincount(member, weights=kind[index], minlength=m) for kind in of_kind])
             self.totals = np.array([kind.sum() for kind in of_kind])
-
-    def ground_each(self, sets: list[Filter], *, key: Any, workers: int | None, memory: float) -> Any:
-        """Number of the set and bool[m], ground, for every set."""
-        if self.same is not None:
-            return ((number, self.same.ground) for number in range(len(sets)))
-        return sets[0].ground_each(self.points, sets, key=key, workers=workers, memory=memory)
 
     def confusion(self, ground: np.ndarray) -> np.ndarray:
         """i64[2, 2], as in Scores; zeros without a reference."""
@@ -174,13 +203,7 @@ class _State:
     """What is finished: counts per cloud and set, and votes per cloud; kept in a checkpoint."""
 
     def __init__(
-        self,
-        filter_: Filter,
-        plan: Design,
-        named: dict[str, PointCloud],
-        votes: bool,
-        key: Any,
-        path: Path | None,
+        self, filter_: Filter, plan: Design, named: dict[str, PointCloud], votes: bool, key: Any, path: Path | None
     ) -> None:
         shape = len(named), len(plan.sets)
         self.done = np.zeros(shape, bool)

@@ -6,6 +6,8 @@ more and not on a line. Each interpolator is prepared once and then asked for he
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +17,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import ConvexHull, Delaunay
 
 from ..core.cloud import QUANTUM
-from ..core.errors import InputError
+from ..core.errors import InputError, ParameterError
 from ..core.points import morton
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.triangulation import Tin
@@ -26,25 +28,53 @@ Heights = Callable[[np.ndarray], np.ndarray]
 METHODS = ("tin", "idw", "natural", "kriging")
 
 
-def interpolator(
-    method: str, xyz: np.ndarray, *, neighbours: int = 12, power: float = 2.0, workers: int | None = None
-) -> Heights:
-    """Prepare one of :data:`METHODS` on ground points f32[m, 3].
+@dataclasses.dataclass(frozen=True)
+class Interpolation:
+    """How heights between ground points are found.
 
-    Args:
+    Attributes:
+        method: ``"tin"``, linear in the triangles of the Delaunay triangulation; ``"natural"``, natural neighbour (needs
+            startinpy); ``"idw"``, inverse distance; ``"kriging"``, ordinary kriging with a linear variogram.
+        max_gap: cells whose centre is farther than this from every ground point get no height, in units of the coordinates;
+            None: the ground is bridged under buildings and water of any size.
+        fill: give cells outside the convex hull of the ground points a height too: that of the nearest ground point, or
+            what ``"idw"`` and ``"kriging"`` find there.
         neighbours: of ``"idw"`` and ``"kriging"``: how many of the nearest ground points decide a height.
         power: of ``"idw"``: weights are distance to the power of -``power``.
-        workers: threads; by default one per core.
+
+    Raises: ParameterError for values out of range.
+
+    >>> jf.dtm_rmse(cloud, truth, cell=5.0, interpolation=jf.Interpolation("idw", neighbours=6)).rmse
+    0.0
+    """
+
+    method: str = "tin"
+    max_gap: float | None = None
+    fill: bool = False
+    neighbours: int = 12
+    power: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ParameterError(f"method={self.method!r}: choose one of {', '.join(METHODS)}")
+        for name in ("max_gap", "power"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise ParameterError(f"{name}={value!r} must be a positive number")
+        if self.neighbours < 1:
+            raise ParameterError(f"neighbours={self.neighbours!r} must be at least 1")
+
+
+def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int | None = None) -> Heights:
+    """The surface through ground points f32[m, 3]; ``workers``: threads, by default one per core.
 
     Raises: ImportError, naming the extra, if ``"natural"`` is asked for without startinpy.
     """
-    if method == "tin":
+    if interpolation.method == "tin":
         return Linear(xyz, workers)
-    if method == "idw":
-        return _inverse_distance(xyz, neighbours, power, workers)
-    if method == "natural":
-        return _natural_neighbour(xyz)
-    return _kriging(xyz, neighbours)
+    if interpolation.method == "idw":
+        return _inverse_distance(xyz, interpolation.neighbours, interpolation.power, workers)
+    return _natural_neighbour(xyz) if interpolation.method == "natural" else _kriging(xyz, interpolation.neighbours)
 
 
 class Linear:

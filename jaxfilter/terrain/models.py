@@ -5,18 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 
-from ..core.cloud import QUANTUM, PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError, warn
-from ..core.grid import MAX_CELLS
+from ..core.cloud import PointCloud, as_cloud
+from ..core.errors import InputError, warn
 from ..core.points import canonical_points, check_extent
 from ..core.result import FilterResult, Progress
-from ..files.disk import check_bounds
-from .interpolation import METHODS, Heights, inside_hull, interpolator, nearest_point
-from .raster import Raster
+from ..files.disk import Bounds, check_bounds
+from .interpolation import Heights, inside_hull, nearest_point, surface_through
+from .interpolation import Interpolation as Interpolation
+from .raster import Raster, RasterGrid
 
 _CELLS = 1 << 18  # that are interpolated at a time
 _SNAP = 2.0**-20  # metres: cell centres are multiples of it, so that a shift of the cloud changes no bit of a height
@@ -49,15 +48,8 @@ def dtm(
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
-        method: ``"tin"``, linear in the triangles of the Delaunay triangulation; ``"natural"``, natural neighbour (needs
-            startinpy); ``"idw"``, inverse distance; ``"kriging"``, ordinary kriging with a linear variogram.
-        max_gap: cells whose centre is farther than this from every ground point become NaN; by default none, so that the
-            ground is bridged under buildings and water of any size.
-        fill: give cells outside the convex hull of the ground points a height too: that of the nearest ground point, or
-            what ``"idw"`` and ``"kriging"`` find there; by default they are NaN.
+        method, max_gap, fill, neighbours, power: how heights between ground points are found, see :class:`Interpolation`.
         bounds: (xmin, ymin, xmax, ymax) to cover instead of the extent of the cloud, widened to whole cells.
-        neighbours: of ``"idw"`` and ``"kriging"``: number of nearest ground points that decide a height.
-        power: of ``"idw"``: weights are distance to the power of -``power``.
         workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
 
@@ -73,11 +65,11 @@ def dtm(
     >>> bool(np.nanmedian(np.abs(model.values - terrain)) < 0.1)
     True
     """
-    check_settings(cell, method, max_gap, neighbours, power)
+    interpolation = Interpolation(method, max_gap, fill, neighbours, power)
     cloud = as_cloud(cloud)
     ground = _ground(cloud, result)
-    settings: dict[str, Any] = {"max_gap": max_gap, "fill": fill, "neighbours": neighbours, "power": power}
-    raster = interpolated(cloud, ground, cell, method, bounds, progress=progress, workers=workers, **settings)
+    grid = RasterGrid.over(_extent(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
+    raster = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
     if bounds is not None and len(cloud) and np.isnan(raster.values).all():
         ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
         low, high = dataclasses.replace(cloud, xyz=ends).coordinates()
@@ -91,45 +83,38 @@ def dtm(
 def interpolated(
     cloud: PointCloud,
     ground: np.ndarray,
-    cell: float,
-    method: str,
-    bounds: Iterable[float] | None,
+    grid: RasterGrid,
+    interpolation: Interpolation,
     *,
-    max_gap: float | None,
-    fill: bool,
-    neighbours: int,
-    power: float,
-    workers: int | None,
+    workers: int | None = None,
     progress: Progress | None = None,
     look: Callable[[np.ndarray, Heights], None] | None = None,
 ) -> Raster:
-    """The raster of :func:`dtm` with checked settings; ``ground``: bool[n].
+    """The raster of :func:`dtm` on the cells of a grid; ``ground``: bool[n].
 
     ``look`` is called with the centres f64[q, 2], local metres, of the cells of some rows, and the surface that gives their
-    heights.
+    heights. Raises: as :func:`dtm`.
     """
-    corner, shape = _extent(cloud, cell, bounds)
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
-    north = (corner[1] + shape[0]) * cell
-    transform = (cell, 0.0, corner[0] * cell, 0.0, -cell, north)
+    values = np.full(grid.shape, np.nan, np.float32)
     if not len(cloud):
         warn("dtm: the cloud has no points, so no cell has a height")
-        return Raster(np.full(shape, np.nan, np.float32), transform, cloud.crs)
+        return Raster(values, grid.transform, cloud.crs)
     if not points.has_area():
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
+    fill, max_gap = interpolation.fill, interpolation.max_gap
     xyz = _lowest(points.xyz)
-    surface = interpolator(method, xyz, neighbours=neighbours, power=power, workers=workers)
-    inside = inside_hull(xyz) if method in ("idw", "kriging") and not fill else None
+    surface = surface_through(xyz, interpolation, workers)
+    inside = inside_hull(xyz) if interpolation.method in ("idw", "kriging") and not fill else None
     nearest = nearest_point(xyz, workers) if fill or max_gap is not None else None
 
-    x, y = (_local(cloud, axis, corner[axis], count, cell) for axis, count in ((0, shape[1]), (1, shape[0])))
-    values = np.empty(shape, np.float32)
-    step = max(1, _CELLS // shape[1])
-    for top in range(0, shape[0], step):
-        report(top / shape[0], "heights")
+    x, y = _local(cloud, grid.left, grid.columns, 0, grid.cell), _local(cloud, grid.bottom, grid.rows, 1, grid.cell)
+    step = max(1, _CELLS // grid.columns)
+    for top in range(0, grid.rows, step):
+        report(top / grid.rows, "heights")
         rows = y[::-1][top : top + step]
         at = np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
         z = surface(at)
@@ -144,7 +129,7 @@ def interpolated(
             if max_gap is not None:
                 z[distance > max_gap * cloud.units.xy] = np.nan
         values[top : top + step] = (cloud.origin[2] + z / cloud.units.z).reshape(len(rows), -1)
-    return Raster(values, transform, cloud.crs)
+    return Raster(values, grid.transform, cloud.crs)
 
 
 def height_above_ground(
@@ -200,7 +185,7 @@ def heights_of(
     if not len(points):
         raise InputError("height_above_ground: no point is ground: classify the cloud first, or pass result=")
     xyz = _lowest(points.xyz)
-    surface = interpolator("tin", xyz, workers=workers) if points.has_area() else None
+    surface = surface_through(xyz, Interpolation(), workers) if points.has_area() else None
     nearest, low, high = nearest_point(xyz, workers), xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
     heights = np.zeros(len(rows))
     for start in range(0, len(rows), _CELLS):
@@ -244,8 +229,7 @@ def dtm_rmse(
     result: FilterResult | np.ndarray,
     reference: np.ndarray | None = None,
     cell: float = 1.0,
-    method: str = "tin",
-    **settings: Any,
+    interpolation: Interpolation = Interpolation(),  # noqa: B008
 ) -> HeightErrors:
     """The vertical error of the terrain model that follows from a labelling, against the one from reference labels.
 
@@ -256,7 +240,8 @@ def dtm_rmse(
         cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: FilterResult, or bool[n] with True = ground.
         reference: bool[n] with True = ground; by default the cloud's own reference.
-        cell, method, settings: as in :func:`dtm`; ``cell`` in the units of the cloud's coordinate system.
+        cell: side of a cell, in the units of the cloud's coordinate system.
+        interpolation: how heights between ground points are found.
 
     Returns: HeightErrors, in metres whatever the units of the cloud.
     Raises: what :func:`dtm` raises.
@@ -266,7 +251,10 @@ def dtm_rmse(
     (0.0, True)
     """
     cloud = as_cloud(cloud)
-    model, truth = (dtm(cloud, labels, cell, method, **settings).values for labels in (result, reference))
+    grid = RasterGrid.over(_extent(cloud), cell, cloud.units.xy)
+    model, truth = (
+        interpolated(cloud, _ground(cloud, labels), grid, interpolation).values for labels in (result, reference)
+    )
     difference = (model.astype(np.float64) - truth) * cloud.units.z
     both = np.isfinite(difference)
     missing = int((np.isfinite(model) != np.isfinite(truth)).sum())
@@ -274,17 +262,6 @@ def dtm_rmse(
         return HeightErrors(math.nan, math.nan, math.nan, 0, missing)
     d = difference[both]
     return HeightErrors(math.sqrt(np.mean(d * d)), float(d.mean()), float(np.abs(d).max()), len(d), missing)
-
-
-def check_settings(cell: float, method: str, max_gap: float | None, neighbours: int, power: float) -> None:
-    """Raises ParameterError for settings that :func:`dtm` cannot use, whatever the cloud."""
-    if method not in METHODS:
-        raise ParameterError(f"method={method!r}: choose one of {', '.join(METHODS)}")
-    for name, value in (("cell", cell), ("max_gap", max_gap), ("power", power)):
-        if value is not None and not 0 < value < math.inf:
-            raise ParameterError(f"{name}={value!r} must be a positive number")
-    if neighbours < 1:
-        raise ParameterError(f"neighbours={neighbours!r} must be at least 1")
 
 
 def _lowest(xyz: np.ndarray) -> np.ndarray:
@@ -305,31 +282,17 @@ def _ground(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.n
     return ground if cloud.valid is None else ground & cloud.valid
 
 
-def _extent(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> tuple[tuple[int, int], tuple[int, int]]:
-    """The lower left corner of the raster in whole cells from the zero of the coordinates, and (rows, columns)."""
-    if bounds is not None:
-        edges = np.array(check_bounds(bounds))
-    else:
-        xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
-        if len(xy) == 0:
-            raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
-        check_extent(cloud, xy)
-        ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
-        edges = np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy
-    slack = QUANTUM / cloud.units.xy / cell  # coordinates are known to a quantum: an edge needs no further cell
-    left, bottom = (math.floor(v / cell + min(slack, 0.5)) for v in edges[:2])
-    right, top = (math.ceil(v / cell - min(slack, 0.5)) for v in edges[2:])
-    columns, rows = max(1, right - left), max(1, top - bottom)
-    if rows * columns > MAX_CELLS:
-        width, height = edges[2:] - edges[:2]
-        raise InputError(
-            f"cell={cell:g} over an extent of {width:.6g} x {height:.6g} needs {rows * columns:,} cells, more than "
-            f"{MAX_CELLS:,}: use larger cells or bounds, or remove stray points far from the rest"
-        )
-    return (left, bottom), (rows, columns)
+def _extent(cloud: PointCloud) -> Bounds:
+    """xmin, ymin, xmax, ymax of the points, file units. Raises InputError if there are none."""
+    xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
+    if len(xy) == 0:
+        raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
+    check_extent(cloud, xy)
+    ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
+    return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
 
 
-def _local(cloud: PointCloud, axis: int, first: int, count: int, cell: float) -> np.ndarray:
+def _local(cloud: PointCloud, first: int, count: int, axis: int, cell: float) -> np.ndarray:
     """f64[count]: the centres of the cells along an axis, local metres; those farther than any point as :data:`_FAR`."""
     centre = (first + np.arange(count) + 0.5) * cell
     local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / _SNAP)) * _SNAP

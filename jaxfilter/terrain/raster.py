@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import InputError, OutputError
-from ..files.disk import new_file
+from ..core.cloud import QUANTUM
+from ..core.errors import InputError, OutputError, ParameterError
+from ..core.grid import MAX_CELLS
+from ..files.disk import Bounds, new_file
 from ..files.storage import Place, Remote, place_of
 
 if TYPE_CHECKING:
@@ -123,13 +126,8 @@ class Raster:
         path = place_of(path)
         check_target(path)
         rasterio = _rasterio()
-        crs = None if self.crs is None else rasterio.crs.CRS.from_wkt(self.crs.to_wkt())
-        profile = {
-            "driver": "GTiff", "dtype": "float32", "count": 1, "height": self.values.shape[0],
-            "width": self.values.shape[1], "crs": crs, "transform": rasterio.Affine(*self.transform),
-            "nodata": self.nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK,
-            "compress": "deflate", "predictor": 3, "bigtiff": "if_safer",
-        }  # fmt: skip
+        profile = _profile(self.values.shape, self.transform, self.crs)
+        profile |= {"nodata": self.nodata, "compress": "deflate", "predictor": 3}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
             with memory.open(**profile) as file:
                 file.write(np.where(np.isnan(self.values), np.float32(self.nodata), self.values), 1)
@@ -165,6 +163,59 @@ class Raster:
         return cls(values, transform, crs, NODATA if nodata is None else nodata)
 
 
+@dataclasses.dataclass(frozen=True)
+class RasterGrid:
+    """Cells of a raster: ``left`` and ``bottom`` count whole cells from the zero of the coordinates, whose units ``cell`` has."""
+
+    cell: float
+    left: int
+    bottom: int
+    columns: int
+    rows: int
+
+    @classmethod
+    def over(cls, bounds: Bounds, cell: float, metre: float = 1.0, most: float = MAX_CELLS) -> RasterGrid:
+        """The whole cells over bounds; ``metre``: metres per unit; ``most``: cells that there may be.
+
+        Raises: ParameterError for a cell that has no size, InputError if more cells would be needed.
+        """
+        check_cell(cell)
+        slack = min(QUANTUM / metre / cell, 0.5)  # coordinates are known to a quantum: an edge needs no further cell
+        left, bottom = (math.floor(v / cell + slack) for v in bounds[:2])
+        right, top = (math.ceil(v / cell - slack) for v in bounds[2:])
+        columns, rows = max(1, right - left), max(1, top - bottom)
+        if rows * columns > most:
+            extent = f"{bounds[2] - bounds[0]:.6g} x {bounds[3] - bounds[1]:.6g}"
+            raise InputError(
+                f"cell={cell:g} over an extent of {extent} needs {rows * columns:,} cells, more than {most:,}: use larger "
+                "cells or bounds, or remove stray points far from the rest"
+            )
+        return cls(cell, left, bottom, columns, rows)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.columns
+
+    @property
+    def bounds(self) -> Bounds:
+        """(xmin, ymin, xmax, ymax)."""
+        left, bottom, cell = self.left, self.bottom, self.cell
+        return left * cell, bottom * cell, (left + self.columns) * cell, (bottom + self.rows) * cell
+
+    def part(self, box: Bounds) -> RasterGrid:
+        """The cells in a box whose edges are multiples of the cell; rows or columns below 1: there are none."""
+        left, bottom = max(self.left, round(box[0] / self.cell)), max(self.bottom, round(box[1] / self.cell))
+        right = min(self.left + self.columns, round(box[2] / self.cell))
+        top = min(self.bottom + self.rows, round(box[3] / self.cell))
+        return RasterGrid(self.cell, left, bottom, right - left, top - bottom)
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """As of a :class:`Raster` on these cells."""
+        return self.cell, 0.0, self.left * self.cell, 0.0, -self.cell, (self.bottom + self.rows) * self.cell
+
+
 def write_mosaic(
     path: Place,
     shape: tuple[int, int],
@@ -188,11 +239,7 @@ def write_mosaic(
     from rasterio.shutil import copy
     from rasterio.windows import Window
 
-    profile = {
-        "driver": "GTiff", "dtype": "float32", "count": 1, "height": shape[0], "width": shape[1],
-        "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
-        "nodata": NODATA, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
-    }  # fmt: skip
+    profile = _profile(shape, transform, crs)
     with new_file(path, overwrite=overwrite) as temporary:
         plain = temporary.with_name("plain.tif")
         try:
@@ -218,10 +265,26 @@ def write_mosaic(
     return path
 
 
+def check_cell(cell: float) -> None:
+    """Raises ParameterError if a cell of this side has no size."""
+    if not 0 < cell < math.inf:
+        raise ParameterError(f"cell={cell!r} must be a positive number")
+
+
 def check_target(path: Place) -> None:
     """Raises OutputError if the name is not that of a GeoTIFF."""
     if path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
+
+
+def _profile(shape: tuple[int, ...], transform: tuple[float, ...], crs: Any) -> dict[str, Any]:
+    """How GeoTIFF files are made."""
+    rasterio = _rasterio()
+    return {
+        "driver": "GTiff", "dtype": "float32", "count": 1, "height": shape[0], "width": shape[1],
+        "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
+        "nodata": NODATA, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
+    }  # fmt: skip
 
 
 def _rasterio() -> Any:

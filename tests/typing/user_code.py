@@ -20,7 +20,7 @@ def classify(source: Path, target: Path) -> jf.Scores:
 def checked(cloud: jf.PointCloud, result: jf.FilterResult) -> Path:
     table: jf.Comparison = jf.compare(["smrf", jf.CSF(), jf.PMF], {"site": cloud}, repeats=0)
     print(table.markdown(), table.significance("kappa", against="CSF"), result.to_xarray().sizes)
-    jf.report(cloud, result.ground, "delivered.html", reference=cloud, steps=0)
+    jf.report(cloud, result.ground, "delivered.html", reference=cloud, options=jf.ReportOptions(steps=0))
     return jf.report(cloud, result, "site.html", overwrite=True)
 
 
@@ -66,15 +66,18 @@ def from_elsewhere(points: np.ndarray, raster: jf.Raster) -> jf.Filter:
     cloud = jf.PointCloud.from_structured(points, units="us-ft", crs="EPSG:2263")
     result = one(cloud)
     jf.write("out.laz", cloud, result, noise_class=7)
-    print(result.low_noise.sum(), jf.class_changes(cloud, result, noise_class=7), raster.to_xarray().sizes)
+    print(result.low_noise.sum(), jf.class_changes(cloud, result, jf.Classes(noise_class=7)), raster.to_xarray().sizes)
     jf.read("in.laz", progress=lambda fraction, step: print(f"{step} {fraction:.0%}"))
-    report = jf.ground("survey/", "classified/", noise_class=7)
-    print(report.complete)
-    how: jf.RunOptions = {"tile": 500.0, "workers": 2, "progress": lambda standing: print(f"{standing.rate:.0f}")}
-    print(jf.heights("classified/", Path("heights/"), replace_z=True, **how).uncertain)
-    print(
-        jf.terrain_model(["a.laz", "b.laz"], "s3://bucket/dtm.tif", cell=0.5, fill=True, work="run/", units="m").empty
-    )
+    report = jf.ground("survey/", "classified/", classes=jf.Classes(noise_class=7), review=jf.Review("places.gpkg"))
+    print(report.complete, report.seconds["filter"], report.measures)
+    run = jf.RunOptions(tile=500.0, workers=2, progress=lambda standing: print(f"{standing.rate:.0f}"))
+    print(jf.heights("classified/", Path("heights/"), replace_z=True, run=run).uncertain)
+    reading, fill = jf.Reading(units="m", bounds=(0, 0, 9, 9)), jf.Interpolation(fill=True)
+    work = jf.RunOptions(work="run/")
+    target = "s3://bucket/dtm.tif"
+    model = jf.terrain_model(["a.laz", "b.laz"], target, jf.SMRF(), interpolation=fill, reading=reading, run=work)
+    print(model.empty, model.transform)
+    jf.ground("survey/", None, jf.SMRF(), run=jf.RunOptions(in_place=True, measures=report.measures))
     return one
 
 

@@ -54,12 +54,15 @@ ax = survey.plot()
 # Filter
 # ------
 #
-# In tiles of 45 m, each with what lies around it. By default tiles are as large as the memory allows, and there are as many
+# In tiles of 45 m, each with what lies around it. By default so few points are one tile, and of larger data there are as many
 # processes as the machine has cores. They import the script anew: in a file of your own, put the call under
 # ``if __name__ == "__main__":``. On the command line it is ``jaxfilter ground smrf survey/ classified/``.
 
 report = jf.ground(
-    folder / "survey", folder / "classified", jf.SMRF(), tile=45.0, workers=1
+    folder / "survey",
+    folder / "classified",
+    jf.SMRF(),
+    run=jf.RunOptions(tile=45.0, workers=1),
 )
 print(
     f"{report.tiles} tiles, {len(report.files)} files, {report.ground:,} of {report.points:,} points are ground"

@@ -11,7 +11,7 @@ from ...core.points import pieces
 _TABLE = 16  # a grid of so many cells per cell in use is looked up in a table
 
 
-class Cells:
+class CellSet:
     """A set of cells of a grid of ``shape`` (rows, columns), numbered in row-major order.
 
     Attributes:
@@ -35,7 +35,7 @@ class Cells:
     @classmethod
     def of(
         cls, places: Callable[[slice], tuple[np.ndarray, np.ndarray]], points: int, shape: tuple[int, int]
-    ) -> tuple[Cells, np.ndarray]:
+    ) -> tuple[CellSet, np.ndarray]:
         """The cells that points are in, and i32[points], which one each is in; ``places``: i[m], i[m], row and column of some."""
         wide = shape[1] + 2
         if (size := (shape[0] + 2) * wide) > min(_TABLE * points, 2**31):
@@ -52,7 +52,7 @@ class Cells:
             member[part] = number[member[part]]
         return cls(np.flatnonzero(seen), shape), member
 
-    def grown(self, steps: int = 1) -> Cells:
+    def grown(self, steps: int = 1) -> CellSet:
         """With the cells of the grid that are at most so many rows and columns away."""
         key = self._key
         for _ in range(steps):
@@ -61,7 +61,7 @@ class Cells:
             key = key[(column > 0) & (column <= self.shape[1])]
             key = _merged(key - self._wide, key, key + self._wide)
             key = key[slice(*np.searchsorted(key, (self._wide, (self.shape[0] + 1) * self._wide)))]
-        return Cells(key, self.shape)
+        return CellSet(key, self.shape)
 
     def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """i[...]: the number of each cell; the number of cells for those that are not in the set."""

@@ -25,31 +25,6 @@ Vector = list[jax.Array]
 length three do not, and add up in an order that depends on the number of points."""
 
 
-class Rule(NamedTuple):
-    """Thresholds of one densification; f32 scalars (or, under vmap, arrays). Infinity switches a test off.
-
-    Attributes:
-        max_angle: degrees, angle between facet and the line to its nearest vertex.
-        max_elevation: metres over the highest vertex of the facet.
-        max_distance: metres from the plane of the facet.
-        max_below: metres below the plane, measured vertically, at which a point is too low.
-        noise_floor: metres; a point this close to the plane, measured vertically, is accepted whatever its angle. Negative = off.
-        signed: 1 = points below the facet pass the tests of angle and distance; 0 = both sides are limited.
-
-    >>> from jaxfilter.engines.tin import facets
-    >>> rule = facets.Rule(max_angle=15.0, max_distance=1.4)
-    >>> rule.max_elevation, rule.max_below
-    (inf, inf)
-    """
-
-    max_angle: float | jax.Array = jnp.inf
-    max_elevation: float | jax.Array = jnp.inf
-    max_distance: float | jax.Array = jnp.inf
-    max_below: float | jax.Array = jnp.inf
-    noise_floor: float | jax.Array = -1.0
-    signed: float | jax.Array = 0.0
-
-
 class FacetScore(NamedTuple):
     """Quantities of points over their facets, each of the shape of the points without the last axis; metres and degrees."""
 
@@ -68,6 +43,65 @@ class Verdict(NamedTuple):
     decision: jax.Array
     margin: jax.Array
     score: FacetScore
+
+
+class Rule(NamedTuple):
+    """Limits of the test of points over facets; f32 scalars (or, under vmap, arrays). Infinity switches a test off.
+
+    Attributes:
+        max_angle: degrees, angle between facet and the line to its nearest vertex.
+        max_elevation: metres over the highest vertex of the facet.
+        max_distance: metres from the plane of the facet.
+        max_below: metres below the plane, measured vertically, at which a point is too low.
+        noise_floor: metres; a point this close to the plane, measured vertically, is accepted whatever its angle. 0 = off.
+        signed: 1 = points below the facet pass the tests of angle and distance; 0 = both sides are limited.
+
+    >>> from jaxfilter.engines.tin import facets
+    >>> rule = facets.Rule(max_angle=15.0, max_distance=1.4)
+    >>> rule.max_elevation, rule.max_below
+    (inf, inf)
+    """
+
+    max_angle: float | jax.Array = jnp.inf
+    max_elevation: float | jax.Array = jnp.inf
+    max_distance: float | jax.Array = jnp.inf
+    max_below: float | jax.Array = jnp.inf
+    noise_floor: float | jax.Array = 0.0
+    signed: float | jax.Array = 0.0
+
+    def verdict(self, s: FacetScore, two_sided: jax.Array) -> Verdict:
+        """Hold one point against the limits.
+
+        ``two_sided`` (bool) tests the point on both sides of the facet whatever the rule says, and holds its distance to the
+        limit of elevation as well: for points that were kept out of the seeds as suspected low outliers.
+
+        >>> from jaxfilter.engines.tin import facets
+        >>> corners = jnp.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
+        >>> score = facets.facet_score(jnp.array([2.0, 2.0, 0.5]), corners)
+        >>> bool(facets.Rule(max_distance=0.4).verdict(score, jnp.bool_(False)).accepted)
+        False
+        """
+        one_sided = (jnp.asarray(self.signed) > 0) & ~two_sided
+        angle = jnp.where(one_sided, s.angle, jnp.abs(s.angle))
+        distance = jnp.where(one_sided, s.distance, jnp.abs(s.distance))
+        over_angle = angle - self.max_angle
+        over_height = jnp.maximum(s.elevation - self.max_elevation, distance - self.max_distance)
+        over_height = jnp.where(two_sided, jnp.maximum(over_height, distance - self.max_elevation), over_height)
+        too_low = -s.height - self.max_below
+        near = (jnp.asarray(self.noise_floor) > 0) & (jnp.abs(s.height) <= self.noise_floor)
+        passed = (over_angle <= 0) & (over_height <= 0) & (too_low <= 0)
+        accepted = s.planar & (passed | near)
+        decision = jnp.where(
+            accepted,
+            jnp.where(passed, Decision.ACCEPTED, Decision.NOISE_FLOOR),
+            jnp.where(too_low > 0, Decision.LOW, jnp.where(over_height > 0, Decision.ELEVATION, Decision.ANGLE)),
+        ).astype(jnp.uint8)
+        margin = jnp.where(
+            near & ~passed,
+            jnp.abs(s.height) - self.noise_floor,
+            jnp.where(too_low > 0, too_low, jnp.where(over_height > 0, over_height, over_angle)),
+        )
+        return Verdict(accepted, decision, margin, s)
 
 
 def _minus(u: Vector, v: Vector) -> Vector:
@@ -105,34 +139,10 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
     )
 
 
-def judge_one(rule: Rule, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
-    """Apply a rule to one point f32[3] over one facet f32[3, 3].
-
-    ``two_sided`` (bool) tests the point on both sides of the facet whatever the rule says, and holds its distance to the
-    limit of elevation as well: for points that were kept out of the seeds as suspected low outliers.
-    """
-    s = facet_score(p, corners)
-    one_sided = (jnp.asarray(rule.signed) > 0) & ~two_sided
-    angle = jnp.where(one_sided, s.angle, jnp.abs(s.angle))
-    distance = jnp.where(one_sided, s.distance, jnp.abs(s.distance))
-    over_angle = angle - rule.max_angle
-    over_height = jnp.maximum(s.elevation - rule.max_elevation, distance - rule.max_distance)
-    over_height = jnp.where(two_sided, jnp.maximum(over_height, distance - rule.max_elevation), over_height)
-    too_low = -s.height - rule.max_below
-    near = jnp.abs(s.height) <= rule.noise_floor
-    passed = (over_angle <= 0) & (over_height <= 0) & (too_low <= 0)
-    accepted = s.planar & (passed | near)
-    decision = jnp.where(
-        accepted,
-        jnp.where(passed, Decision.ACCEPTED, Decision.NOISE_FLOOR),
-        jnp.where(too_low > 0, Decision.LOW, jnp.where(over_height > 0, Decision.ELEVATION, Decision.ANGLE)),
-    ).astype(jnp.uint8)
-    margin = jnp.where(
-        near & ~passed,
-        jnp.abs(s.height) - rule.noise_floor,
-        jnp.where(too_low > 0, too_low, jnp.where(over_height > 0, over_height, over_angle)),
-    )
-    return Verdict(accepted, decision, margin, s)
+def judge_one(rule: Any, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
+    """Apply a rule to one point f32[3] over one facet f32[3, 3]; see :func:`judge`."""
+    verdict: Verdict = rule.verdict(facet_score(p, corners), two_sided)
+    return verdict
 
 
 QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
@@ -141,7 +151,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 
 @functools.partial(jax.jit, static_argnames="names")
 def judge(
-    rule: Rule,
+    rule: Any,
     two_sided: jax.Array,
     points: jax.Array,
     corners: jax.Array,
@@ -151,7 +161,7 @@ def judge(
     """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3], local metres.
 
     Args:
-        rule: thresholds, f32 scalars or f32[N], one for each point.
+        rule: a named tuple of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
@@ -166,8 +176,8 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    each: Any = [0 if jnp.ndim(limit) > 0 else None for limit in rule]
-    verdict = jax.vmap(judge_one, in_axes=(Rule(*each), 0, 0, 0))(rule, two_sided, points, corners)
+    each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
+    verdict = jax.vmap(judge_one, in_axes=(each, 0, 0, 0))(rule, two_sided, points, corners)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 

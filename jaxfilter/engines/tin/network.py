@@ -1,21 +1,17 @@
-"""From seeds to the network that densification starts from, border points and sheets of blocks included, and back to labels."""
+"""From seeds to the network that densification starts from, border points and sheets of blocks included."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ...core.errors import InputError
-from ...core.filter import Labels
 from ...core.frame import QUANTUM
 from ...core.points import Points
-from ...core.result import Decision, Status
 from ..neighbours import perturbed
-from .densify import Densification
-from .growth import Network
+from .growth import Network, Outliers
 
 PAD = 0.25
 """Metres between the extent of the points and the simulated border points around it."""
@@ -32,13 +28,13 @@ def block_count(extent: np.ndarray, size: float) -> tuple[int, int]:
 
 
 def border_positions(
-    low: np.ndarray, high: np.ndarray, size: float, corner: np.ndarray | None = None, name: str = "size"
+    low: np.ndarray, high: np.ndarray, size: float, corner: np.ndarray, name: str = "size"
 ) -> np.ndarray:
-    """f32[2 (nx + ny), 2]: the nodes of the block grid on the perimeter of the extent (Li et al. 2021, Sec. II-D).
+    """f32[b, 2]: the nodes of the block grid on the perimeter of the extent, and its corners (Li et al. 2021, Sec. II-D).
 
     They stand :data:`PAD` outside the extent, and the sides bulge by a few centimetres, so that no three are collinear
-    and every point lies inside their hull. Blocks begin at the lower corner of the extent, or at multiples of their size
-    from the anchor, when ``corner``, f64[2], metres, says how far the zero of local coordinates is from it.
+    and every point lies inside their hull. Blocks begin at multiples of their size from the anchor; ``corner``, f64[2], metres,
+    says how far the zero of local coordinates is from it.
 
     Raises: InputError, which calls the size ``name``, where nodes would be more than :data:`_MOST`, or fall together.
     """
@@ -51,19 +47,11 @@ def border_positions(
             f"there may be {_MOST:,} at most, and they must be at least {apart:g} m apart: use a larger value"
         )
     sides = []
-    for axis, n in ((0, nx), (1, ny)):
-        if corner is None:
-            along = low[axis] + size * np.arange(n + 1)
-            along[-1] = high[axis]
-            t = (along - low[axis]) / max(float(high[axis] - low[axis]), 1e-9)
-            bulge = PAD + _BULGE * 4.0 * t * (1.0 - t)
-        else:
-            first, last = (
-                int(turn((end[axis] + corner[axis]) / size)) for turn, end in ((np.floor, low), (np.ceil, high))
-            )
-            number = np.arange(first, last + 1)
-            bulge = PAD + _BULGE * np.array([0.0, 0.4, 1.0])[number % 3]
-            along = np.clip(number * size - corner[axis], low[axis], high[axis])
+    for axis in range(2):
+        first, last = (int(turn((end[axis] + corner[axis]) / size)) for turn, end in ((np.floor, low), (np.ceil, high)))
+        number = np.arange(first, last + 1)
+        bulge = PAD + _BULGE * np.array([0.0, 0.4, 1.0])[number % 3]
+        along = np.clip(number * size - corner[axis], low[axis], high[axis])
         along[0] -= PAD
         along[-1] += PAD
         for edge, sign in ((low, -1.0), (high, 1.0)):
@@ -82,30 +70,20 @@ def corner_positions(low: np.ndarray, high: np.ndarray, gap: float = CORNER_GAP)
 
 def with_elevation(border: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """f32[b, 3]: border positions f32[b, 2] with the elevation of the nearest point of f32[s, 3] in the plane."""
+    if len(border) == 0:
+        return np.zeros((0, 3), np.float32)
     _, nearest = cKDTree(perturbed(xyz)).query(border.astype(np.float64))
     return np.column_stack([border, xyz[nearest, 2]]).astype(np.float32)
 
 
-def one_network(
-    points: Points, seeds: np.ndarray, border: np.ndarray, barred: np.ndarray, late: np.ndarray, **more: Any
-) -> Network:
-    """All points in one sheet.
-
-    Args:
-        seeds: i64[s], rows of ``points``; border: f32[b, 2] positions; barred, late: bool[m], see :class:`Network`.
-        more: further fields of it.
-    """
+def one_network(points: Points, seeds: np.ndarray, border: np.ndarray, outliers: Outliers) -> Network:
+    """All points in one sheet: ``seeds``, i64[s], are rows of them, ``border``, f32[b, 2], positions around them."""
     sheet = np.arange(len(points)), np.ones(len(points), bool), with_elevation(border, points.xyz[seeds])
-    return _joined(points, [sheet], seeds, barred, late, **more)
+    return _joined(points, [sheet], seeds, outliers)
 
 
 def _joined(
-    points: Points,
-    sheets: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    seeds: np.ndarray,
-    barred: np.ndarray,
-    late: np.ndarray,
-    **more: Any,
+    points: Points, sheets: list[tuple[np.ndarray, np.ndarray, np.ndarray]], seeds: np.ndarray, outliers: Outliers
 ) -> Network:
     """Sheets, each of points i64[n], ascending, of which some are open, bool[n], and of border nodes f32[b, 3]."""
     xyz, row, opened = [], [], []
@@ -116,16 +94,16 @@ def _joined(
     point = np.concatenate(row)
     is_seed = np.zeros(len(points) + 1, bool)
     is_seed[seeds] = is_seed[-1] = True  # the last is for border nodes, whose row is -1
+    closed = np.append(outliers.barred & outliers.removed, False)
     return Network(
         points=points,
         xyz=np.concatenate(xyz),
         sheet=np.repeat(np.arange(len(sheets), dtype=np.int32), [len(own) + len(ring) for own, _, ring in sheets]),
         row=point,
         seed=is_seed[point],
-        open=np.concatenate(opened),
-        late=np.append(late, False)[point],
-        barred=barred,
-        **more,
+        open=np.concatenate(opened) & ~closed[point],
+        late=np.append(outliers.late, False)[point],
+        outliers=outliers,
     )
 
 
@@ -133,8 +111,7 @@ def block_networks(
     points: Points,
     seeds: np.ndarray,
     border: np.ndarray,
-    barred: np.ndarray,
-    late: np.ndarray,
+    outliers: Outliers,
     *,
     size: float,
     overlap: float,
@@ -159,11 +136,11 @@ def block_networks(
         own = np.union1d(inside, close)
         ring = virtual[((virtual[:, :2] - centre) ** 2).sum(axis=1) <= reach**2]
         around = np.concatenate([points.xyz[close], ring])
-        if not _surrounds(around[:, :2], corner[0] - overlap, corner[1] + overlap, points.xyz[inside, :2]):
-            frame = border_positions(corner[0] - overlap - PAD, corner[1] + overlap + PAD, 1e9)
+        if not _surrounds(around[:, :2], points.xyz[inside, :2]):
+            frame = corner_positions(corner[0] - overlap - PAD, corner[1] + overlap + PAD, PAD)[[0, 1, 3, 2]]
             ring = np.concatenate([ring, with_elevation(frame, seed_xyz)])
         sheets.append((own, np.isin(own, inside, assume_unique=True), ring))
-    return _joined(points, sheets, seeds, barred, late)
+    return _joined(points, sheets, seeds, outliers)
 
 
 def _widened(points: Points, edges: list[np.ndarray], overlap: float) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
@@ -171,22 +148,19 @@ def _widened(points: Points, edges: list[np.ndarray], overlap: float) -> Iterato
 
     ``edges``: of the columns, f64[nx + 1], and of the lines, f64[ny + 1].
     """
-    xy = points.xyz[:, :2].astype(np.float64)
-    first = [np.searchsorted(edges[a][1:] + overlap, xy[:, a]) for a in range(2)]
-    last = [np.searchsorted(edges[a][:-1] - overlap, xy[:, a], side="right") - 1 for a in range(2)]
-    columns, lines = (last[a] - first[a] + 1 for a in range(2))
-    row = np.repeat(np.arange(len(points)), columns * lines)
-    which = np.arange(len(row)) - np.repeat(np.cumsum(columns * lines) - columns * lines, columns * lines)
-    column, line = first[0][row] + which % columns[row], first[1][row] + which // columns[row]
-    width = len(edges[0]) - 1
-    block = line * width + column
-    order = np.argsort(block, kind="stable")
-    numbers, start = np.unique(block[order], return_index=True)
-    for number, inside in zip(numbers.tolist(), np.split(row[order], start[1:]), strict=True):
-        yield (number % width, number // width), inside
+
+    def within(rows: np.ndarray, axis: int, number: int) -> np.ndarray:
+        at = points.xyz[rows, axis].astype(np.float64)
+        return rows[(at >= edges[axis][number] - overlap) & (at <= edges[axis][number + 1] + overlap)]
+
+    for line in range(len(edges[1]) - 1):
+        strip = within(np.arange(len(points)), 1, line)
+        for column in range(len(edges[0]) - 1):
+            if len(inside := within(strip, 0, column)):
+                yield (column, line), inside
 
 
-def _surrounds(around: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> bool:
+def _surrounds(around: np.ndarray, inside: np.ndarray) -> bool:
     """Whether every one of the points ``inside`` lies in the convex hull of the positions ``around``, both f32[., 2]."""
     if len(around) < 3:
         return False
@@ -194,59 +168,5 @@ def _surrounds(around: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np
         hull = ConvexHull(around.astype(np.float64))
     except QhullError:
         return False
-    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
     normal, offset = hull.equations[:, :2], hull.equations[:, 2]
-    if (normal @ corners.T + offset[:, None] < -PAD / 2).all():
-        return True
     return bool((normal @ inside.astype(np.float64).T + offset[:, None] < -PAD / 2).all())
-
-
-def labels_of(network: Network, out: Densification, keep_labels: bool) -> Labels:
-    """From nodes back to points: ground where any sheet accepts it; quantities from a sheet that does, else from any."""
-    points, barred = network.points, network.barred
-    barred = np.zeros(len(points), bool) if barred is None else barred
-    order = np.flatnonzero(network.real)
-    if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
-        order = order[np.argsort(out.ground[order], kind="stable")]
-    row = network.row[order]
-
-    def of_points(values: np.ndarray) -> np.ndarray:
-        spread = np.zeros(len(points), values.dtype)
-        spread[row] = values[order]
-        return spread
-
-    def in_any_sheet(nodes: np.ndarray) -> np.ndarray:
-        spread = np.zeros(len(points), bool)
-        spread[row[nodes[order]]] = True
-        return spread
-
-    names = ("ground", "height", "slope", "angle", "elevation", "margin", "decision")
-    found = {name: of_points(getattr(out, name)) for name in names}
-    trace = out.trace
-    if network.before is not None:
-        before, trace = network.before, network.before.trace + trace
-        assert before.decision is not None
-        earlier = before.ground & (before.decision != Decision.SEED)
-        for name in ("angle", "elevation", "margin", "decision"):
-            found[name][earlier] = getattr(before, name)[earlier]
-    if keep_labels:
-        for step in out.trace:
-            step["ground"] = in_any_sheet(step["ground"])
-    return Labels(
-        **found,
-        barred=barred,
-        status=Status.CONVERGED if out.converged else Status.ROUND_LIMIT,
-        info={
-            "sheets": int(network.sheet[-1]) + 1,
-            "seeds": int(in_any_sheet(network.seed).sum()),
-            "border_points": len(network.virtual),
-            "rounds": len(out.trace),
-            "facets": len(out.tin),
-            "vertices": int(out.tin.vertex.sum()),
-            "barred": int(points.weight[barred].sum()),
-            "barred_low_clusters": int(points.weight[in_any_sheet(network.late)].sum()),
-            "barred_then_ground": int(points.weight[barred & found["ground"]].sum()),
-            **network.info,
-        },
-        trace=trace,
-    )

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import copy
 import itertools
+import os
 from collections.abc import Callable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 
@@ -194,28 +195,22 @@ class Tin:
 
     def locate(self, nodes: np.ndarray) -> None:
         """Bring ``where`` up to date for nodes, i64, best in canonical order."""
-
-        def one(part: slice) -> None:
-            self._walks.locate(*self._tables[:4], self.sheet, nodes[part], self._first)
-
-        self._spread(len(nodes), one, _SHARE)
+        given = *self._tables[:4], self.sheet
+        self._spread(len(nodes), lambda part: self._walks.locate(*given, nodes[part], self._first), _SHARE)
 
     def walk(self, xy: np.ndarray, start: np.ndarray) -> np.ndarray:
         """i32[n]: the triangle that contains each position [n, >=2] in local metres, walking from triangles near it.
 
         Positions count to a quantum. Outside the hull it is -1 - t, where t is the triangle behind an edge in sight.
         """
-        out = np.empty(len(xy), np.int32)
-        tables, xy = self._tables[:3], lattice(xy)
-        self._spread(
-            len(xy), lambda part: self._walks.locate_positions(*tables, start[part], xy[part], out[part]), _SHARE
-        )
+        out, tables, at = np.empty(len(xy), np.int32), self._tables[:3], lattice(xy)
+        work = self._walks.locate_positions
+        self._spread(len(xy), lambda part: work(*tables, start[part], at[part], out[part]), _SHARE)
         return out
 
     def twins(self, nodes: np.ndarray) -> np.ndarray:
         """i64[n]: for located nodes, i64, the vertex at the same position, or -1."""
-        out = np.empty(len(nodes), np.int64)
-        tables = self.xy, self.triangles, self.where
+        out, tables = np.empty(len(nodes), np.int64), (self.xy, self.triangles, self.where)
         self._spread(len(nodes), lambda part: self._walks.twins(*tables, nodes[part], out[part]))
         return out
 
@@ -227,8 +222,7 @@ class Tin:
 
     def changed(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
         """bool[n]: nodes, i64, of which the triangle, or that of their image (i32[k], -1 = none), has changed now."""
-        out = np.empty(len(nodes), bool)
-        tables = self.where, self.stamp
+        out, tables = np.empty(len(nodes), bool), (self.where, self.stamp)
         self._spread(len(nodes), lambda part: self._walks.changed(*tables, nodes[part], image, self.now, out[part]))
         return out
 
@@ -241,8 +235,7 @@ class Tin:
 
         Beyond an edge of a hull they are those of the triangle behind it.
         """
-        out = np.empty((len(rows), 3), np.int32)
-        tables = self.triangles, self.neighbours
+        out, tables = np.empty((len(rows), 3), np.int32), (self.triangles, self.neighbours)
         self._spread(len(rows), lambda part: self._walks.corners(*tables, rows[part], out[part]))
         return out
 
@@ -255,6 +248,15 @@ class Tin:
         rank = np.full(len(self.triangles), -1, np.int32)
         rank[rows[order]] = np.arange(len(rows), dtype=np.int32)
         return corner[order], rank[np.take_along_axis(self.neighbours[rows], turn, axis=1)[order]]
+
+
+def triangulated(xyz: np.ndarray, workers: int | None = None) -> Tin:
+    """The triangulation of positions of their own, f32[k, 3], in one sheet, not on a line. ``workers``: threads, None = cores."""
+    threads, every = workers or os.cpu_count() or 1, np.arange(len(xyz))
+    with ThreadPoolExecutor(threads) as pool:
+        tin = Tin(xyz, np.zeros(len(xyz), np.int32), every, pool, threads)
+    tin.workers = 1  # the others have gone
+    return tin
 
 
 def _coarse_first(count: int) -> list[np.ndarray]:

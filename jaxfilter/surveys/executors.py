@@ -1,4 +1,4 @@
-"""Who does the work of a run: processes on this machine, one task each at a time."""
+"""Who does the work of a run: this process, or processes on this machine, one task each at a time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from ..core.errors import JaxfilterError, OutputError
+from ..core.result import Progress, silent
 
 RETRIES = 2
 """Times that a task that failed is tried again before it is set aside."""
@@ -27,11 +29,16 @@ _NAME, _UNGUARDED = "jaxfilter-worker", 83
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better."""
+    """What became of a task: its value, or why there is none; ``full``: because a disk was, so that no other will do better;
+    ``error``: what it raised, where it was done in this process."""
 
     value: Any = None
     reason: str | None = None
     full: bool = False
+    error: Exception | None = dataclasses.field(default=None, compare=False)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Outcome, (self.value, self.reason, self.full)  # errors need not be such as can be sent
 
 
 class Executor(Protocol):
@@ -69,9 +76,13 @@ class Task:
 
 
 def carried_out(
-    executor: Executor, todo: Iterator[Task], now: collections.deque[Task], tick: Callable[[], None]
+    executor: Executor,
+    todo: Iterator[Task],
+    now: collections.deque[Task],
+    tick: Callable[[], None],
+    retries: int = RETRIES,
 ) -> Iterator[tuple[Task, Outcome]]:
-    """Tasks with their outcomes, in the order in which they end. What fails is tried again, :data:`RETRIES` times.
+    """Tasks with their outcomes, in the order in which they end. What fails is tried again, ``retries`` times.
 
     ``now`` holds tasks that come before the rest, and may be added to meanwhile; ``tick`` is called now and then.
 
@@ -83,7 +94,7 @@ def carried_out(
             task = now.popleft() if now else next(todo, None)
             if task is None:
                 break
-            last = tries[task.function.__name__, task.number] >= RETRIES
+            last = tries[task.function.__name__, task.number] >= retries
             executor.submit(task, task.function, *task.arguments(last))
             running += 1
         if not running:
@@ -93,7 +104,7 @@ def carried_out(
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
             key = task.function.__name__, task.number
-            if outcome.reason is not None and tries[key] < RETRIES:
+            if outcome.reason is not None and tries[key] < retries:
                 tries[key] += 1
                 now.appendleft(task)
                 continue
@@ -106,13 +117,52 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
     """Call a function; what it raises becomes a reason."""
     try:
         return Outcome(function(*arguments))
-    except MemoryError:
-        return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=")
+    except MemoryError as error:
+        return Outcome(reason="the memory did not suffice: pass a smaller tile=, or fewer workers=", error=error)
     except Exception as error:
         own = type(error).__module__.startswith("jaxfilter")
-        return Outcome(
-            reason=" ".join((str(error) if own else f"{type(error).__name__}: {error}").split()), full=_is_full(error)
-        )
+        words = str(error) if own else f"{type(error).__name__}: {error}"
+        return Outcome(reason=" ".join(words.split()), full=_is_full(error), error=error)
+
+
+@dataclasses.dataclass(frozen=True)
+class Local:
+    """What a task that runs in the process of the run may use: threads, and a callback for its progress."""
+
+    threads: int | None = 1
+    progress: Progress = silent
+
+
+LOCAL: ContextVar[Local] = ContextVar("LOCAL", default=Local())  # noqa: B039
+"""That of the task that runs now."""
+
+
+class Here:
+    """This process, one task at a time."""
+
+    def __init__(self, local: Local) -> None:
+        self._local = local
+        self._waiting: list[tuple[Any, Callable[..., Any], tuple[Any, ...]]] = []
+
+    def room(self) -> int:
+        """One, if nothing waits."""
+        return 1 - len(self._waiting)
+
+    def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
+        """Keep a task for ``completed``."""
+        self._waiting.append((tag, function, arguments))
+
+    def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
+        """Do what waits."""
+        tag, function, arguments = self._waiting.pop()
+        before = LOCAL.set(self._local)
+        try:
+            return [(tag, attempt(function, arguments))]
+        finally:
+            LOCAL.reset(before)
+
+    def close(self) -> None:
+        """Nothing is running."""
 
 
 def _is_full(error: BaseException | None) -> bool:

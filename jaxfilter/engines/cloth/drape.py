@@ -17,6 +17,11 @@ together, on lines a fixed number of places away, which makes vector instruction
 
 Nothing is disturbed more than 12 lines and 2 places away, so many steps sweep over the array one behind the other, while
 what they need is in the cache.
+
+All arrays of the cloth are f32[lines, places]: ``height`` and ``before`` (one step ago), metres; ``spring``, the share of a
+gap that a neighbour moves, < 0 if the particle is pinned, 0 where there is none; ``surface``, what it falls onto. ``ends``,
+i64[lines, 2]: the first and the last place of each line with particles; ``reach``, i64[springs], places from a particle to
+its neighbours; ``numbers``, f32[3]: share of a gap that is moved by the pinned, metres of fall per step, tolerance.
 """
 
 from __future__ import annotations
@@ -28,22 +33,100 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from ..compiled import compiled
 from ..neighbours import groups
-from .fabric import SPRINGS, Cloth
-from .springs import BLOCK, MOVED, sweep
 
+BLOCK = 13
+"""Lines that are moved at a time: more than a spring reaches (12 lines and 2 places)."""
+MOVED, FAR = np.int32(1), np.int32(2)
+"""Flags: a particle moved in a step; one moved as far as the tolerance."""
+_KEPT = np.float32(0.99)
+"""Of a particle's speed, from one step to the next."""
 _SWEEP = 50  # steps that follow each other through the cache
 _PARTS = 24  # of a sweep, after which threads wait for each other
 _LEAST = 50_000  # particles that are worth a thread
 _GROUP = 50  # free particles; smaller groups are not joined to the ground
 
+_RING = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (1, -1), (1, 0), (0, 1), (1, 1))
+SPRINGS = _RING + tuple((2 * dx, 2 * dy) for dx, dy in _RING)
+"""Columns and rows from a particle to those that its springs hold, in the order in which they act."""
 
-class _State(NamedTuple):
-    """Arrays f32[lines, places]."""
+
+class Cloth(NamedTuple):
+    """A cloth at rest, or at the limit of steps.
+
+    Attributes:
+        height: f32[rows, columns], over the height that it started from, metres (negative).
+        pinned: bool[rows, columns], particles that lie on the surface.
+        steps: how many steps it took.
+    """
 
     height: np.ndarray
-    before: np.ndarray  # height one step ago
-    spring: np.ndarray  # share of a gap that a neighbour moves; < 0 if pinned, 0 where no particle stands
+    pinned: np.ndarray
+    steps: int
+
+
+@compiled
+def sweep(height, before, spring, surface, ends, reach, numbers, motion, step0, step1, time0, time1):
+    """Move the cloth by some of the steps that ``motion``, i32[steps], has room for, and say in it what moved in each.
+
+    A step is two blocks behind the step before. A block ends a step, and begins the next one, just before springs reach it.
+    """
+    steps, blocks = len(motion), -(-len(height) // BLOCK)
+    for time in range(time0, time1):
+        for step in range(step0, step1):
+            block = time - 2 * step
+            if 0 <= block < blocks:
+                moved = _turn(height, before, spring, surface, ends, block, numbers, step > 0, step < steps)
+                if step > 0:
+                    motion[step - 1] |= moved
+            if 1 <= block < blocks and step < steps:
+                _pull(height.reshape(-1), spring.reshape(-1), ends, reach, block - 1)
+
+
+@compiled(fused=True)
+def _turn(height, before, spring, surface, ends, block, numbers, finish, begin):
+    """End a step, and begin the next one, for a block of lines. Returns what moved: 0, or MOVED, and FAR."""
+    pinned_move, fall, tolerance = numbers
+    moved = np.int32(0)
+    for line in range(block * BLOCK, min(block * BLOCK + BLOCK, len(height))):
+        first, last = ends[line]
+        z, old, move, floor = (
+            height[line, first:last],
+            before[line, first:last],
+            spring[line, first:last],
+            surface[line, first:last],
+        )
+        for i in range(last - first):
+            free = move[i] > 0
+            way = abs(z[i] - old[i])
+            moved |= np.int32(finish & free & (way > 0)) * MOVED | np.int32(finish & free & (way >= tolerance)) * FAR
+            hit = finish & free & (z[i] < floor[i])
+            landed = floor[i] if hit else z[i]
+            move[i] = -pinned_move if hit else move[i]
+            falls = begin & free & (not hit)
+            z[i] = landed + _KEPT * (landed - old[i]) - fall if falls else landed
+            old[i] = landed if falls else old[i]
+    return moved
+
+
+@compiled(fused=True)
+def _pull(height, spring, ends, reach, block):
+    """Let all springs of a block of lines act once, in the order of the particles. ``height``, ``spring``: f32[places]."""
+    width = len(height) // len(ends)
+    for line in range(block * BLOCK, block * BLOCK + BLOCK):
+        first, last = ends[line]
+        here, size = line * width + first, last - first
+        z, move = height[here : here + size], spring[here : here + size]
+        for n in range(len(reach)):
+            there = here + reach[n]
+            other, its_move = height[there : there + size], spring[there : there + size]
+            for i in range(size):
+                gap = other[i] - z[i]
+                to_other = abs(its_move[i]) if move[i] > 0 else np.float32(0)
+                to_this = abs(move[i]) if its_move[i] > 0 else np.float32(0)
+                z[i] += to_other * gap
+                other[i] -= to_this * gap
 
 
 def drape(
@@ -67,18 +150,17 @@ def drape(
     rows, columns = limit.shape
     width = min((columns + 4) // 5, rows + 1) + 1
     lines = columns + 5 * (rows - 1) + (rows - 1) // width + 2 * BLOCK
-    state = _State(*(np.zeros((lines, width), np.float32) for _ in _State._fields))
-    surface = np.zeros((lines, width), np.float32)
+    height, before, spring, surface = (np.zeros((lines, width), np.float32) for _ in range(4))
     _nodes(surface, limit.shape)[:] = limit
-    _nodes(state.spring, limit.shape)[:] = moves[1]
-    exists = state.spring != 0
+    _nodes(spring, limit.shape)[:] = moves[1]
+    exists = spring != 0
     ends = np.where(exists.any(axis=1), [exists.argmax(axis=1), width - exists[:, ::-1].argmax(axis=1)], 0).T.copy()
     reach = np.array(SPRINGS) @ [width, 5 * width + 1]
     numbers = np.asarray([moves[0], fall, tolerance], np.float32)
     threads = min(workers or os.cpu_count() or 1, 1 + limit.size // _LEAST, _SWEEP // 2)
 
-    def after(state: _State, steps: int) -> np.ndarray:
-        """i32[steps]: what moved in each of so many steps of the cloth, which ``state`` is moved by.
+    def after(steps: int) -> np.ndarray:
+        """i32[steps]: what moved in each of so many steps of the cloth, which is moved by them.
 
         Every thread has some of the steps, and is one part of the time behind the thread with the steps before.
         """
@@ -95,19 +177,20 @@ def drape(
             list(pool.map(run, range(threads), range(part, part - threads, -1)))
         return motion
 
+    state = height, before, spring
     done, resting = 0, False
     with ThreadPoolExecutor(threads) as pool:
         while done < iterations and not resting:
-            start = _State(*(a.copy() for a in state))
-            motion = after(state, min(_SWEEP, iterations - done))
+            start = [a.copy() for a in state]
+            motion = after(min(_SWEEP, iterations - done))
             resting = bool((motion == MOVED).any())
             taken = int(np.argmax(motion == MOVED)) + 1 if resting else len(motion)
             if taken < len(motion):  # the sweep went on after the step at which all were at rest
-                state = start
-                after(state, taken)
+                for now, then in zip(state, start, strict=True):
+                    now[:] = then
+                after(taken)
             done += taken
-    height, spring = (_nodes(a, limit.shape).copy() for a in (state.height, state.spring))
-    return Cloth(height, spring < 0, done)
+    return Cloth(_nodes(height, limit.shape).copy(), _nodes(spring, limit.shape) < 0, done)
 
 
 def _nodes(a: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

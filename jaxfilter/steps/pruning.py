@@ -1,0 +1,68 @@
+"""Vertices that stick out of a triangulation of ground, by the scatter of the scene and of their neighbours."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..engines.tin.ground import GroundTin
+from ..engines.tin.triangulation import Tin
+
+_AT_ONCE = 2**17
+"""Vertices that are measured by one call."""
+
+
+class Scatter(NamedTuple):
+    """How the vertices of a triangulation scatter, f32[m] each, metres; zero for points that are no vertices.
+
+    Attributes:
+        residual: above the plane of the neighbours in the triangulation, and those across the edges that face the vertex.
+        roughness: root mean square of that among these neighbours.
+    """
+
+    residual: np.ndarray
+    roughness: np.ndarray
+
+    @classmethod
+    def of(cls, tin: Tin) -> Scatter:
+        """Measure all vertices of a triangulation with threads at work."""
+        from ..engines.tin.rings import residuals, roughness  # imports Numba
+
+        out, nodes = cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)), np.flatnonzero(tin.vertex)
+        tables = tin.triangles, tin.neighbours, tin.where
+        parts = np.array_split(nodes, len(nodes) // _AT_ONCE + tin.workers)
+        list(tin.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, out.residual), parts))
+        list(tin.pool.map(lambda part: roughness(*tables, part, tin.vertex, *out), parts))
+        return out
+
+    def of_all(self, tin: Tin) -> Scatter:
+        """Over the triangulation as it is: points that are no vertex have no residual, and the mean roughness at the corners of
+        their facet."""
+        around = self.roughness.copy()
+        rows = np.flatnonzero(~tin.vertex)
+        tin.locate(rows)
+        around[rows] = around[tin.corners(tin.where[rows])].mean(axis=1)
+        return Scatter(np.where(tin.vertex, self.residual, 0), around)
+
+    def of_scene(self, tin: Tin) -> float:
+        """Metres: the standard deviation of the residuals of vertices, as 1.4826 times their median absolute value."""
+        return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
+
+
+def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float) -> int:
+    """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
+
+    Those are dropped that lie more than ``scene`` metres above it, and more than ``local`` times the root mean square among
+    the neighbours.
+    """
+    tin = ground.tin
+    nodes = np.flatnonzero(tin.vertex)
+    inner = np.ones(len(tin.xyz), bool)
+    ghosts = tin.triangles[np.flatnonzero(tin.triangles.ravel() == -1) // 3]
+    inner[ghosts[ghosts >= 0]] = False
+    over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
+    drop = nodes[inner[nodes] & (over[nodes] > 0)]
+    ground.ground[drop], ground.margin[drop] = False, over[drop]
+    tin.remove(drop)
+    return len(drop)

@@ -1,0 +1,151 @@
+"""The filter of a run, and measures of its scene: from all points of a small one, from some windows of a large one."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import PointCloud, Whole
+from ..core.errors import InputError, ParameterError
+from ..core.filter import Filter, of_scene
+from ..core.params import declared
+from ..core.points import canonical_points
+from ..core.reading import Reading
+from ..files.blocks import Changed
+from ..files.windows import read_window
+from .collection import Collection
+from .tiles import joined
+
+_WINDOWS, _POINTS = 9, 20_000
+"""Windows of a sample, and points expected in each."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """A filter of which some parameters depend on the data.
+
+    Attributes:
+        method: None = the default method, set up for the data.
+        changes: fields that are given.
+        preset: a named set of parameters to start from.
+        for_cloud: set from the point spacing what depends on it.
+        largest_building: metres; with it, ``for_cloud`` and what depends on this width.
+    """
+
+    method: type[Filter] | None = None
+    changes: dict[str, Any] = dataclasses.field(default_factory=dict)
+    preset: str | None = None
+    for_cloud: bool = False
+    largest_building: float | None = None
+
+    @property
+    def by_data(self) -> bool:
+        """Whether parameters depend on the data."""
+        return self.method is None or self.for_cloud or self.largest_building is not None
+
+    def alone(self) -> Filter | None:
+        """The filter before any cloud is read, to find wrong values early; None for the default. Raises: ParameterError."""
+        if self.method is None:
+            return None
+        return self.method.preset(self.preset, **self.changes) if self.preset else self.method(**self.changes)
+
+    def on(self, cloud: PointCloud) -> Filter:
+        """The filter for a cloud. Raises: ParameterError."""
+        if self.method is None:
+            from ..methods.default import default_filter  # late: it brings SciPy
+
+            return default_filter(cloud, self.largest_building)
+        if self.by_data:
+            return self.method.for_cloud(cloud, self.largest_building, preset=self.preset, **self.changes)
+        filter_ = self.alone()
+        assert filter_ is not None
+        return filter_
+
+
+def recipe_of(filter_: Any) -> Recipe:
+    """What is given as a filter: one that is made, a recipe, or None for the default. Raises: ParameterError."""
+    if isinstance(filter_, Recipe) or filter_ is None:
+        return filter_ or Recipe()
+    if isinstance(filter_, Filter):
+        plain = filter_.replace()  # with numbers where fields are arrays
+        return Recipe(type(plain), {field.name: getattr(plain, field.name) for field in declared(plain)})
+    raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
+
+
+def whole_of(measures: Mapping[str, Any]) -> Whole:
+    """Measures of a scene from plain values, as ``run.json`` has them."""
+    values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in measures.items()}
+    return Whole(**values)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampler:
+    """Reads windows of a collection. ``index``: see :func:`jaxfilter.files.windows.read_window`."""
+
+    collection: Collection
+    reading: Reading
+    index: Path
+
+    def clouds(self, each: int = _POINTS, most: int = 0) -> list[PointCloud]:
+        """Windows in the middle of files that are spread evenly over the points, with about ``each`` points, of at least two.
+
+        A collection of ``most`` points or fewer is its own sample, in one piece. Files that cannot be read are passed over.
+
+        Raises: InputError if points are not those that were read before.
+        """
+        collection = self.collection
+        if not collection.count:
+            return []
+        entire, total = collection.count <= most, collection.counts.cumsum()
+        shares = (np.arange(_WINDOWS) + 0.5) / _WINDOWS * total[-1]
+        picked = np.flatnonzero(collection.counts) if entire else np.searchsorted(total, shares, side="right")
+        clouds = []
+        for number in dict.fromkeys(picked.tolist()):
+            source = collection[number]
+            x0, y0, x1, y1 = source.bounds
+            share = math.sqrt(min(1.0, each / source.count))
+            x, y, half, side = (x0 + x1) / 2, (y0 + y1) / 2, share * (x1 - x0) / 2, share * (y1 - y0) / 2
+            slack = 0.001 / source.metre  # the box is half open
+            box = None if entire else (x - half, y - side, x + half + slack, y + side + slack)
+            try:
+                window = read_window(source, box, self.index, self.reading)
+            except Changed:
+                raise
+            except InputError:
+                continue  # the run names it
+            if len(canonical_points(window.cloud)) > 1:
+                clouds.append(dataclasses.replace(window.cloud, source=None))
+        return [joined(clouds)] if entire and clouds else clouds
+
+    @functools.cached_property
+    def sample(self) -> tuple[list[PointCloud], Whole]:
+        """Windows, and the point spacing of all of them together."""
+        clouds = self.clouds()
+        parts = [canonical_points(cloud) for cloud in clouds]
+        area = sum(points.spacing() ** 2 * len(points) for points in parts)
+        members = sum(len(points) for points in parts)
+        return clouds, Whole(math.sqrt(area / members) if members else None)
+
+    def filter_for(self, recipe: Recipe) -> Filter:
+        """The filter of a run, the same for all tiles, by the window with most candidates. Raises: ParameterError."""
+        clouds, whole = self.sample
+        if not clouds:
+            return recipe.on(joined([], whole))
+        most = max(clouds, key=lambda cloud: int(cloud.candidate.sum()))
+        return recipe.on(dataclasses.replace(most, whole=whole))
+
+    def whole_for(self, filter_: Filter) -> Whole:
+        """What the filter takes from the scene as a whole (``of_scene``)."""
+        whole = self.sample[1]
+
+        def some(points: int) -> list[PointCloud]:
+            clouds = self.clouds(points // _WINDOWS, points)
+            return [dataclasses.replace(cloud, whole=whole) for cloud in clouds]
+
+        return dataclasses.replace(whole, **of_scene(filter_, some))

@@ -1,0 +1,216 @@
+"""What is known of a run: of each tile, and of all together."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import json
+import math
+import warnings
+from collections.abc import Iterator
+from typing import Any, Self, cast
+
+import numpy as np
+
+from ..core.compilation import cache_warning
+from ..core.errors import JaxfilterWarning
+from ..files.disk import new_file
+from ..files.storage import Place
+
+_MOST_DRAWN = 100_000  # tiles
+
+
+@dataclasses.dataclass
+class Summary:
+    """What is known of a tile, or of several together.
+
+    Attributes:
+        points, candidates, ground: of the core; read: with the halo.
+        barred: points kept out of the seeds as outliers; barred_ground: those of them that are ground in the end; low_noise:
+            low outliers.
+        uncertain: points or cells whose height may be another in the whole.
+        seconds: by step.
+        classes: points by (old class, new class).
+        overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
+            ``ground``.
+        statuses: tiles by the filter's status; remarks: what was warned of, with how often; halos: tiles by the metres
+            around them whose ground points took part.
+        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.CutObject` each.
+        heights: lowest and highest height above ground, units of Z, where these were asked for.
+        counts: what the filter counted; of the last tile.
+        unread: numbers of files that could not be read, with the reason.
+    """
+
+    points: int = 0
+    candidates: int = 0
+    ground: int = 0
+    barred: int = 0
+    barred_ground: int = 0
+    low_noise: int = 0
+    read: int = 0
+    uncertain: int = 0
+    seconds: dict[str, float] = dataclasses.field(default_factory=cast(Any, collections.Counter))
+    classes: collections.Counter[tuple[int, int]] = dataclasses.field(default_factory=collections.Counter)
+    overlap: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
+    statuses: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
+    remarks: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
+    halos: collections.Counter[float] = dataclasses.field(default_factory=collections.Counter)
+    cut_objects: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    heights: tuple[float, float] | None = None
+    counts: dict[str, Any] = dataclasses.field(default_factory=dict)
+    unread: dict[int, str] = dataclasses.field(default_factory=dict)
+
+    def add(self, other: Summary) -> None:
+        """Take in what is known of another tile."""
+        for field in dataclasses.fields(Summary):
+            mine, others = getattr(self, field.name), getattr(other, field.name)
+            if isinstance(mine, int):
+                setattr(self, field.name, mine + others)
+            elif isinstance(mine, (collections.Counter, dict)):
+                mine.update(others)
+            elif isinstance(mine, list):
+                mine += others
+            elif others is not None:
+                self.heights = others if mine is None else (min(mine[0], others[0]), max(mine[1], others[1]))
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values; keys that are no texts become pairs of a list."""
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(Summary)}
+        pairs = {name: [[key, value] for key, value in found[name].items()] for name in _PAIRS}
+        return json.loads(json.dumps(found | pairs, default=_plain))
+
+    @classmethod
+    def of_json(cls, facts: dict[str, Any]) -> Self:
+        """From what :meth:`as_json` returned."""
+        kinds = {field.name: type(getattr(cls(), field.name)) for field in dataclasses.fields(Summary)}
+        keys = {"classes": tuple}
+        for name in _PAIRS:
+            facts[name] = {keys.get(name, lambda key: key)(key): value for key, value in facts[name]}
+        for name, kind in kinds.items():
+            if kind is collections.Counter:
+                facts[name] = collections.Counter(facts[name])
+        if facts["heights"] is not None:
+            facts["heights"] = tuple(facts["heights"])
+        return cls(**facts)
+
+
+_PAIRS = ("classes", "halos", "unread")
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+@dataclasses.dataclass
+class RunReport(Summary):
+    """What a run, with those that it went on from, has done. To what each :class:`Summary` has, of all tiles together:
+
+    Attributes:
+        tiles: number of them; set_aside: number, core and reason of those that failed.
+        files: written; failed: URI and reason of those that were not; left_out: URI and reason of files that could not be
+            read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
+            when this one went on, which made them again, with what was wrong.
+        elapsed: seconds of this process.
+        review: ``output``, ``places`` and ``expected_errors`` of the list of places to look at, if one was asked for.
+        method, parameters: of the filter; None if the ground was taken from classes.
+        measures: of the scene, which the parts share: see :class:`jaxfilter.core.cloud.Whole`; None for a single tile.
+        cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
+            tiles that were set aside. For the map.
+    """
+
+    tiles: int = 0
+    set_aside: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    files: list[str] = dataclasses.field(default_factory=list)
+    failed: list[dict[str, str]] = dataclasses.field(default_factory=list)
+    left_out: list[dict[str, str]] = dataclasses.field(default_factory=list)
+    again: list[dict[str, str]] = dataclasses.field(default_factory=list)
+    elapsed: float = 0.0
+    review: dict[str, Any] | None = None
+    method: str | None = None
+    parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
+    measures: dict[str, Any] | None = None
+    cores: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)))
+    state: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every file was written and none was left out."""
+        return not (self.set_aside or self.failed or self.left_out)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, without the arrays."""
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        for name in ("cores", "state", "unread"):
+            del found[name]
+        found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
+        found["seconds"] = dict(self.seconds)
+        return found | {"complete": self.complete}
+
+    def write(self, place: Place) -> None:
+        """Put the report into a file, as JSON. Raises: OutputError."""
+        with new_file(place, overwrite=True) as part:
+            part.write_text(json.dumps(self.as_dict(), indent=1, default=_plain) + "\n")
+
+    def draw(self, place: Place) -> None:
+        """Write a map: share of ground of each tile, those set aside with dashes, and objects that the
+        border cuts as dots, large ones for those that are ground. Raises: OutputError."""
+        if not 0 < len(self.cores) <= _MOST_DRAWN:
+            return
+        from ..plots import footprints
+
+        shares = np.where(self.state >= 0, 100 * self.state, np.nan)
+        aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
+        ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)
+        for is_ground, size, name in ((False, 6.0, "cut by the border"), (True, 30.0, "the same, and ground")):
+            shown = [(one["x"], one["y"]) for one in self.cut_objects if (one["ground"] >= 0.5) == is_ground]
+            if shown:
+                ax.scatter(*zip(*shown, strict=True), s=size, c="red", edgecolors="black", linewidths=0.5, label=name)
+        if self.cut_objects:
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
+        with new_file(place, overwrite=True) as part:
+            ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
+
+
+@dataclasses.dataclass
+class Standing:
+    """How far a run is: what progress is made of.
+
+    Attributes:
+        step: ``"survey"`` or ``"tiles"``; of a run in this process, the step of the filter.
+        share: of the step that is done, 0 to 1.
+        tiles, tiles_done: all, and those that are done or set aside.
+        points: of the cores done in this process; read: the same with halos; seconds: since it began.
+        files, files_done: all, and those written.
+        left: seconds, by the tiles done so far; NaN before the first.
+    """
+
+    step: str
+    tiles: int
+    tiles_done: int
+    files: int
+    files_done: int = 0
+    points: int = 0
+    read: int = 0
+    seconds: float = 0.0
+    left: float = math.nan
+    share: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        """Points per second."""
+        return self.points / self.seconds if self.seconds > 0 else 0.0
+
+
+@contextlib.contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """A block whose warnings of this package are listed, each once, instead of being shown."""
+    remarks: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", JaxfilterWarning)
+        warnings.filterwarnings("always", "Error .* persistent compilation cache entry")
+        yield remarks
+        texts = [str(w.message) for w in caught]
+        others = [text for text in texts if not cache_warning(text)]  # where it is one, it warns in its turn
+        remarks += dict.fromkeys(others + [str(w.message) for w in caught[len(texts) :]])

@@ -1,0 +1,208 @@
+"""From what is asked for to a run: the filter is set up, the survey is cut into tiles, and outputs are claimed."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..core.cloud import Whole
+from ..core.errors import ParameterError, warn
+from ..core.filter import Filter
+from ..core.params import declared
+from ..core.reading import Reading
+from ..core.version import __version__
+from ..files.disk import Seal
+from ..methods import FILTERS
+from .collection import Collection
+from .collection import open as open_collection
+from .executors import check_main
+from .measures import Recipe, Sampler, whole_of
+from .options import RunOptions, check_memory
+from .plan import WHOLE, Plan, plan_tiles
+from .product import Product
+from .report import RunReport
+from .run import Run
+from .targets import MAP, REPORT, Targets, check_out
+from .tiles import Tile, TileReader
+
+FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
+"""What to do where no point is ground."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
+    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo."""
+
+    halo: float
+    lattice: float
+    reach: float | None = None
+
+
+def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
+    """The collection of a run, before that touches anything; with ``bounds`` those of its files that meet them.
+
+    Raises: JaxfilterError if the workers of a run would come here themselves; InputError if files cannot be found, or do not go
+    together; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
+    """
+    check_main()
+    if not options.in_place:
+        if out is None:
+            raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
+        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
+    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units)
+    if collection.assumes_metres and reading.units is None:
+        warn(f"{collection.name}: no CRS states the units, metres are assumed; pass units= if that is wrong")
+    if not collection.count:
+        warn(f"{collection.name}: holds no points")
+    return collection if reading.bounds is None else collection.clipped(reading.bounds)
+
+
+@dataclasses.dataclass(frozen=True)
+class Survey:
+    """Points out of which something is made, and how.
+
+    Attributes:
+        collection: its files; targets: where the outputs go.
+        recipe: of the filter that finds the ground; None if classes say what it is.
+        reading: which points count; options: how the run is carried out.
+    """
+
+    collection: Collection
+    targets: Targets
+    recipe: Recipe | None
+    reading: Reading
+    options: RunOptions
+
+    def run(
+        self,
+        cut_for: Callable[[Filter | None], Cut],
+        product_for: Callable[[TileReader, Filter | None], Product],
+    ) -> Any:
+        """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
+
+        Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
+        of a single file what is wrong with it.
+        """
+        targets, store = self.targets, self.targets.store
+        with targets.claimed(self.options):
+            filter_, whole = self._filter()
+            plan = self._plan(cut_for(filter_))
+            if whole is not None and len(plan) > 1:
+                width, height = (side * self.collection.metre for side in plan.largest())
+                whole = dataclasses.replace(whole, width=width, height=height)
+            product = product_for(TileReader(self.reading, whole, store.index), filter_)
+            run = Run(product, plan, self.collection, targets, self.options)
+            self._record(product, plan)
+            try:
+                run()
+            except BaseException as error:
+                if len(plan) == 1:  # there is nothing to go on with
+                    store.discard()
+                elif isinstance(error, KeyboardInterrupt):
+                    error.add_note("pass resume=True to go on")
+                raise
+            self._leave(run.report)
+        return run.report
+
+    def _plan(self, cut: Cut) -> Plan:
+        """The tiles. Raises: ParameterError, InputError."""
+        options, files = self.options, self.collection
+        plan = plan_tiles(
+            files.footprints,
+            files.counts,
+            metre=files.metre,
+            halo=cut.halo if options.halo is None else options.halo,
+            lattice=cut.lattice,
+            side=options.tile,
+            reach=cut.reach,
+        )
+        check_memory(options, plan)
+        return plan
+
+    def _filter(self) -> tuple[Filter | None, Whole | None]:
+        """The filter, and measures of the scene that its parts share: those that the run began with, or new ones."""
+        recipe, facts = self.recipe, self.targets.store.facts
+        begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
+        given = facts["measures"] if begun and "measures" in facts else self.options.measures
+        whole = None if given is None else whole_of(given)
+        if recipe is None:
+            return None, whole or Whole()
+        if begun and "parameters" in facts:
+            found = facts["parameters"]
+            return FILTERS[found["method"]](**found["fields"]), whole
+        filter_ = recipe.alone()
+        index = self.targets.store.index
+        if self.options.tile is None and self.collection.count <= WHOLE:
+            if filter_ is None or recipe.by_data:
+                filter_ = recipe.on(TileReader(self.reading, whole, index).read(self._everything(), keep=True).cloud)
+            return filter_, whole
+        sampler = Sampler(self.collection, self.reading, index)
+        filter_ = sampler.filter_for(recipe)
+        return filter_, sampler.whole_for(filter_) if whole is None else whole
+
+    def _everything(self) -> Tile:
+        """All points, as the only tile of a run has them."""
+        used = [number for number, count in enumerate(self.collection.counts.tolist()) if count]
+        return Tile(
+            0, None, None, tuple(used), tuple(self.collection[n] for n in used), patient=len(self.collection) > 1
+        )
+
+    def _record(self, product: Product, plan: Plan) -> None:
+        """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
+        store, files = self.targets.store, self.collection
+        reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z]}
+        tiles = {
+            "width": plan.width,
+            "height": plan.height,
+            "halo": plan.halo,
+            "number": len(plan),
+            "digest": plan.digest(),
+        }
+        facts = {
+            "version": __version__,
+            "inputs": self._digest(),
+            "units": reading.pop("units"),
+            "filter": facts_of(self.recipe),
+            "reading": reading,
+            "tiles": tiles,
+        }
+        store.begin(facts | product.facts())
+        if "parameters" not in store.facts and product.filter is not None:
+            fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
+            store.note(parameters={"method": type(product.filter).__name__.lower(), "fields": fields})
+        if "measures" not in store.facts and product.reader.whole is not None:
+            store.note(measures=dataclasses.asdict(product.reader.whole))
+
+    def _digest(self) -> str:
+        """Tells the files, by name and content, from others; of those that were replaced in place, by what they were."""
+        found, store = hashlib.sha256(), self.targets.store
+        for number, source in enumerate(self.collection):
+            identity = source.identity
+            kept = store.seal(number) if self.options.in_place else None
+            if kept is not None and ("seal" not in kept or Seal(**kept["seal"]).broken(source.place) is None):
+                identity = kept["identity"]
+            found.update(json.dumps([source.uri, source.count, identity]).encode())
+        return found.hexdigest()
+
+    def _leave(self, report: RunReport) -> None:
+        """Put the report beside the files, and remove what is not needed any more."""
+        targets = self.targets
+        if targets.folder is not None:
+            report.write(targets.folder / REPORT)
+            report.draw(targets.folder / MAP)
+        if report.complete:
+            targets.store.discard() if targets.folder is None else targets.store.drop_index()
+
+
+def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
+    """A recipe as plain values."""
+    if recipe is None:
+        return None
+    method = None if recipe.method is None else recipe.method.__name__
+    return {**{field.name: getattr(recipe, field.name) for field in dataclasses.fields(recipe)}, "method": method}

@@ -1,0 +1,224 @@
+"""Tiles: their points are read across files, together with what surrounds them.
+
+Everything here is a function of paths and numbers, so that it can be run in any process that sees the same files, again
+and again, with the same outcome.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import QUANTUM, PointCloud, Whole
+from ..core.errors import InputError
+from ..core.inputs import COLUMNS
+from ..core.reading import Reading
+from ..files.disk import Bounds
+from ..files.sources import Source
+from ..files.windows import read_window
+from .border import CutObject, cut_objects
+from .plan import window_around
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """A tile to be worked on.
+
+    Attributes:
+        number: in the plan.
+        core, window: without and with the halo, file coordinates, half open; None = everything there is.
+        files: numbers of the files that the window meets; sources: the same files.
+        patient: leave out a file that cannot be read, and go on without its points.
+    """
+
+    number: int
+    core: Bounds | None
+    window: Bounds | None
+    files: tuple[int, ...]
+    sources: tuple[Source, ...]
+    patient: bool = False
+
+    def widened(self, halo: float, lattice: float) -> Tile:
+        """With another window: ``halo`` around the core, and further to multiples of ``lattice``; file units."""
+        if self.core is None:
+            return self
+        return dataclasses.replace(self, window=window_around(self.core, halo, lattice))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Around:
+    """The points of a tile and its halo.
+
+    Attributes:
+        cloud: n points, files one after the other.
+        file: i32[n], the number of the file; record: i64[n], the record in it.
+        core: bool[n], points that the tile labels.
+        left_out: files that could not be read: number, and reason.
+        checksums: of the coordinates of files that were read in one piece.
+    """
+
+    cloud: PointCloud
+    file: np.ndarray
+    record: np.ndarray
+    core: np.ndarray
+    left_out: dict[int, str]
+    checksums: dict[int, int]
+
+    @property
+    def own(self) -> np.ndarray:
+        """i64[k]: the points of the core."""
+        return np.flatnonzero(self.core)
+
+
+@dataclasses.dataclass(frozen=True)
+class TileReader:
+    """How the points of all tiles are read.
+
+    Attributes:
+        reading: which points count; where it has ``bounds``, points outside are not there.
+        whole: measures of the scene.
+        index: where :func:`jaxfilter.files.windows.read_window` keeps what it finds out about files.
+    """
+
+    reading: Reading
+    whole: Whole | None
+    index: Path
+
+    def read(self, tile: Tile, keep: bool = False) -> Around:
+        """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
+
+        What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With
+        ``keep`` they are kept for whoever asks next in this process.
+        """
+        key = (tile.window, tile.sources, self.reading)
+        kept = _KEPT.pop() if _KEPT else None
+        around = kept[1] if kept is not None and kept[0] == key else self._read(tile)
+        if keep:
+            _KEPT.append((key, around))
+        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole))
+
+    def _read(self, tile: Tile) -> Around:
+        clouds, files, records, cores = [], [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+        left_out: dict[int, str] = {}
+        checksums: dict[int, int] = {}
+        for number, source in zip(tile.files, tile.sources, strict=True):
+            box = self._box(tile.window, source)
+            if box is not None and not (box[0] < box[2] and box[1] < box[3]):
+                continue
+            try:
+                window = read_window(source, box, self.index, self.reading)
+            except InputError as error:
+                if not tile.patient:
+                    raise
+                left_out[number] = str(error)
+                continue
+            cloud, record = window.cloud, window.record
+            if tile.window is None and cloud.source.checksum is not None:
+                checksums[number] = cloud.source.checksum
+            within = inside(cloud, tile.window)
+            if not within.all():
+                cloud, record = part_of(cloud, within), record[within]
+            if len(cloud):
+                clouds.append(cloud)
+                cores.append(inside(cloud, tile.core))
+                files.append(np.full(len(cloud), number, np.int32))
+                records.append(record)
+        file, record, core = (np.concatenate(column) for column in (files, records, cores))
+        return Around(joined(clouds, self.whole, self.reading), file, record, core, left_out, checksums)
+
+    def _box(self, window: Bounds | None, source: Source) -> Bounds | None:
+        """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
+        bounds = self.reading.bounds
+        if window is None:
+            return bounds
+        slack = 4 * QUANTUM / source.metre
+        x0, y0, x1, y1 = window
+        wide = (x0 - slack, y0 - slack, x1 + slack, y1 + slack)
+        return wide if bounds is None else common(wide, bounds)
+
+
+_KEPT: list[tuple[Any, Around]] = []
+"""Points of the tile that was read last, if they are to be used once more."""
+
+
+def common(box: Bounds, limits: Bounds) -> Bounds:
+    """What two boxes share; its low edges are not below the high ones where that is nothing."""
+    low = (max(v, limit) for v, limit in zip(box[:2], limits[:2], strict=True))
+    high = (min(v, limit) for v, limit in zip(box[2:], limits[2:], strict=True))
+    return (*low, *high)  # type: ignore[return-value]
+
+
+def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
+    """bool[n]: points in a box in file coordinates, half open, as the quantised coordinates have it. Invalid points lie at
+    the corner of the cloud, and are inside where that is."""
+    inside = np.ones(len(cloud), bool)
+    if box is None:
+        return inside
+    for axis in range(2):
+        metres = np.rint(cloud.origin[axis] * cloud.units.xy) + cloud.xyz[:, axis].astype(np.float64)
+        inside &= (metres >= box[axis] * cloud.units.xy) & (metres < box[axis + 2] * cloud.units.xy)
+    return inside
+
+
+def joined(
+    clouds: Sequence[PointCloud],
+    whole: Whole | None = None,
+    reading: Reading = Reading(),
+) -> PointCloud:
+    """One cloud of several with one anchor, one after the other; exact, since their origins are whole metres apart."""
+    if not clouds:
+        return PointCloud.from_arrays(np.zeros((0, 3)), anchor=reading.anchor, whole=whole)
+    first = clouds[0]
+    if len(clouds) == 1:
+        return dataclasses.replace(first, whole=whole)
+    factor = np.array([first.units.xy, first.units.xy, first.units.z])
+    origin = np.min([cloud.origin for cloud in clouds], axis=0)
+    shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
+    columns: dict[str, Any] = {}
+    for name, empty in (
+        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("overlap", False),
+        ("reference", False), ("valid", True),
+    ):  # fmt: skip
+        parts = [getattr(cloud, name) for cloud in clouds]
+        if any(part is not None for part in parts):
+            kind = next(part.dtype for part in parts if part is not None)
+            filled = [
+                np.full(len(cloud), empty, kind) if part is None else part
+                for cloud, part in zip(clouds, parts, strict=True)
+            ]
+            columns[name] = np.concatenate(filled)
+    return PointCloud(
+        origin=origin,
+        xyz=np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)]),
+        candidate=np.concatenate([cloud.candidate for cloud in clouds]),
+        crs=first.crs,
+        units=first.units,
+        anchor=first.anchor,
+        whole=whole,
+        **columns,
+    )
+
+
+def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
+    """The points of some rows, i64[k] or bool[n], without their file."""
+    if len(rows) == len(cloud) and rows.dtype != bool:
+        return dataclasses.replace(cloud, source=None)
+    arrays = {name: getattr(cloud, name) for name in ("xyz", *COLUMNS, "candidate", "reference", "valid")}
+    parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
+    return dataclasses.replace(cloud, source=None, **parts)
+
+
+def objects_at_border(cloud: PointCloud, ground: np.ndarray, tile: Tile, bounds: Bounds | None) -> list[CutObject]:
+    """Objects of a tile and its halo that the border of the data cuts, as far as they are this tile's to list.
+
+    ``ground``: bool[n]; ``bounds``: of the reading.
+    """
+    boxes = None
+    if tile.core is not None or len(tile.sources) > 1:
+        known = [source.bounds for source in tile.sources if source.count]
+        boxes = known if bounds is None else [common(box, bounds) for box in known]
+    return cut_objects(cloud, ground, footprints=boxes, window=tile.window, core=tile.core)

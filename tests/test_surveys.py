@@ -1,0 +1,316 @@
+"""One file is a survey of one: the same labels, options and bytes for a file by itself, several, and text, and after a stop."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_tiles_run import Here
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+
+pytestmark = [
+    pytest.mark.usefixtures("compilation_cache"),
+    pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
+]
+PMF = jf.PMF(max_window=10.0, low_clusters=False)
+BORDER = 160.0
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """West and east of a scene of 280 x 60 m, as LAS."""
+    folder = tmp_path_factory.mktemp("survey")
+    scene = jf.scenes.make("mixed", size=(280.0, 60.0), density=1.0, seed=8)
+    xyz, cloud = scene.xyz, scene.cloud
+    west = xyz[:, 0] < xyz[:, 0].min() + BORDER
+    for name, rows in (("west", west), ("east", ~west)):
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.scales, las.header.offsets = np.full(3, 0.01), np.floor(xyz.min(axis=0))
+        las.x, las.y, las.z = xyz[rows].T
+        las.return_number, las.number_of_returns = cloud.return_number[rows], cloud.number_of_returns[rows]
+        las.classification = np.where(np.flatnonzero(rows) % 40 == 0, 9, 5)
+        las.write(folder / f"{name}.las")
+    return folder
+
+
+def run(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def classes_of(path):
+    return np.asarray(laspy.read(path).classification)
+
+
+def las_of(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.la[sz]"))}
+
+
+@pytest.mark.parametrize(
+    "filter_",
+    [
+        jf.SMRF(window=9.0),
+        PMF,
+        jf.PTD(seed_cell=12.0, low_clusters=False),
+        jf.STIN(seed_cell=12.0),
+        jf.OST(window=6.0, landscape=8.0),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folder_of_tiles(survey, tmp_path, filter_):
+    """Windows have 100 m of halo: OST needs more than the default."""
+    tiles = {"tile": 40.0, "halo": 100.0}
+    folder = jf.ground(survey, tmp_path / "folder", filter_, run=jf.RunOptions(**tiles, executor=Here()))
+    assert folder.complete and folder.tiles >= 14 and folder.parameters == vars(filter_)
+    options = jf.RunOptions(measures=folder.measures)
+    alone = jf.ground(survey / "west.las", tmp_path / "west.las", filter_, run=options)
+    assert alone.complete and alone.tiles == 1 and alone.measures["spacing"] == folder.measures["spacing"]
+    las = laspy.read(survey / "west.las")
+    far = las.x < las.x.min() + BORDER - 50.0
+    one, other = classes_of(tmp_path / "west.las"), classes_of(tmp_path / "folder" / "west.las")
+    assert far.sum() > 2000 and 0.1 < (one[far] == 2).mean() < 0.9
+    np.testing.assert_array_equal(one[far], other[far])
+    again = jf.ground(
+        survey, tmp_path / "again", filter_, run=jf.RunOptions(**tiles, measures=folder.measures, workers=1)
+    )
+    assert again.measures == folder.measures and las_of(tmp_path / "again") == las_of(tmp_path / "folder")
+
+
+def facts_of(out):
+    return json.loads((out / ".jaxfilter-run" / "run.json").read_text())["holds"]
+
+
+def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeypatch):
+    monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
+    monkeypatch.setattr("jaxfilter.surveys.survey.WHOLE", 4000)
+    monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
+    ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}, "much": {"memory": 1e12}}
+    for name, how in ways.items():
+        report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
+        assert report.complete and report.tiles > 1
+    digests = {facts_of(tmp_path / name)["tiles"]["digest"] for name in ways}
+    assert len(digests) == 1
+    same = las_of(tmp_path / "one")
+    assert all(las_of(tmp_path / name) == same for name in ways)
+
+
+FIELDS = ("--max-window", 10, "--no-low-clusters")
+
+
+@pytest.mark.parametrize("several", [False, True], ids=["file", "folder"])
+def test_options_of_one_file_and_of_many(survey, tmp_path, several):
+    """Points outside of the bounds are not written, classes that are not ground stay, and the places to look at are listed."""
+    where = survey if several else survey / "west.las"
+    out = tmp_path / ("out" if several else "west.las")
+    west = out / "west.las" if several else out
+    before = laspy.read(survey / "west.las")
+    x, y = before.x.min(), before.y.min()
+    box = (x + 20, y + 10, x + (200 if several else 100), y + 50)
+    tiles = ("--tile", 50) if several else ()
+    done = run(
+        "ground",
+        "pmf",
+        where,
+        out,
+        *FIELDS,
+        "--bounds",
+        *box,
+        "--only-ground",
+        "--json",
+        "--quiet",
+        *tiles,
+        "--workers",
+        1,
+    )
+    assert done.exit_code == 0, done.output
+    report = json.loads(done.stdout)
+    inside = (before.x >= box[0]) & (before.x < box[2]) & (before.y >= box[1]) & (before.y < box[3])
+    assert (report["tiles"] > 4) == several and report["complete"] and report["output"] == str(out)
+    found = laspy.read(west)
+    np.testing.assert_array_equal(found.xyz, before.xyz[inside])
+    old, new = np.asarray(before.classification)[inside], np.asarray(found.classification)
+    assert set(np.unique(new)) == {2, 5, 9} and (new[new != 2] == old[new != 2]).all()
+    written = [laspy.read(path) for path in (out.glob("*.las") if several else [out])]
+    assert report["points"] == sum(len(one) for one in written)
+    assert report["ground"] == sum(int((one.classification == 2).sum()) for one in written)
+    cloud = jf.read(survey / "west.las", units="m", bounds=box)
+    if not several:
+        np.testing.assert_array_equal(new == 2, PMF(cloud).ground)
+    more = ("--resume",) if several else ("--overwrite",)
+    same = west.read_bytes()
+    again = run("ground", "pmf", where, out, *FIELDS, "--bounds", *box, "--only-ground", *more, *tiles, "--workers", 1)
+    assert (
+        again.exit_code == 0
+        and west.read_bytes() == same
+        and f"{report['ground']:,} of {report['points']:,}" in again.stdout
+    )
+
+
+@pytest.mark.parametrize("several", [False, True], ids=["file", "folder"])
+def test_places_to_look_at_are_listed_for_one_file_and_for_many(survey, tmp_path, several):
+    pytest.importorskip("geopandas")
+    where, out = (survey, tmp_path / "out") if several else (survey / "west.las", tmp_path / "west.las")
+    words = (
+        "--set-window" and "--window",
+        6,
+        "--landscape",
+        8,
+        "--review",
+        tmp_path / "places.geojson",
+        "--review-area",
+        10,
+    )
+    tiles = ("--tile", 60, "--workers", 1) if several else ()
+    done = run("ground", "ost", where, out, *words, *tiles, "--json", "--quiet")
+    assert done.exit_code == 0, done.output
+    listed = json.loads(done.stdout)["review"]
+    places = json.loads((tmp_path / "places.geojson").read_text())["features"]
+    assert len(places) == listed["places"] > 0 and listed["expected_errors"] > 0
+    expected = sum(place["properties"]["expected_errors"] for place in places)
+    assert listed["expected_errors"] == pytest.approx(expected, rel=1e-3)
+    refused = run("ground", "ost", where, tmp_path / "b", *words)
+    assert refused.exit_code == 2 and "places.geojson exists" in refused.stderr
+
+
+def test_a_folder_is_classified_in_place(survey, tmp_path):
+    files, out = tmp_path / "files", tmp_path / "out"
+    shutil.copytree(survey, files)
+    how = (*FIELDS, "--tile", 50, "--workers", 1)
+    assert run("ground", "pmf", files, out, *how).exit_code == 0
+    done = run("ground", "pmf", files, "--in-place", *how, "--json", "--quiet")
+    assert done.exit_code == 0, done.output
+    assert las_of(files) == las_of(out) and json.loads(done.stdout)["output"] == str(files)
+    assert sorted(path.name for path in files.iterdir()) == ["east.las", "west.las"]
+    assert run("height", files / "west.las", files / "east.las", "--in-place", "--quiet").exit_code == 0
+    assert all("HeightAboveGround" in laspy.read(path).point_format.dimension_names for path in files.iterdir())
+
+
+def text_of(las, path):
+    np.savetxt(
+        path, np.column_stack([las.xyz, las.intensity]), fmt="%.2f", delimiter=",", header="x,y,z,i", comments=""
+    )
+
+
+def test_text_alone_and_beside_las(survey, tmp_path):
+    """Text has the labels that its points have as LAS, with the neighbour in another format."""
+    las = laspy.read(survey / "east.las")
+    las.classification[:], las.return_number[:], las.number_of_returns[:] = 0, 1, 1
+    plain = tmp_path / "east.las"
+    las.write(plain)
+    text_of(las, tmp_path / "east.csv")
+    for neighbours in ((), (survey / "west.las",)):
+        labels = {}
+        for source in (plain, tmp_path / "east.csv"):
+            out = tmp_path / f"out-{len(neighbours)}-{source.suffix[1:]}"
+            done = run(
+                "ground", "pmf", *neighbours, source, f"{out}/", *FIELDS, "--tile", 50, "--workers", 1, "--json", "-q"
+            )
+            assert done.exit_code == 0, done.output
+            report = json.loads(done.stdout)
+            assert report["complete"] and len(report["files"]) == 1 + len(neighbours) and report["tiles"] > 4
+            cloud = jf.read(out / source.name, units="m")
+            labels[source.suffix] = cloud.reference
+        np.testing.assert_array_equal(labels[".las"], labels[".csv"])
+        assert 0.1 < labels[".csv"].mean() < 0.98
+    lines = (tmp_path / "out-1-csv" / "east.csv").read_text().splitlines()
+    before = (tmp_path / "east.csv").read_text().splitlines()
+    assert [line.rpartition(",")[0] for line in lines[1:]] == before[1:]
+    model = run(
+        "dtm", survey / "west.las", tmp_path / "out-1-csv" / "east.csv", tmp_path / "dtm.tif", "--filter", "pmf"
+    )
+    assert model.exit_code == 0 and np.isfinite(jf.Raster.read(tmp_path / "dtm.tif").values).mean() > 0.9
+
+
+class Dies(Here):
+    """Killed when ``function`` was done so often, before anyone heard of the last one."""
+
+    def __init__(self, function, after):
+        super().__init__()
+        self.function, self.after = function, after
+
+    def completed(self, seconds):
+        found = super().completed(seconds)
+        if [name for name, _ in self.calls].count(self.function) == self.after:
+            raise KeyboardInterrupt
+        return found
+
+
+@pytest.mark.parametrize("function, after", [("do_tile", 3), ("write_file", 1), ("write_file", 2)])
+def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after):
+    """Also if a file was replaced, and nobody heard of it; a file that was not replaced is as it was."""
+    files, out = tmp_path / "files", tmp_path / "out"
+    shutil.copytree(survey, files)
+    jf.ground(survey, out, PMF, run=jf.RunOptions(tile=50.0, workers=1))
+    with pytest.raises(KeyboardInterrupt):
+        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True, executor=Dies(function, after)))
+    before, now, expected = las_of(survey), las_of(files), las_of(out)
+    replaced = [name for name in now if now[name] != before[name]]
+    assert len(replaced) == (after if function == "write_file" else 0)
+    assert all(now[name] == expected[name] for name in replaced)
+    with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
+        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True))
+    executor = Here()
+    options = jf.RunOptions(tile=50.0, in_place=True, resume=True, executor=executor)
+    assert jf.ground(files, None, PMF, run=options).complete
+    assert las_of(files) == expected and sorted(p.name for p in files.iterdir()) == ["east.las", "west.las"]
+    assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
+
+
+def test_an_input_that_changes_behind_a_run_in_place_is_noticed(survey, tmp_path):
+    files = tmp_path / "files"
+    shutil.copytree(survey, files)
+    with pytest.raises(KeyboardInterrupt):
+        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True, executor=Dies("do_tile", 3)))
+    las = laspy.read(files / "west.las")
+    las.z[0] += 1.0
+    las.write(files / "west.las")
+    options = jf.RunOptions(tile=50.0, in_place=True, resume=True, executor=Here())
+    with pytest.raises(jf.InputError, match="begun with other inputs"):
+        jf.ground(files, None, PMF, run=options)
+
+
+@pytest.mark.parametrize("point", ["tile", "file"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_a_file_that_is_stopped_leaves_nothing_that_the_next_run_trips_over(
+    survey, tmp_path, monkeypatch, point, error
+):
+    out = tmp_path / "west.las"
+
+    def fails(*arguments):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"jaxfilter.surveys.ground.GroundProduct.{point}", fails)
+        with pytest.raises((error, jf.JaxfilterError)):
+            jf.ground(survey / "west.las", out, PMF)
+    assert list(tmp_path.iterdir()) == []
+    assert jf.ground(survey / "west.las", out, PMF).complete
+    assert [path.name for path in tmp_path.iterdir()] == ["west.las"]
+
+
+def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(survey, tmp_path):
+    """What kill -9 leaves: the folder of the run, with a tile that is done, and a half-written output."""
+    out, store = tmp_path / "west.las", tmp_path / ".west.las.jaxfilter-run"
+    left = tmp_path / "left"
+
+    class Watched(Here):
+        def completed(self, seconds):
+            found = super().completed(seconds)
+            if self.calls[-1][0] == "do_tile":
+                shutil.copytree(store, left)
+            return found
+
+    jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=Watched()))
+    expected = out.read_bytes()
+    for how in ({}, {"overwrite": True}, {"resume": True}):
+        out.unlink()
+        shutil.copytree(left, store)
+        executor = Here()
+        assert jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=executor, **how)).complete
+        assert out.read_bytes() == expected and not store.exists()
+        assert ("do_tile", 0) not in executor.calls or "resume" not in how
