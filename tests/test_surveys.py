@@ -13,6 +13,7 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
+from jaxfilter.surveys.tiles import TileReader
 
 pytestmark = [
     pytest.mark.usefixtures("compilation_cache"),
@@ -314,3 +315,32 @@ def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(surve
         assert jf.ground(survey / "west.las", out, PMF, run=jf.RunOptions(executor=executor, **how)).complete
         assert out.read_bytes() == expected and not store.exists()
         assert ("do_tile", 0) not in executor.calls or "resume" not in how
+
+
+def test_bounds_in_place_are_refused_since_points_would_be_lost(tmp_path):
+    jf.write(tmp_path / "in.laz", jf.scenes.make("town", size=40, density=1, seed=2).cloud, None)
+    before = (tmp_path / "in.laz").read_bytes()
+    reading = jf.Reading(bounds=(512000, 5403000, 512020, 5403020))
+    for function in (jf.ground, jf.heights):
+        with pytest.raises(jf.ParameterError, match="would remove all points outside"):
+            function(tmp_path / "in.laz", None, jf.SMRF(), reading=reading, run=jf.RunOptions(in_place=True))
+    assert (tmp_path / "in.laz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monkeypatch):
+    cloud = jf.scenes.make("town", size=90, density=1, seed=2).cloud
+    jf.write(tmp_path / "in.laz", cloud, None)
+    seen = []
+    read = TileReader.read
+
+    def watched(self, tile, keep=False):
+        seen.append(tile.window)
+        return read(self, tile, keep)
+
+    monkeypatch.setattr(TileReader, "read", watched)
+    for halo in (10.0, 30.0):
+        run, reading = jf.RunOptions(tile=30.0, halo=halo, workers=1, overwrite=True), jf.Reading(units="m")
+        jf.heights(tmp_path / "in.laz", tmp_path / "out", jf.SMRF(), run=run, reading=reading)
+    first = seen[0], seen[len(seen) // 2]
+    widths = [window[2] - window[0] for window in first]
+    assert widths[1] - widths[0] == pytest.approx(40.0, abs=2.0)

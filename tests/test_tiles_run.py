@@ -338,6 +338,9 @@ def test_labels_that_are_damaged_are_made_again(files, done, tmp_path):
     kept = sorted((out / KEPT / "tiles").rglob("*.tile"))
     os.truncate(kept[0], 100)
     kept[1].write_bytes(kept[1].read_bytes()[:-30] + bytes(30))
+    data = bytearray(kept[2].read_bytes())
+    data[len(data) // 3] ^= 1
+    kept[2].write_bytes(data)
     assert len(kept) > 2 and run(files, out, resume=True).complete and contents(out) == contents(done[0])
 
 

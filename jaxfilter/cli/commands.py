@@ -140,7 +140,7 @@ def ground() -> None:
     """Classify the ground points of a file, or of a collection of files into a folder.
 
     IN is a LAS, LAZ or text file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc)
-    or URLs, and OUT is a folder. What is large is filtered in tiles that see their surroundings, across files, by several
+    or URLs, and OUT is a folder. Large data are filtered in tiles that see their surroundings, across files, by several
     processes. Without METHOD the default is taken, set up for the data.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
@@ -171,8 +171,13 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
         *([] if method is None else flags.options(method)),
         *([] if method is None else [_preset(method)]),
         *(OPTIONS[name] for name in ("for_cloud", "largest_building", *READING)),
-        click.Option(["--ground-class"], type=CLASS, default=2, help="For ground."),
-        click.Option(["--other-class"], type=CLASS, default=1, help="For judged points that lose their class."),
+        click.Option(["--ground-class"], type=CLASS, default=2, help="Class for ground points."),
+        click.Option(
+            ["--other-class"],
+            type=CLASS,
+            default=1,
+            help="Class for judged points that lose their class.",
+        ),
         click.Option(
             ["--reset"],
             type=click.Choice(writing.RESETS),
@@ -183,8 +188,8 @@ def _ground_command(method: type[Filter] | None) -> click.Command:
         click.Option(
             ["--noise-class"],
             type=CLASS,
-            help="For low outliers: points that METHOD bars as such, below the ground; 7 by the ASPRS. SMRF bars none.  "
-            "[default: as others]",
+            help="Class for low outliers, which METHOD finds below the ground; the ASPRS has 7. SMRF finds none.  "
+            "[default: that of other points]",
         ),
         click.Option(
             ["--extra"],

@@ -25,14 +25,14 @@ OPTIONS = {
     "units": click.Option(
         ["--units"],
         metavar="UNIT",
-        help="Of the coordinates: m, ft, us-ft, or XY,Z such as us-ft,m.  [default: as the CRS says]",
+        help="Units of the coordinates: m, ft, us-ft, or XY,Z such as us-ft,m.  [default: as the CRS says]",
     ),
     "bounds": click.Option(
         ["--bounds"],
         nargs=4,
         type=float,
         metavar="XMIN YMIN XMAX YMAX",
-        help="Read and write only the points within, file units.",
+        help="Read and write only the points within this box, in file units.",
     ),
     "returns": click.Option(
         ["--returns"],
@@ -50,16 +50,20 @@ OPTIONS = {
     "ignore_overlap": click.Option(
         ["--ignore-overlap"], is_flag=True, help="Points of class 12 or with the overlap flag are not judged either."
     ),
-    "keep_withheld": click.Option(["--keep-withheld"], is_flag=True, help="Judge withheld points as well."),
+    "keep_withheld": click.Option(
+        ["--keep-withheld"], is_flag=True, help="Judge points with the withheld flag as well."
+    ),
     "drop_invalid": click.Option(
         ["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."
     ),
-    "for_cloud": click.Option(["--for-cloud"], is_flag=True, help="Set what depends on point spacing from the data."),
+    "for_cloud": click.Option(
+        ["--for-cloud"], is_flag=True, help="Set parameters that depend on point spacing from the data."
+    ),
     "largest_building": click.Option(
         ["--largest-building"],
         type=Metres,
         metavar="METRES",
-        help="As --for-cloud, and set what depends on this width as well.",
+        help="Width of the largest building. Set the parameters that depend on it, and those of --for-cloud.",
     ),
     "set": click.Option(
         ["--set", "fields"],
@@ -84,36 +88,42 @@ OPTIONS = {
         ["--tile"],
         type=Metres,
         metavar="METRES",
-        help="Side of the tiles of large data.  [default: about 5 million points]",
+        help="Side of the tiles that large data are cut into.  [default: as holds about 5 million points]",
     ),
     "halo": click.Option(
         ["--halo"],
         type=click.FloatRange(0),
         metavar="METRES",
-        help="Width that is read around each tile.  [default: by METHOD]",
+        help="Width around each tile that the filter sees as well.  [default: what the method needs]",
     ),
     "workers": click.Option(
         ["--workers"],
         type=click.IntRange(1),
-        help="Processes, or threads where there is one tile.  [default: one per core]",
+        help="Number of processes, or of threads if there is one tile.  [default: one per core]",
     ),
     "threads": click.Option(
         ["--workers"], type=click.IntRange(1), help="Number of threads for triangulation.  [default: one per core]"
     ),
     "memory": click.Option(
-        ["--memory"], type=Bytes(), help="For all processes, such as 4GB.  [default: 70 % of what is free]"
+        ["--memory"],
+        type=Bytes(),
+        help="Memory for all processes together, such as 4GB.  [default: 70 % of what is free]",
     ),
     "client": click.Option(
-        ["--scheduler", "client"], metavar="ADDRESS", help="A Dask scheduler that has the work done."
+        ["--scheduler", "client"],
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler, whose workers then do the work.",
     ),
     "work": click.Option(
         ["--work"],
         metavar="FOLDER",
-        help="Local folder for what a run keeps to go on; needed for several files into a URL.  [default: beside OUT]",
+        help="Local folder where a run keeps what it needs to go on; needed for several files into a URL.  [default: beside OUT]",
     ),
     "resume": click.Option(["--resume"], is_flag=True, help="Go on with the run that was begun for OUT."),
-    "overwrite": click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists; begin anew."),
-    "in_place": click.Option(["--in-place"], is_flag=True, help="Replace the files IN; all names are IN then."),
+    "overwrite": click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists, and begin the run anew."),
+    "in_place": click.Option(
+        ["--in-place"], is_flag=True, help="Replace the files IN. Then all names are IN; there is no OUT."
+    ),
 }
 """Every shared option."""
 READING = ("units", "bounds", "returns", "ignore_classes", "ignore_overlap", "keep_withheld", "drop_invalid")

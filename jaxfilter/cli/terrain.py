@@ -32,26 +32,28 @@ _GROUND = ("filter", "set", "preset", "for_cloud", "largest_building", "ground_c
 
 @main.command()
 @click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-@click.option("--cell", type=float, default=1.0, help="Side of a cell, file units.")
+@click.option("--cell", type=float, default=1.0, help="Side of a cell, in file units.")
 @click.option("--method", "surface", default="tin", help="Interpolation: tin, natural, idw or kriging.")
 @with_options(*_GROUND)
-@click.option("--max-gap", type=float, help="No height farther than this from every ground point, file units.")
+@click.option(
+    "--max-gap", type=float, help="Cells farther than this from every ground point get no height; in file units."
+)
 @click.option("--fill", is_flag=True, help="Give cells outside the hull of the ground points a height too.")
-@click.option("--neighbours", type=int, default=12, help="Of idw and kriging: nearest ground points.")
-@click.option("--power", type=float, default=2.0, help="Of idw: power of the distance.")
+@click.option("--neighbours", type=int, default=12, help="Number of nearest ground points that idw and kriging use.")
+@click.option("--power", type=float, default=2.0, help="Power of the distance that idw uses.")
 @click.option(
     "--bounds",
     nargs=4,
     type=float,
     metavar="XMIN YMIN XMAX YMAX",
-    help="Of the raster, file units.  [default: the extent of IN]",
+    help="Bounds of the raster, in file units.  [default: the extent of IN]",
 )
 @with_options(*(name for name in RUN if name != "in_place"))
 @in_session
 def dtm(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Make a terrain model, a Cloud Optimized GeoTIFF of ground heights.
 
-    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. What is large is made in
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. Large data are made in
     tiles that see the ground around them.
 
     The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to

@@ -200,7 +200,7 @@ def ground(
     return survey.run(cut_by_filter, product_for)
 
 
-def cut_by_filter(filter_: Filter | None) -> Cut:
-    """Tiles that a filter needs."""
+def cut_by_filter(filter_: Filter | None, halo: float | None) -> Cut:
+    """Tiles that a filter needs; ``halo``: metres, None = the filter's."""
     assert filter_ is not None
-    return Cut(filter_.halo(), filter_.lattice())
+    return Cut(filter_.halo() if halo is None else halo, filter_.lattice())

@@ -119,8 +119,10 @@ def heights(
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
 
     def product_for(reader: TileReader, filter_: Filter | None) -> HeightProduct:
-        return HeightProduct(reader, targets.store.path, filter_, collection.bounds, classes, _GRAIN, replace_z)
+        return HeightProduct(
+            reader, targets.store.path, filter_, collection.bounds, classes, _GRAIN, run.halo, replace_z
+        )
 
     return Survey(collection, targets, recipe, reading, run).run(
-        lambda filter_: cut_around(filter_, _GRAIN), product_for
+        lambda filter_, halo: cut_around(filter_, _GRAIN, halo), product_for
     )

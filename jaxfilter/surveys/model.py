@@ -200,7 +200,7 @@ def make_raster(
     targets, grain = target_of(place, len(collection) == 1, run), cell * collection.metre
 
     def product_for(reader: TileReader, filter_: Filter | None) -> RasterProduct:
-        return kind(reader, targets.store.path, filter_, collection.bounds, classes, grain, grid)
+        return kind(reader, targets.store.path, filter_, collection.bounds, classes, grain, run.halo, grid)
 
     survey = Survey(collection, targets, recipe, reading, run)
-    return survey.run(lambda filter_: cut_around(filter_, grain), product_for)
+    return survey.run(lambda filter_, halo: cut_around(filter_, grain, halo), product_for)

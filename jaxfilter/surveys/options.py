@@ -30,7 +30,7 @@ class RunOptions:
     Attributes:
         tile: side of a tile in metres; by default one tile for data of 8 million points or fewer, and else as large as holds
             5 million points with its halo, or as wide as 6 halos.
-        halo: metres around each tile that are read as well; by default what the method needs (``Filter.halo``).
+        halo: metres around each tile that the filter sees as well; by default what the method needs (``Filter.halo``).
         workers: processes, or threads where there is one tile; by default one per processor, as far as the memory goes. With
             1 everything is done in this process.
         memory: bytes for all processes together; by default seven tenths of what is free. It limits the number of workers.

@@ -60,21 +60,23 @@ class GroundNeeded(Product):
         data: bounds of all points, file units.
         classes_of_ground: None: ``filter`` finds it.
         grain: metres: ground points are taken as far as multiples of it.
+        halo: metres around the ground points that the filter sees; None = the filter's.
     """
 
     data: Bounds
     classes_of_ground: tuple[int, ...] | None
     grain: float
+    halo: float | None
 
     def surroundings(self, tile: Tile, summary: Summary) -> Iterator[Surroundings]:
         """What is around a tile, with wider and wider halos. Raises: InputError unless the tile is ``patient``."""
         metre, local = tile.sources[0].metre, LOCAL.get()
-        halo_, lattice = (0.0, self.grain) if self.filter is None else (self.filter.halo(), self.filter.lattice())
+        beyond, lattice = _seen(self.filter, self.grain, self.halo)
         for halo in HALOS:
             start, near, wide = time.perf_counter(), None, tile
             if tile.core is not None:
                 near = window_around(tile.core, halo / metre, self.grain / metre)
-                wide = dataclasses.replace(tile, window=window_around(near, halo_ / metre, lattice / metre))
+                wide = dataclasses.replace(tile, window=window_around(near, beyond / metre, lattice / metre))
             around = self.reader.read(wide)
             summary.seconds["read"] += (read := time.perf_counter()) - start
             result = None
@@ -111,10 +113,17 @@ def source_of_ground(ground: GroundSource) -> tuple[Recipe | None, tuple[int, ..
     return None, class_numbers(ground)
 
 
-def cut_around(filter_: Filter | None, grain: float) -> Cut:
-    """Tiles whose cores end at multiples of ``grain`` metres."""
-    halo, lattice = (0.0, grain) if filter_ is None else (filter_.halo(), filter_.lattice())
-    return Cut(HALOS[0] + halo, grain, HALOS[-1] + halo + lattice)
+def cut_around(filter_: Filter | None, grain: float, halo: float | None) -> Cut:
+    """Tiles whose cores end at multiples of ``grain`` metres; ``halo``: metres that the filter sees, None = the filter's."""
+    beyond, lattice = _seen(filter_, grain, halo)
+    return Cut(HALOS[0] + beyond, grain, HALOS[-1] + beyond + lattice)
+
+
+def _seen(filter_: Filter | None, grain: float, halo: float | None) -> tuple[float, float]:
+    """Metres around ground points that a filter sees, and that windows end at multiples of."""
+    if filter_ is None:
+        return 0.0, grain
+    return filter_.halo() if halo is None else halo, filter_.lattice()
 
 
 class DoubtfulTriangles:

@@ -51,6 +51,10 @@ def open_files(what: Any, out: str | Path | None, reading: Reading, options: Run
     together; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
     """
     check_main()
+    if options.in_place and reading.bounds is not None:
+        raise ParameterError(
+            "bounds with in_place=True would remove all points outside: name an output, or leave out one of the two"
+        )
     if not options.in_place:
         if out is None:
             raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
@@ -81,10 +85,12 @@ class Survey:
 
     def run(
         self,
-        cut_for: Callable[[Filter | None], Cut],
+        cut_for: Callable[[Filter | None, float | None], Cut],
         product_for: Callable[[TileReader, Filter | None], Product],
     ) -> Any:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
+
+        ``cut_for`` is given the filter and the halo of the options, ``product_for`` the reader and the filter.
 
         Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
         of a single file what is wrong with it.
@@ -92,7 +98,7 @@ class Survey:
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
             filter_, whole = self._filter()
-            plan = self._plan(cut_for(filter_))
+            plan = self._plan(cut_for(filter_, self.options.halo))
             if whole is not None and len(plan) > 1:
                 width, height = (side * self.collection.metre for side in plan.largest())
                 whole = dataclasses.replace(whole, width=width, height=height)
@@ -117,7 +123,7 @@ class Survey:
             files.footprints,
             files.counts,
             metre=files.metre,
-            halo=cut.halo if options.halo is None else options.halo,
+            halo=cut.halo,
             lattice=cut.lattice,
             side=options.tile,
             reach=cut.reach,
