@@ -387,6 +387,16 @@ def test_points_that_were_sorted_for_the_parameters_are_not_sorted_again(small, 
         canonical_points(cloud)
 
 
+@pytest.mark.parametrize("corner", [(0, 0), (500_991, 5_401_052), (2**20 - 20, 2**21 - 33), (-7, 2**22 - 5)])
+def test_points_are_in_morton_order_from_the_anchor_wherever_they_lie(rng, corner):
+    xyz = rng.integers(0, 40 / QUANTUM, (2000, 3)) * QUANTUM + [*corner, 0]
+    east, north = ([int(v) for v in np.round(column / QUANTUM).astype(np.int64) % 2**32] for column in xyz[:, :2].T)
+    code = [int(f"{y:b}", 4) * 2 + int(f"{x:b}", 4) for x, y in zip(east, north, strict=True)]
+    expected = xyz[sorted(range(len(xyz)), key=lambda k: (code[k], xyz[k, 2]))]
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    np.testing.assert_array_equal(points.xyz + points.cloud.origin, expected)
+
+
 def test_points_that_share_the_leading_digits_of_their_codes_are_ordered_by_all_digits(rng):
     """Over 100 km the codes of thousands of points have more digits than one word takes beside the number of the point."""
     near = rng.integers(0, 3, (5000, 3)) * QUANTUM + rng.integers(0, 2, (5000, 1)) * np.array(
