@@ -5,8 +5,10 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from .core.compilation import jit
 
-@jax.jit
+
+@jit
 def confusion_counts(ground: jax.Array, reference: jax.Array, counted: jax.Array) -> jax.Array:
     """Confusion matrix of one labelling.
 

@@ -26,8 +26,8 @@ class Option:
     of Z, such as (-1, 1) for a slope. PDAL takes lengths in the units of the coordinates, filters take metres."""
 
     field: str
-    xy: float = 0
-    z: float = 0
+    xy: float
+    z: float
 
     def factor(self, units: Units) -> float:
         """What a value is multiplied by."""
@@ -43,43 +43,34 @@ class Stage:
     options: Mapping[str, Option]
 
 
+def _in(xy: float = 0, z: float = 0, **fields: str) -> dict[str, Option]:
+    """Options in the same unit: fields by name."""
+    return {name: Option(field, xy, z) for name, field in fields.items()}
+
+
 STAGES: Mapping[str, Stage] = {
     "filters.smrf": Stage(
         "smrf",
         "paper",
-        {
-            "cell": Option("cell", xy=1),
-            "slope": Option("slope", xy=-1, z=1),
-            "window": Option("window", xy=1),
-            "threshold": Option("threshold", z=1),
-            "scalar": Option("scaling", xy=1),
-            "cut": Option("cut", xy=1),
-        },
+        _in(xy=1, cell="cell", window="window", scalar="scaling", cut="cut")
+        | _in(xy=-1, z=1, slope="slope")
+        | _in(z=1, threshold="threshold"),
     ),
     "filters.pmf": Stage(
         "pmf",
         "pdal",
-        {
-            "cell_size": Option("cell", xy=1),
-            "max_window_size": Option("max_window", xy=1),
-            "slope": Option("slope", xy=-2, z=1),  # the program multiplies by the cell twice
-            "initial_distance": Option("initial_distance", z=1),
-            "max_distance": Option("max_distance", z=1),
-            "exponential": Option("exponential"),
-        },
+        _in(xy=1, cell_size="cell", max_window_size="max_window")
+        | _in(xy=-2, z=1, slope="slope")  # the program multiplies by the cell twice
+        | _in(z=1, initial_distance="initial_distance", max_distance="max_distance")
+        | _in(exponential="exponential"),
     ),
     "filters.csf": Stage(
         "csf",
         "wheel",
-        {
-            "resolution": Option("resolution", xy=1),
-            "threshold": Option("threshold", z=1),
-            "rigidness": Option("rigidness"),
-            "smooth": Option("smooth"),
-            "step": Option("time_step", z=0.25),  # a particle falls by 0.2 step^4 units
-            "iterations": Option("iterations"),
-            "hdiff": Option("max_step", z=1),
-        },
+        _in(xy=1, resolution="resolution")
+        | _in(z=1, threshold="threshold", hdiff="max_step")
+        | _in(z=0.25, step="time_step")  # a particle falls by 0.2 step^4 units
+        | _in(rigidness="rigidness", smooth="smooth", iterations="iterations"),
     ),
 }
 """The ground stages by name."""
@@ -87,24 +78,28 @@ STAGES: Mapping[str, Stage] = {
 _CELLS = 18
 """Cells in the ``window`` of filters.smrf where it is not given."""
 
-_WITHOUT_EFFECT = ("tag", "inputs", "user_data", "log", "option_file", "threads")
-"""Options of any stage that change no label."""
+_UNMATCHED = dict.fromkeys(("where", "where_merge", "dir"), "has no counterpart") | dict.fromkeys(
+    ("tag", "inputs", "user_data", "log", "option_file", "threads"), "has no effect on labels and is left out"
+)
+"""What is said of options of any stage that are not done here."""
 
 _ARGUMENTS = {"ignore": "ignore_classes", "classbits": "keep_withheld"}
 """Options whose arguments of ``read`` have other names."""
 
 _HINTS = {
     "filters.range": "all points are written, with their classes",
-    "filters.expression": "all points are written, with their classes",
     "filters.crop": "--bounds reads a part",
     "filters.assign": "--reset says which old classes are lost",
     "filters.outlier": "methods but SMRF bar low outliers themselves, and --noise-class 7 writes their class",
-    "filters.elm": "methods but SMRF bar low outliers themselves, and --noise-class 7 writes their class",
     "filters.hag_nn": "jaxfilter height writes HeightAboveGround",
-    "filters.hag_delaunay": "jaxfilter height writes HeightAboveGround",
     "filters.splitter": "with a folder as OUT a file is filtered in tiles",
     "filters.merge": "several files are filtered as a collection, into a folder",
     "writers.gdal": "jaxfilter dtm writes a terrain model",
+}
+_HINTS |= {
+    "filters.expression": _HINTS["filters.range"],
+    "filters.elm": _HINTS["filters.outlier"],
+    "filters.hag_delaunay": _HINTS["filters.hag_nn"],
 }
 
 
@@ -119,8 +114,8 @@ class Translation:
         reading: arguments of :func:`jaxfilter.read`; writing: of :func:`jaxfilter.write`; asked: names of those that the
             stage sets itself.
         inputs, outputs: files that the pipeline names.
-        unmatched: what the stage asks for and has no counterpart.
         remarks: what else the pipeline does, which is not done here.
+        unmatched: what the stage asks for and has no counterpart.
     """
 
     stage: str
@@ -131,8 +126,8 @@ class Translation:
     asked: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    unmatched: tuple[str, ...]
     remarks: tuple[str, ...]
+    unmatched: tuple[str, ...]
 
 
 def from_pdal(what: Any, *, units: str | Units = "m") -> Filter:
@@ -157,9 +152,8 @@ def from_pdal(what: Any, *, units: str | Units = "m") -> Filter:
     """
     found = translate(what, units=units)
     for function, arguments in (("read", found.reading), ("write", found.writing)):
-        for name, value in arguments.items():
-            if name in found.asked:
-                warn(f"{found.stage}: a filter has no {name}: pass {name}={value!r} to jaxfilter.{function}")
+        for name in [name for name in arguments if name in found.asked]:
+            warn(f"{found.stage}: a filter has no {name}: pass {name}={arguments[name]!r} to jaxfilter.{function}")
     for text in found.unmatched:
         warn(text)
     return found.filter
@@ -171,26 +165,28 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
     Reading and writing are as PDAL does it: it judges the points of all classes unless told to ``ignore`` some, withheld
     points too, and all that it judges lose their class.
     """
+    from .core.reading import ECHOES
     from .core.units import parse_units
     from .methods import FILTERS
 
-    scale = parse_units(units)
-    steps = _steps(what)
+    scale, steps = parse_units(units), _steps(what)
     name, options = _ground_stage(steps)
     stage = STAGES[name]
     method = FILTERS[stage.method]
     reading: dict[str, Any] = {"ignore_classes": (), "keep_withheld": True}
     writing: dict[str, Any] = {"reset": "all"}
-    changes: dict[str, Any] = {}
     unmatched = []
+    # PDAL's defaults are in the units of the coordinates too
+    preset, factors = method.preset(stage.preset), {o.field: o.factor(scale) for o in stage.options.values()}
+    changes = {field: _scaled(getattr(preset, field), factor) for field, factor in factors.items() if factor != 1}
     for key, value in options.items():
         if key in stage.options:
-            option = stage.options[key]
-            changes[option.field] = _value(name, key, value, getattr(method(), option.field), option.factor(scale))
+            field = stage.options[key].field
+            changes[field] = _value(name, key, value, getattr(preset, field), factors[field])
         elif key == "returns":
             reading["returns"] = ",".join(_words(value)) or "all"
-            if unknown := [word for word in _words(value) if word not in ("first", "intermediate", "last", "only")]:
-                raise ParameterError(f"{name}: returns={unknown[0]!r}: must be first, intermediate, last or only")
+            if unknown := [word for word in _words(value) if word not in ECHOES]:
+                raise ParameterError(f"{name}: returns={unknown[0]!r}: must be some of {', '.join(ECHOES)}")
         elif key == "ignore":
             reading["ignore_classes"], unfit = _classes(name, _words(value))
             unmatched += unfit
@@ -202,19 +198,13 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
             writing[key] = _value(name, key, value, 0, 1)
         elif key == "only_ground":
             writing |= {"only_ground": True} if _value(name, key, value, False, 1) else {}
-        elif key in ("where", "where_merge", "dir"):
-            unmatched.append(f"{name}: {key}={value!r} has no counterpart")
-        elif key in _WITHOUT_EFFECT:
-            unmatched.append(f"{name}: {key}={value!r} has no effect on labels and is left out")
+        elif key in _UNMATCHED:
+            unmatched.append(f"{name}: {key}={value!r} {_UNMATCHED[key]}")
         elif key != "type":
             known = ", ".join((*stage.options, "returns", "ignore", "classbits"))
             raise ParameterError(f"{name}: there is no option {key}={value!r}; there are {known}")
     if name == "filters.smrf" and "window" not in options:
         changes["window"] = _CELLS * changes.get("cell", scale.xy)
-    for field, option in ((o.field, o) for o in stage.options.values()):
-        factor = option.factor(scale)
-        if field not in changes and factor != 1:  # PDAL's defaults are in the units of the coordinates too
-            changes[field] = _scaled(getattr(method.preset(stage.preset), field), factor)
     try:
         filter_ = method.preset(stage.preset, **changes)
     except ParameterError as error:
@@ -226,11 +216,8 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
         )
     if writing.get("only_ground"):
         del writing["reset"]
-    asked = [_ARGUMENTS.get(key, key) for key in options]
-    inputs, outputs, remarks = _surroundings(steps)
-    return Translation(
-        name, stage.preset, filter_, reading, writing, tuple(asked), inputs, outputs, tuple(unmatched), remarks
-    )
+    asked = tuple(_ARGUMENTS.get(key, key) for key in options)
+    return Translation(name, stage.preset, filter_, reading, writing, asked, *_surroundings(steps), tuple(unmatched))
 
 
 def aliases(method: str) -> dict[str, str]:
@@ -247,26 +234,24 @@ def aliases(method: str) -> dict[str, str]:
 def _steps(what: Any) -> list[Any]:
     """The stages of a pipeline: objects, and names of files. Raises InputError."""
     name = "pipeline"
-    if isinstance(what, os.PathLike) or (isinstance(what, str) and what.lstrip()[:1] not in ("{", "[")):
-        name = os.fspath(what)
-        try:
+    try:
+        if isinstance(what, os.PathLike) or (isinstance(what, str) and what.lstrip()[:1] not in ("{", "[")):
+            name = os.fspath(what)
             what = Path(what).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if isinstance(what, str):
-        try:
+        if isinstance(what, str):
             what = json.loads(_COMMENT.sub(lambda found: found[1] or " ", what))
-        except json.JSONDecodeError as error:
-            raise InputError(f"{name}: is no JSON: {error}") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{name}: is no JSON: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if isinstance(what, Mapping):
         what = what.get("pipeline", [what])
     if not isinstance(what, Sequence) or isinstance(what, str):
         raise InputError(f"{name}: neither a stage nor a list of stages, but {type(what).__name__}")
     for step in what:
         if not isinstance(step, (str, Mapping)) or (isinstance(step, Mapping) and not {"type", "filename"} & set(step)):
-            raise InputError(
-                f"{name}: {step!r} is no stage of a pipeline: it has neither a type, such as filters.smrf, nor a filename"
-            )
+            lacking = "neither a type, such as filters.smrf, nor a filename"
+            raise InputError(f"{name}: {step!r} is no stage of a pipeline: it has {lacking}")
     return list(what)
 
 
@@ -292,20 +277,16 @@ def _ground_stage(steps: Sequence[Any]) -> tuple[str, Mapping[str, Any]]:
 def _value(stage: str, key: str, value: Any, like: Any, factor: float) -> Any:
     """An option as a value of the type of ``like``; PDAL takes numbers as text too. Raises ParameterError."""
     text = str(value).strip()
-    if isinstance(like, bool):
-        if text.lower() not in ("true", "false"):
-            raise ParameterError(f"{stage}: {key}={value!r}: must be true or false")
-        return text.lower() == "true"
+    wanted = "true or false" if isinstance(like, bool) else "a whole number" if isinstance(like, int) else "a number"
     try:
+        if isinstance(like, bool):
+            return {"true": True, "false": False}[text.lower()]
         number = float(text)
-        if isinstance(like, int):
-            if not number.is_integer():
-                raise ValueError
-            return int(number)
-    except (ValueError, OverflowError):
-        wanted = "a whole number" if isinstance(like, int) else "a number"
+        if isinstance(like, int) and not number.is_integer():
+            raise ValueError
+        return int(number) if isinstance(like, int) else _scaled(number, factor)
+    except (KeyError, ValueError, OverflowError):
         raise ParameterError(f"{stage}: {key}={value!r}: must be {wanted}") from None
-    return _scaled(number, factor)
 
 
 def _scaled(value: float, factor: float) -> float:
@@ -340,10 +321,8 @@ def _classes(stage: str, ranges: Sequence[str]) -> tuple[tuple[int, ...], list[s
         if found[1] != "Classification":
             unfit.append(f"{stage}: ignore={text} has no counterpart: points are set aside by class and echo only")
             continue
-        within = {
-            c for c in range(256)
-            if (low < c or (low == c and found[3] == "[")) and (c < high or (c == high and found[6] == "]"))
-        }  # fmt: skip
+        within = {c for c in range(256) if low <= c <= high}
+        within -= ({low} if found[3] == "(" else set()) | ({high} if found[6] == ")" else set())
         chosen |= set(range(256)) - within if found[2] else within
     return tuple(sorted(chosen)), unfit
 
@@ -357,15 +336,12 @@ def _surroundings(steps: Sequence[Any]) -> tuple[tuple[str, ...], tuple[str, ...
         kind, options = _kind(step), step if isinstance(step, Mapping) else {"filename": step}
         if kind in STAGES:
             continue
-        if kind.startswith("filters."):
+        if kind in _HINTS or kind.startswith("filters."):
             remarks.append(f"{kind} is not done: {_HINTS.get(kind, 'it has no counterpart')}")
             continue
-        writes = kind.startswith("writers.") or (not kind and number and number == len(steps) - 1)
-        if kind in _HINTS:
-            remarks.append(f"{kind} is not done: {_HINTS[kind]}")
-        elif "filename" in options:
+        if "filename" in options:
+            writes = kind.startswith("writers.") or (not kind and number and number == len(steps) - 1)
             (outputs if writes else inputs).append(str(options["filename"]))
-        more = ", ".join(f"{key}={value!r}" for key, value in options.items() if key not in ("type", "filename"))
-        if more and kind not in _HINTS:
+        if more := ", ".join(f"{key}={value!r}" for key, value in options.items() if key not in ("type", "filename")):
             remarks.append(f"{kind or options['filename']}: {more} has no counterpart")
     return tuple(inputs), tuple(outputs), tuple(remarks)

@@ -92,6 +92,7 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
         (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
         (("pmf", "{survey}", "out", "--bounds", 2, 0, 1, 1), "bounds=(2.0, 0.0, 1.0, 1.0)"),
         (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
+        (("pmf", "{survey}", "out", "--memory", "4"), "is no number of bytes"),
         (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
         (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1MB"), "memory=1e+06 bytes do not suffice"),
         (("smfr", "out.laz"), "smfr: no such file or folder, and no method: choose one of agptd"),
@@ -157,6 +158,8 @@ def test_heights_of_a_folder(done, tmp_path):
         assert wrong.exit_code == 2 and message in wrong.stderr, wrong.output
 
 
-@pytest.mark.parametrize("text, size", [("4GB", 4e9), ("512MiB", 2**29), ("1e9", 1e9), ("1.5 g", 1.5e9), ("7", 7.0)])
+@pytest.mark.parametrize(
+    "text, size", [("4GB", 4e9), ("512MiB", 2**29), ("1e9", 1e9), ("1.5 g", 1.5e9), ("7000000", 7e6)]
+)
 def test_sizes(text, size):
     assert Bytes().convert(text, None, None) == size

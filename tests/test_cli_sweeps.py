@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.cli.session import Rate, Session, memory, short
+from jaxfilter.cli.session import Session, memory, short
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import InputError
 from jaxfilter.core.filter import ground_each
@@ -98,8 +98,8 @@ def test_sweep_draws_and_prints(folder):
         result.exit_code == 0 and "best sets by kappa" in result.stdout and "6 sets, 1 cloud, 1 group" in result.stdout
     )
     top = stored(folder)["kappa"].values.max()
-    row = next(line for line in result.stdout.splitlines() if line.startswith("│"))
-    assert f"{top:.2f}" in row
+    _, heading, row, *_ = result.stdout.splitlines()
+    assert heading.split()[:3] == ["set", "slope", "threshold"] and f"{top:.2f}" in row
     for name in ("curves.png", "maps.png", "votes.png"):
         assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
     again = sweep(folder, "--quiet", axes=AXES[:2])
@@ -384,28 +384,42 @@ def test_the_memory_of_the_bar_is_that_of_the_process():
     assert 0.9 * block.nbytes < memory() - before < 1.5 * block.nbytes and before < 4 * own
 
 
-def test_the_time_left_follows_the_mean_rate_of_this_run():
+def test_the_time_left_follows_the_mean_rate_of_this_run(monkeypatch):
     now = [0.0]
+    monkeypatch.setattr("jaxfilter.cli.session.perf_counter", lambda: now[0])
     session = Session(quiet=True, debug=False)
-    session._bar.get_time = lambda: now[0]
-    session._bar.tasks[0]._get_time = lambda: now[0]
     with session.step("sweep", 1000, "sets"):
         now[0] = 100.0
         session.progress(0.5, "sets")  # half was done before, in another run
+        assert session.standing(0.5).startswith("50 %, ") and "left" not in session.standing(0.5)
         now[0] = 110.0
         session.progress(0.7, "sets")
-        assert session._bar.tasks[0].time_remaining == pytest.approx(15.0, abs=1.0)
-        assert Rate().render(session._bar.tasks[0]).plain == "20.0 sets/s"
+        assert session.standing(0.7).startswith("70 %, 20.0 sets/s, 15 s left, ")
         now[0] = 300.0
         session.progress(0.9, "sets")
-        assert session._bar.tasks[0].time_remaining == pytest.approx(50.0, abs=1.0)
+        assert session.standing(0.9).startswith("90 %, 2.0 sets/s, 50 s left, ")
     with session.step("filter", 1_000_000):
         session.progress(0.0, "lowest")
         now[0] = 300.001
         session.progress(0.2, "surface")
-        assert Rate().render(session._bar.tasks[0]).plain == "", "no rate of a millisecond"
+        assert "points/s" not in session.standing(0.2), "no rate of a millisecond"
         now[0] = 302.0
-        assert Rate().render(session._bar.tasks[0]).plain == "100 k points/s"
+        assert "100 k points/s" in session.standing(0.2)
+
+
+def test_a_terminal_has_one_line_of_progress_that_goes_when_the_step_ends(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr("jaxfilter.cli.session._DRAWN_EVERY", -1.0)
+    session = Session(quiet=False, debug=False)
+    with session.step("filter"):
+        session.progress(0.25, "densify", "1 of 2")
+        session.warn("odd")
+    drawn = capsys.readouterr().err.split("\r\x1b[2K")
+    assert drawn[1].startswith("densify 1 of 2: 25 %, ") and drawn[2:] == ["warning: odd\n", ""]
+    session = Session(quiet=True, debug=False)
+    with session.step("filter"):
+        session.progress(0.25, "densify")
+    assert capsys.readouterr().err == ""
 
 
 def test_labels_of_their_own_go_before_classes():

@@ -1,5 +1,6 @@
 """Compiled host loops: kept on disk where that can be, compiled all the same where not; interrupts come through."""
 
+import contextlib
 import ctypes
 import importlib
 import os
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from typing import NamedTuple
 
 import jax
 import numba
@@ -14,12 +16,12 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 
+import jaxfilter as jf
 from jaxfilter import JaxfilterWarning
 from jaxfilter.cli.session import Session
 from jaxfilter.core import compilation
 from jaxfilter.engines import compiled as module
 from jaxfilter.engines.compiled import compiled
-from jaxfilter.surveys.report import collected_warnings
 
 
 def collatz(n):
@@ -174,47 +176,100 @@ def test_what_is_compiled_is_kept_where_the_user_says(tmp_path):
 
 @pytest.fixture
 def kernels(tmp_path, monkeypatch):
-    """The cache of JAX in a folder of its own."""
-    before = jax.config.jax_compilation_cache_dir
+    """A folder of its own for what JAX compiles; nothing is known of it yet."""
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path))
+    monkeypatch.setattr(compilation, "_keeps", False)
+    before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     jax_cache.reset_cache()
-    yield tmp_path / "xla"
+    compilation._kept_folder.cache_clear()
+    yield tmp_path / "jax"
+    compilation._kept_folder.cache_clear()
     jax.config.update("jax_compilation_cache_dir", before)
     jax_cache.reset_cache()
 
 
-def test_damage_in_the_cache_of_jax_is_told_of_once_and_repaired(kernels):
-    def said():
-        """In a new process."""
-        jax.clear_caches()
-        compilation._troubles.clear()
-        with Session(quiet=True, debug=False) as session:
-            assert float(jax.jit(plus)(1.0)) == 2.0 and float(jax.jit(times)(1.0)) == 3.0
-        return session.warnings
+@contextlib.contextmanager
+def keeping():
+    before = compilation.keep_compilations()
+    yield
+    compilation.keep_compilations(before)
 
-    def plus(x):
-        return x + 1.0
 
-    def times(x):
-        return x * 3.0
+class Scaled(NamedTuple):
+    values: jax.Array
 
-    assert said() == [] and kernels.stat().st_mode & 0o777 == 0o700
-    entries = sorted(kernels.glob("*-cache"))
-    assert len(entries) >= 2
-    for damage in (DAMAGES["empty"], DAMAGES["cut"]):
-        for entry in entries:
-            damage(entry)
-        [text] = said()
-        assert str(kernels) in text and "cannot be read or kept here" in text
-        assert said() == []
-    for entry in entries:
-        damage(entry)
+
+traces = []
+
+
+def scaled(factor, given, power, *, label="none"):
+    """Notes each time that it is traced."""
+    traces.append(label)
+    return Scaled(given["x"] ** power * factor)
+
+
+def new_process():
+    """The function, as a new process has it, and what it returns."""
     jax.clear_caches()
-    compilation._troubles.clear()
-    with collected_warnings() as remarks:
-        assert float(jax.jit(plus)(1.0)) == 2.0 and float(jax.jit(times)(1.0)) == 3.0
-    assert len(remarks) == 1 and "cannot be read or kept here" in remarks[0]
+    function = compilation.jit(scaled, static_argnames=("power", "label"))
+    with keeping():
+        found = function(2.0, {"x": np.arange(3.0, dtype=np.float32)}, 2, label="one")
+    return function, found.values.tolist()
+
+
+def test_what_jax_compiles_is_neither_traced_nor_compiled_by_the_next_process(kernels):
+    traces.clear()
+    compilation.watch_compilations()
+    assert new_process()[1] == [0.0, 2.0, 8.0] and traces == ["one"]
+    [file] = kernels.iterdir()
+    before = compilation.compilations()[0]
+    function, found = new_process()
+    assert found == [0.0, 2.0, 8.0] and traces == ["one"] and compilation.compilations()[0] == before
+    assert kernels.stat().st_mode & 0o777 == 0o700 and file.name.startswith("scaled-")
+    x = np.arange(3.0, dtype=np.float32)
+    with keeping():
+        assert function(2, {"x": x}, power=2, label="one").values.tolist() == [0.0, 2.0, 8.0]
+        assert function(2.0, {"x": x[:2]}, 3, label="two").values.tolist() == [0.0, 2.0]
+        assert function(2.0, {"x": x.astype(np.int32)}, 2).values.dtype == np.float32
+        assert jax.vmap(lambda k: function(k, {"x": x}, 2, label="many").values)(x).shape == (3, 3)
+    assert traces == ["one", "one", "two", "none", "many"] and len(list(kernels.iterdir())) == 4
+    assert function(3.0, {"x": x}, 2, label="outside").values.tolist() == [0.0, 3.0, 12.0]
+    assert traces[-1] == "outside" and len(list(kernels.iterdir())) == 4
+
+
+def test_a_method_is_kept_by_the_parameters_that_are_not_traced(kernels, rng):
+    small = np.ones((4, 3), np.float32)
+    filters = jf.SMRF(), jf.SMRF(threshold=0.7), jf.SMRF(cell=2.0)
+    cells = filters[0].cells(filters[0].points_of(jf.PointCloud.from_arrays(rng.random((500, 3)) * 20)))
+    surfaces = [one.model(cells) for one in filters]
+    expected = [one.test(surface, small).margin.tolist() for one, surface in zip(filters, surfaces, strict=True)]
+    with keeping():
+        for one, surface, margin in zip(filters, surfaces, expected, strict=True):
+            assert one.test(surface, small).margin.tolist() == margin
+    assert len([file for file in kernels.iterdir() if file.name.startswith("SMRF.test")]) == 2
+
+
+def test_other_sources_versions_and_processors_do_not_share(kernels, monkeypatch):
+    traces.clear()
+    new_process()
+    monkeypatch.setattr(compilation, "_stamp", lambda: bytes(32))
+    for _ in range(2):
+        assert new_process()[1] == [0.0, 2.0, 8.0]
+    assert traces == ["one", "one"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_to_what_jax_compiled_is_told_of_once(damage, kernels):
+    new_process()
+    [file] = kernels.iterdir()
+    DAMAGES[damage](file)
+    with pytest.warns(JaxfilterWarning, match="cannot be read or kept here") as said:
+        assert new_process()[1] == [0.0, 2.0, 8.0]
+    assert len(said) == 1 and str(kernels) in str(said[0].message)
+    if damage != "folder":
+        traces.clear()
+        assert new_process()[1] == [0.0, 2.0, 8.0] and traces == [], "it was made anew"
 
 
 @pytest.mark.parametrize("way", ["folder", "file"])
@@ -226,9 +281,14 @@ def test_the_command_says_once_that_it_keeps_nothing(way, kernels, monkeypatch):
         kernels.parent.rmdir()
         kernels.parent.write_text("no folder")
     with Session(quiet=True, debug=False) as session:
-        assert hits() == 0
-    assert len(session.warnings) == 1 and str(kernels) in session.warnings[0]
-    assert jax.config.jax_compilation_cache_dir is None
+        assert hits() == 0 and new_process()[1] == [0.0, 2.0, 8.0]
+    assert len(session.warnings) == 1 and str(kernels.parent) in session.warnings[0]
+
+
+def test_a_cache_that_jax_was_given_is_left_to_jax(kernels, tmp_path):
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "own"))
+    assert new_process()[1] == [0.0, 2.0, 8.0]
+    assert not kernels.exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals within a process")

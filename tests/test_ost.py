@@ -119,13 +119,15 @@ def test_drawn_elevations_do_not_depend_on_the_order_of_triangles(rng):
 def test_segments_of_levels_equal_those_of_scipy(rng):
     """With whole metres and steps below one, segments are the connected parts of each level."""
     z = rng.integers(0, 3, (25, 33)).astype(np.float32)
-    found = shapes.segments(z, np.float32(0.5))
+    found, parts = shapes.segments(z, np.float32(0.5), 1)
     for level in range(3):
         labels, count = ndimage.label(z == level)
         for k in range(1, count + 1):
             part = labels == k
-            assert (found[part] == np.flatnonzero(part.ravel())[0]).all()
-    assert len(np.unique(found)) == sum(ndimage.label(z == level)[1] for level in range(3))
+            assert (found.ravel()[: np.flatnonzero(part.ravel())[0]] < found[part][0]).all() and np.ptp(
+                found[part]
+            ) == 0
+    assert found.max() == parts == sum(ndimage.label(z == level)[1] for level in range(3))
 
 
 def test_segments_of_slopes_equal_a_flood(rng):
@@ -139,19 +141,27 @@ def test_segments_of_slopes_equal_a_flood(rng):
             for q in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
                 if min(q) >= 0 and max(q) < 20 and name[q] < 0 and abs(z[q] - z[r, c]) < np.float32(0.3):
                     stack.append(q)
-    np.testing.assert_array_equal(shapes.segments(z, np.float32(0.3)), name)
+    first, number, size = np.unique(name, return_inverse=True, return_counts=True)
+    np.testing.assert_array_equal(shapes.segments(z, np.float32(0.3), 1)[0], 1 + number)
+    large = np.where(size >= 5, np.cumsum(size >= 5), 0)
+    found, count = shapes.segments(z, np.float32(0.3), 5)
+    np.testing.assert_array_equal(found, large[number])
+    assert 1 < count == large.max() < len(first)
 
 
 def test_the_census_counts_as_numpy_does(rng):
-    segment = shapes.segments(rng.integers(0, 2, (18, 22)).astype(np.float32), np.float32(0.5))
-    marked, falls = rng.random((2, *segment.shape)) < 0.4
+    segment, count = shapes.segments(rng.integers(0, 2, (18, 22)).astype(np.float32), np.float32(0.5), 3)
+    marked = rng.random(segment.shape) < 0.4
+    fall, slope = rng.random((2, *segment.shape)).astype(np.float32)
+    falls = fall > 0.25 + 0.5 * slope
     wide = np.pad(segment, 1, mode="edge")
     border = np.zeros(segment.shape, bool)
     for dr, dc in ((0, 1), (2, 1), (1, 0), (1, 2)):
         border |= wide[dr : dr + 18, dc : dc + 22] != segment
-    found = shapes.census(segment, marked, falls)
+    found = shapes.census(segment, count, marked, fall, slope, np.float32(0.25), np.float32(0.5))
+    assert (found[:, 0] == 0).all() and found.shape == (4, count + 1)
     for k, cells in enumerate((np.ones_like(marked), marked, border, border & falls)):
-        np.testing.assert_array_equal(found[k], np.bincount(segment[cells], minlength=segment.size))
+        np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
 
 def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scipys_triangulation(rng, pool):
@@ -162,9 +172,9 @@ def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scip
     count, xy = len(xyz), xyz[:, :2].astype(np.float64)
     tin = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool)
     e, rough = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    tables, real = (tin.triangles, tin.neighbours, tin.where), np.ones(count, bool)
-    rings.residuals(xyz, *tables, np.arange(count), real, e)
-    rings.roughness(*tables, np.arange(count), real, e, rough)
+    tables = tin.triangles, tin.neighbours, tin.where
+    rings.residuals(xyz, *tables, np.arange(count), e)
+    rings.roughness(*tables, np.arange(count), e, rough)
     network = Delaunay(xy)
     beside, across = [set() for _ in range(count)], [[] for _ in range(count)]
     for t, corners in enumerate(network.simplices):
@@ -276,7 +286,7 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
         scatter = Scatter.of(ground.tin)
         assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
-        residual, roughness = scatter.of_all(ground.tin)  # it is no vertex any more
+        residual, roughness = scatter.of_all(ground)  # it is no vertex any more
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
 
 

@@ -17,6 +17,7 @@ from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Units
 from jaxfilter.files import blocks, windows
 from jaxfilter.files.blocks import Blocks
+from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import describe_file
 from jaxfilter.files.windows import blocks_of, file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
@@ -316,8 +317,8 @@ def test_a_truncated_file_is_refused(tmp_path, name):
 def bytes_read(monkeypatch, call):
     """What ``call`` returns, and the bytes that were read from files among the points and tables for it."""
     counted = []
-    packed = blocks._packed
-    monkeypatch.setattr(blocks, "_packed", lambda *a: counted.append(a[2].size.sum()) or packed(*a))
+    packed = blocks.read_ranges
+    monkeypatch.setattr(blocks, "read_ranges", lambda *a: counted.append(a[3].sum()) or packed(*a))
     return call(), sum(counted)
 
 
@@ -349,4 +350,4 @@ def test_sources_are_small_and_go_to_other_processes(tmp_path):
     window = read_window(pickle.loads(sent), (X, Y, X + 50, Y + 50))
     again = read_window(dataclasses.replace(source, identity=""), (X, Y, X + 50, Y + 50))
     assert window.cloud.xyz.tobytes() == again.cloud.xyz.tobytes()
-    assert len(blocks_of(source)) == 1 and isinstance(source.place, Path)
+    assert len(blocks_of(source.place, Identity.of(source.place))) == 1 and isinstance(source.place, Path)

@@ -144,8 +144,8 @@ def stamped(tin, change, *arguments):
     before, kinds = tin.triangles.copy(), {tuple(t) for t in tin.facets()[0].tolist()}
     tin.now += 1
     out = change(*arguments)
-    same = tin.stamp != tin.now
-    assert np.array_equal(tin.triangles[same], before[same])
+    same = tin.stamp[: len(before)] != tin.now
+    assert np.array_equal(tin.triangles[: len(before)][same], before[same])
     new = tin.triangles[(tin.stamp == tin.now) & (tin.triangles >= 0).all(axis=1)]
     new = np.take_along_axis(new, (new.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     assert kinds.isdisjoint(map(tuple, new.tolist()))
@@ -351,15 +351,22 @@ def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):
         assert np.array_equal(tin.stamp == tin.now, np.isin(tin.triangles, chosen).any(axis=1))
 
 
-def test_changed_are_nodes_in_a_stamped_triangle_or_with_an_image_in_one(pool, rng):
+def test_changed_are_watched_nodes_in_a_stamped_triangle_until_they_are_watched_again(pool, rng):
     xyz = nodes(rng, random(rng, 400), twins=False)
     tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(0, len(xyz), 4), pool)
-    tin.now += 1
-    tin.insert(np.arange(2, len(xyz), 40))
-    rest = np.flatnonzero(~tin.vertex)
-    image = np.where(rng.random(len(xyz)) < 0.5, rng.permutation(tin.where), -1).astype(np.int32)
-    expected = [tin.stamp[tin.where[v]] == 1 or (image[v] >= 0 and tin.stamp[image[v]] == 1) for v in rest]
-    assert tin.changed(rest, image).tolist() == expected and 0.1 < np.mean(expected) < 0.9
+    watched = np.zeros(len(xyz), bool)
+    for start in range(1, 60, 2):
+        chosen = np.arange(start, len(xyz), 60)
+        tin.now += 1
+        tin.remove(inner(tin)[::50]) if start % 8 == 7 else tin.insert(chosen[~tin.vertex[chosen]])
+        others = np.sort(rng.permutation(np.flatnonzero(~tin.vertex))[:90])
+        tin.locate(others)
+        watched[others] = True
+        expected = watched & (tin.stamp[tin.where] == tin.now)
+        assert tin.changed(others).tolist() == np.flatnonzero(expected).tolist() and 5 < expected.sum() < 150
+        assert len(tin.changed(others[:0])) == 0
+        watched &= ~expected
+        tin.locate(np.flatnonzero(expected))
 
 
 @pytest.mark.parametrize("kind", [random, grid, circles, clusters], ids=lambda kind: kind.__name__)

@@ -535,9 +535,9 @@ def _ppdf() -> list[Variant]:
 
 def evaluate(sample: str, path: Path, names: Sequence[tuple[str, str]]) -> list[Row]:
     """One row per variant, named by choice and name; a variant that fails has no counts, and the error as its status."""
-    from jaxfilter.core.compilation import use_persistent_cache
+    from jaxfilter.core.compilation import keep_compilations
 
-    use_persistent_cache()
+    keep_compilations()
     cloud = jf.read(path)
     table = {(v.choice, v.name): v for v in variants()}
     done: dict[str, np.ndarray] = {}  # labels of unchanged methods: the baseline of one choice is that of others

@@ -111,7 +111,10 @@ def run(task: dict[str, Any]) -> dict[str, float]:
     import jaxfilter as jf
     from jaxfilter.core import compilation
 
-    compilation.use_persistent_cache()
+    keep = (
+        "keep_compilations" if hasattr(compilation, "keep_compilations") else "use_persistent_cache"
+    )  # of older versions
+    getattr(compilation, keep)()
     clouds = [jf.read(path, units="m") for path in task["clouds"]]
     if "warm" in task:
         filter_ = jf.FILTERS[task["warm"]]()

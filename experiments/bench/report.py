@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.report import Column, Row, machine, markdown
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 COLUMNS: list[Column] = [
@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--copies", type=int, default=1, help="of the cloud, side by side [%(default)s]")
     parser.add_argument("--out", type=Path, help="Markdown file to write")
     options = parser.parse_args(given)
-    use_persistent_cache()
+    keep_compilations()
     cloud = _cloud(options.cloud, options.points, options.copies)
     rows = [_row(name, cloud) for name in options.methods]
     command = shlex.join(["python", "experiments/bench/report.py", *given])

@@ -19,7 +19,6 @@ import jaxfilter as jf
 from experiments.default.search import every_cloud
 from experiments.defaults import clouds
 from experiments.report import write_csv
-from jaxfilter.methods import ost
 from jaxfilter.reports.places import squares
 from jaxfilter.reports.review_list import AREA, SIDE
 from jaxfilter.steps import doubt, doubt_model
@@ -70,13 +69,14 @@ def unnamed(known: clouds.Known) -> float:
 def judged(known: clouds.Known) -> Judged:
     """What OST decides on a cloud, and the evidence that it has for it."""
     kept: list[np.ndarray] = []
+    probability = doubt.probability
 
     def keep(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
         kept.append(evidence)
-        return doubt.probability(evidence, ground)
+        return probability(evidence, ground)
 
     method = jf.OST.for_cloud(known.cloud)
-    with mock.patch.object(ost, "probability", keep):
+    with mock.patch.object(doubt, "probability", keep):
         result = method(known.cloud)
     points = method.points_of(known.cloud)
     row = np.full(len(known.cloud), -1)
@@ -84,7 +84,9 @@ def judged(known: clouds.Known) -> Judged:
     rows = np.flatnonzero((row >= 0) & known.scored)
     ground = result.ground[rows]
     kind = {"sit": "samples", "sou": "tiles"}.get(known.group[:3], "scenes")
-    return Judged(known, kind, kept[0][row[rows]], ground, ground != known.ground[rows], rows, unnamed(known))
+    return Judged(
+        known, kind, np.concatenate(kept)[row[rows]], ground, ground != known.ground[rows], rows, unnamed(known)
+    )
 
 
 def every(folder: Path) -> Iterator[Judged]:

@@ -18,7 +18,7 @@ from experiments.default import search
 from experiments.defaults import clouds
 from experiments.isprs import samples
 from experiments.report import machine, markdown
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scene-methods", nargs="*", default=[name for name in jf.FILTERS if name != "ost"])
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
-    use_persistent_cache()
+    keep_compilations()
     options.out.mkdir(parents=True, exist_ok=True)
     tried = scored(search.tried(folder, options.sets, options.out))
     text = [

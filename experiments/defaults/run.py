@@ -16,7 +16,7 @@ import jaxfilter as jf
 from experiments.defaults import choices, clouds
 from experiments.isprs import samples, search
 from experiments.report import Column, Row, machine, markdown, read_csv, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
 HERE = Path(__file__).parent
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = _parser().parse_args(given)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     asked = [c for c in choices.CHOICES if not options.choices or any(c.name.startswith(p) for p in options.choices)]
     path = options.out / "runs.csv"

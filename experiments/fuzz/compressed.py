@@ -243,7 +243,8 @@ def ours(path: Path) -> Records:
             cloud = read(path, units="m", drop_invalid=True)
             with reading_errors(path):
                 header = read_header(path)
-            records = np.concatenate([np.zeros((0, header.record_length), np.uint8), *read_records(header)])
+            chunks = [chunk for chunk, _ in read_records(header)]
+            records = np.concatenate([np.zeros((0, header.record_length), np.uint8), *chunks])
         except JaxfilterError as error:
             assert str(path) in str(error), f"an error without the name of the file: {error}"
             return str(error)

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.report import Column, Row, machine, markdown, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="*", default=list(jf.FILTERS))
     options = parser.parse_args()
     folder = samples.data_folder(options.data)
-    use_persistent_cache()
+    keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     rows: list[Row] = []
     for method in options.methods:

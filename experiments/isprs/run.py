@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import figures, measure, protocols, samples, search, spaces, tables
 from experiments.report import Row, machine, read_csv, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 QUICK = ("24", "41", "52", "53")
 Maker = Callable[[str, str], jf.Filter]
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
     numbers = options.samples or list(QUICK if options.quick else samples.SAMPLES)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     if options.fresh:
         _discard(options.out, options.methods)

@@ -109,9 +109,9 @@ def results(function: Callable[..., list[Row]], tasks: Sequence[T], processes: i
 
 def evaluate(method: str, sample: str, path: Path, sets: dict[int, dict[str, float]]) -> list[Row]:
     """One row per set. A set that the method refuses or fails with has no counts, and the error as its status."""
-    from jaxfilter.core.compilation import use_persistent_cache
+    from jaxfilter.core.compilation import keep_compilations
 
-    use_persistent_cache()
+    keep_compilations()
     cloud = jf.read(path)
     rows = []
     for number, thresholds in sets.items():

@@ -15,7 +15,7 @@ import pytest
 
 BEFORE = (
     "jax jax.numpy jax.scipy numba scipy.spatial scipy.sparse scipy.ndimage scipy.optimize scipy.stats laspy lazrs pyproj pandas "
-    "xarray matplotlib.pyplot rasterio geopandas click.testing rich.console rich.table sybil hypothesis fsspec psutil"
+    "xarray matplotlib.pyplot rasterio geopandas click.testing sybil hypothesis fsspec psutil"
 )
 MEMORY = 4 * 2**30
 """Bytes that a changed program may take."""

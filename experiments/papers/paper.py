@@ -12,7 +12,7 @@ from typing import Any
 import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.report import Column, Row, machine, markdown, save_png, with_averages, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 SCORES = ("type1", "type2", "total", "kappa")
@@ -47,7 +47,7 @@ def arguments(name: str, description: str | None, given: Sequence[str] | None = 
     typed = sys.argv[1:] if given is None else list(given)
     options.command = shlex.join(["python", f"experiments/papers/{name}.py", *typed])
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     return options
 
 

@@ -57,8 +57,8 @@ DIFFERENCE = 3.0
 MEMORY = """
 import json, sys
 import jaxfilter as jf
-from jaxfilter.core.compilation import use_persistent_cache
-use_persistent_cache()
+from jaxfilter.core.compilation import keep_compilations
+keep_compilations()
 cloud = jf.read(sys.argv[1], units="m")
 if sys.argv[2]:
     jf.FILTERS[sys.argv[2]](**json.loads(sys.argv[3]))(cloud)

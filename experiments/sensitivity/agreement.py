@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.report import Row, machine, markdown, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import declared
 from jaxfilter.sweeps.ranges import Range, around, search_ranges
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     clouds = {name: jf.read(samples.sample_path(folder, name)) for name in samples.SAMPLES}
     rows: dict[str, Row] = {}
     found: list[str] = []

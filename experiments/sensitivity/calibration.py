@@ -16,7 +16,7 @@ import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.report import Row, machine, markdown, read_csv, with_averages, write_csv
 from experiments.tiles.run import LEFT_OUT
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 PATCHES = 5
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     clouds = others(folder) if options.clouds == "others" else isprs(folder, options.samples)
     rows: list[Row] = []
     for number, (name, cloud) in enumerate(clouds):

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.report import Row, machine, markdown, read_csv, save_png, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
 SMRF_AXES: dict[str, list[float]] = {
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(given)
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     text = ["# What the parameters decide", "", f"`{shlex.join(['python', 'experiments/sensitivity/run.py', *given])}`"]
     text[-1] += f" on {machine()}."
     text += smrf(folder, options.samples, options.out)

@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # with a
 
 import jaxfilter as jf
 from jaxfilter.files import blocks
+from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import Source
 from jaxfilter.files.windows import blocks_of, read_window
 from jaxfilter.surveys.collection import Collection
@@ -60,10 +61,10 @@ def plan(path: Path) -> dict[str, Any]:
 def corner(path: Path, index: Path) -> dict[str, Any]:
     """The pass over a file, and the bytes for the lower left corner: a twentieth of each side."""
     read: list[int] = []
-    packed = blocks._packed
-    blocks._packed = lambda *a: read.append(a[2].size.sum()) or packed(*a)  # type: ignore[func-returns-value]
+    packed = blocks.read_ranges
+    blocks.read_ranges = lambda *a: read.append(a[3].sum()) or packed(*a)  # type: ignore[func-returns-value]
     source, start = jf.open(path, units="m")[0], time.process_time()
-    blocks_of(source, index)
+    blocks_of(source.place, Identity.of(source.place), index)
     found: dict[str, Any] = {
         "pass_s": time.process_time() - start,
         "index_bytes": next(index.rglob("*.npz")).stat().st_size,

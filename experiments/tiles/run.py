@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
 from experiments.report import Column, Row, machine, markdown, save_png, write_csv
-from jaxfilter.core.compilation import use_persistent_cache
+from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
 HERE = Path(__file__).parent
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(given)
     folder = samples.data_folder(options.data) / "tiles"
-    use_persistent_cache()
+    keep_compilations()
     rows: list[Row] = []
     for tile in options.tiles:
         path = next(folder.glob(f"{tile}.la[sz]"), None)

@@ -18,11 +18,11 @@ import jaxfilter as jf
 from experiments.isprs import samples
 from experiments.report import Column, Row, machine, markdown, write_csv
 from experiments.tiles.run import TILES
-from experiments.tiling import labels, robustness, scale
-from jaxfilter.core.compilation import use_persistent_cache
+from experiments.tiling import country, labels, robustness, scale
+from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
-PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning")
+PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning", "country", "tiles")
 LARGE = ("ign_semis_2023_0292_6833", "ign_bridge_0299_6802")
 """Labelled tiles of 1 km2. All others are at most 300 m wide: with a halo of 240 m most windows hold the whole of them."""
 HALOS = (0.0, 15.0, 30.0, 60.0, 120.0)
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = _parser().parse_args(given)
     options.out.mkdir(parents=True, exist_ok=True)
     options.work.mkdir(parents=True, exist_ok=True)
-    use_persistent_cache()
+    keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     command = shlex.join(["python", "experiments/tiling/run.py", *given])
     for part in options.parts:
@@ -136,6 +136,8 @@ _WAYS = {
     "cluster": robustness.cluster,
     "tasks": robustness.tasks,
     "planning": scale.planning,
+    "country": country.table,
+    "tiles": country.collection,
 }
 
 
@@ -154,6 +156,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--halos", type=float, nargs="+", default=HALOS, help="metres, for halos [%(default)s]")
     parser.add_argument(
         "--tasks", type=int, nargs="+", default=[1000, 10_000, 100_000], help="empty ones, for tasks [%(default)s]"
+    )
+    parser.add_argument(
+        "--densities", type=float, nargs="+", default=[0.5, 2.0, 5.0, 10.0, 20.0], help="points per m2, for country"
+    )
+    parser.add_argument("--millions", type=float, default=6.0, help="points of each file, for country [%(default)s]")
+    parser.add_argument(
+        "--costs",
+        nargs="+",
+        default=["ost", "smrf", "fptd", "ptd", "csf"],
+        choices=list(jf.FILTERS),
+        metavar="METHOD",
+        help="for country",
     )
     parser.add_argument("--trials", type=int, default=30, help="kills [%(default)s]")
     return parser

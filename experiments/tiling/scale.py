@@ -28,7 +28,7 @@ def table(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     rows = [measured("smrf", paths[:count], options.work) for count in options.files]
     alone: Row = {"how": "SMRF, file by file", "points": 0, "wall": 0.0, "cpu": 0.0, "peak": 0.0, "tiles": 0}
     for path in paths[: options.files[0]]:
-        one = _watched([*COMMAND, "smrf", str(path), str(options.work / "alone.laz"), "--overwrite", "--json"])
+        one = watched([*COMMAND, "smrf", str(path), str(options.work / "alone.laz"), "--overwrite", "--json"])
         alone |= {key: alone[key] + one[key] for key in ("points", "wall", "cpu")}
         alone["peak"] = max(alone["peak"], one["peak"])
     rows += [alone, measured("fptd", paths, options.work)]
@@ -62,12 +62,13 @@ def measured(method: str, paths: list[Path], work: Path, *more: str) -> Row:
     """One run of the command: points, tiles, seconds, CPU seconds and peak memory (GB) of all its processes."""
     out = work / "scale"
     shutil.rmtree(out, ignore_errors=True)
-    row = _watched([*COMMAND, method, *map(str, paths), str(out), "--json", *more])
+    row = watched([*COMMAND, method, *map(str, paths), str(out), "--json", *more])
     print(row, file=sys.stderr, flush=True)
     return {"how": f"{method.upper()}, {len(paths)} files", **row}
 
 
-def _watched(command: list[str]) -> Row:
+def watched(command: list[str]) -> Row:
+    """A command: points, points read with halos, tiles, seconds, CPU seconds and peak memory (GB) of all its processes."""
     before, start, peak = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter(), 0.0
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
 
@@ -88,7 +89,8 @@ def _watched(command: list[str]) -> Row:
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     wall = time.perf_counter() - start
     return {
-        "points": facts["points"], "tiles": facts.get("tiles", 0), "wall": wall, "cpu": cpu, "peak": peak / 1e9,
+        "points": facts["points"], "read": facts.get("read", facts["points"]), "tiles": facts.get("tiles", 0),
+        "wall": wall, "cpu": cpu, "peak": peak / 1e9,
     }  # fmt: skip
 
 

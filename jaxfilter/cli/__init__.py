@@ -1,6 +1,5 @@
 """The ``jaxfilter`` command."""
 
-from . import calibrate as calibrate
 from . import demo as demo
 from . import pdal as pdal
 from . import report as report

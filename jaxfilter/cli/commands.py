@@ -1,8 +1,8 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
-Terrain models and heights are in ``terrain.py``, sweeps in ``sweeps.py`` and ``calibrate.py``, info in ``surveys.py``, pages
-in ``report.py``, pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``. Options that
-they share are in ``options.py``, what they print in ``output.py``, and how they begin and end in ``answer.py``.
+Terrain models and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
+``report.py``, pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``. Options that they share are in
+``options.py``, what they print in ``output.py``, and how they begin and end in ``session.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported
@@ -18,20 +18,30 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.version import __version__
-from .answer import Answer, in_session
-from .options import OPTIONS, READING, RUN, check_out, check_target, open_inputs, split_names, take_reading, take_run
-from .output import print_json, print_report, print_table, run_facts, tell
-from .session import Session, logger, session_options, stoppable
-from .values import CLASS, INPUT
+from .options import (
+    BY_DATA,
+    READING,
+    RUN,
+    check_target,
+    open_files,
+    take,
+)
+from .output import Answer, in_session, json_text, print_report, print_table, run_facts, session_options, tell
+from .session import Session, logger, stoppable
+from .values import CLASS, INPUT, OUTPUT, option, with_options
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
     from ..scoring import Scores
     from ..surveys.measures import Recipe
 
-REVIEWS = (".gpkg", ".geojson")
-"""Suffixes of lists of places."""
-
+REVIEW = [
+    option("--review", "Also write the places to look at, most expected errors first, as .gpkg or .geojson.", OUTPUT),
+    option(
+        "--review-area", "Per cent of the area that they cover.", click.FloatRange(0, 100, min_open=True), default=5.0
+    ),
+]
+"""What makes a Review, of methods that state their doubt."""
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
@@ -52,7 +62,7 @@ _INSTEAD = {
 
 
 class Program(click.Group):
-    """The command as a whole: it can be stopped, see ``stoppable``."""
+    """The command as a whole: it can be stopped, see ``stoppable``, and answers words of other programs."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""
@@ -62,23 +72,25 @@ class Program(click.Group):
             except click.NoSuchOption as error:
                 if error.option_name not in _INSTEAD:
                     raise
-                words = f"No such option {error.option_name!r}: {_INSTEAD[error.option_name]}."
-                raise click.UsageError(words, error.ctx) from error
+                raise click.UsageError(
+                    f"{error.message.rstrip('.')}: {_INSTEAD[error.option_name]}.", error.ctx
+                ) from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Say what to type where the first word is a method, a file, or the command of another program."""
         word = args[0]
-        if not ctx.resilient_parsing and self.get_command(ctx, word) is None:
+        if not ctx.resilient_parsing and word not in self.commands:
             from ..methods import FILTERS
 
+            words = _INSTEAD.get(word)
             if word in FILTERS:
-                ctx.fail(f"No such command {word!r}: it is a method, jaxfilter ground {word} IN OUT.")
-            if Path(word).exists():
-                ctx.fail(f"No such command {word!r}: it is a file or folder, jaxfilter ground {word} OUT.")
-            if word in _INSTEAD:
-                ctx.fail(f"No such command {word!r}: {_INSTEAD[word]}.")
+                words = f"it is a method, jaxfilter ground {word} IN OUT"
+            elif Path(word).exists():
+                words = f"it is a file or folder, jaxfilter ground {word} OUT"
+            if words:
+                ctx.fail(f"No such command {word!r}: {words}.")
         return super().resolve_command(ctx, args)
 
 
@@ -88,208 +100,136 @@ def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
 
 
-_DEFAULT = "default"
+class Ground(click.Command):
+    """The command of a method where one is named first, and else that of the default."""
 
-
-class _WithoutName(click.Context):
-    """Of the default command, which is called by the name of its group."""
-
-    @property
-    def command_path(self) -> str:
-        """That of the group."""
-        return self.parent.command_path if self.parent is not None else super().command_path
-
-
-class _Default(click.Command):
-    context_class = _WithoutName
-
-
-class Methods(click.Group):
-    """A subcommand per registered filter, and one without a name: what is no filter is IN already."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The options of the default command, which most methods share, and the methods."""
-        _ground_command(None).format_options(ctx, formatter)
-        self.format_commands(ctx, formatter)
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the name of the default command where none is given."""
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Take the words apart as the command of the method does."""
         from ..methods import FILTERS
 
-        if args and args[0] not in FILTERS and args[0] not in ctx.help_option_names:
-            args = [_DEFAULT, *args]
-        return super().parse_args(ctx, args)
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the filters."""
-        from ..methods import FILTERS
-
-        return list(FILTERS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of one filter, with a flag per parameter."""
-        from ..methods import FILTERS
-
-        if cmd_name == _DEFAULT:
-            return _ground_command(None)
-        return _ground_command(FILTERS[cmd_name]) if cmd_name in FILTERS else None
+        if args and args[0] in FILTERS:
+            return ground_command(FILTERS[args[0]]).make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        return ground_command(None, self.help).make_context(info_name, args, parent, **extra)
 
 
-@main.group(cls=Methods, subcommand_metavar="[METHOD] IN... OUT [OPTIONS]")
+@main.command(cls=Ground)
 def ground() -> None:
     """Classify the ground points of a file, or of a collection of files into a folder.
 
+    A method may be named before IN, as in jaxfilter ground smrf IN OUT: its parameters are options then, see jaxfilter ground
+    METHOD --help. Without one the default is taken, set up for the data.
+
     IN is a LAS, LAZ or text file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc)
     or URLs, and OUT is a folder. Large data are filtered in tiles that see their surroundings, across files, by several
-    processes. Without METHOD the default is taken, set up for the data.
+    processes.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
     (--ignore-class).
-
-    The options below are those without METHOD. METHOD --help adds its parameters and --preset.
     """
 
 
-def _ground_command(method: type[Filter] | None) -> click.Command:
-    """The command of a method, or of the default."""
-    from ..files import writing
+def ground_command(method: type[Filter] | None, help: str | None = None) -> click.Command:
+    """The command of a method, or of the default, with its help."""
+    from ..files.writing import EXTRAS, RESETS
+    from ..methods import FILTERS
     from . import flags
 
     @in_session
-    def run(session: Session, paths: tuple[str, ...], **arguments: Any) -> Answer:
+    def run(session: Session, paths: tuple[str, ...], **options: Any) -> Answer:
         from ..surveys.measures import Recipe
 
         changes = {} if method is None else flags.given(method, click.get_current_context())
-        for name in flags.fields(method) if method is not None else ():
-            del arguments[name]
-        made = {name: arguments.pop(name, None) for name in ("preset", "for_cloud", "largest_building")}
-        return _ground(session, paths, Recipe(method, changes, **made), arguments)
+        for name in () if method is None else flags.fields(method):
+            del options[name]
+        return _ground(session, paths, take(Recipe, options, method=method, changes=changes), options)
+
+    def complete(context: click.Context, parameter: click.Parameter, word: str) -> list[str]:
+        return [name for name in FILTERS if method is None and name.startswith(word)]
 
     parameters: list[click.Parameter] = [
-        click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True),
-        *([] if method is None else flags.options(method)),
-        *([] if method is None else [_preset(method)]),
-        *(OPTIONS[name] for name in ("for_cloud", "largest_building", *READING)),
-        click.Option(["--ground-class"], type=CLASS, default=2, help="Class for ground points."),
-        click.Option(
-            ["--other-class"],
-            type=CLASS,
-            default=1,
-            help="Class for judged points that lose their class.",
+        click.Argument(["paths"], metavar="IN... OUT", nargs=-1, required=True, shell_complete=complete)
+    ]
+    if method is not None:
+        presets = click.Choice(list(method.PRESETS))
+        parameters += [*flags.options(method), option("--preset", "A named set of parameters.", presets)]
+    parameters += [
+        *BY_DATA,
+        *READING,
+        option("--ground-class", "Class for ground points.", CLASS, default=2),
+        option("--other-class", "Class for judged points that lose their class.", CLASS, default=1),
+        option(
+            "--reset", "Which classes points lose that are judged non-ground.", click.Choice(RESETS), default="ground"
         ),
-        click.Option(
-            ["--reset"],
-            type=click.Choice(writing.RESETS),
-            default="ground",
-            help="Which classes judged non-ground points lose: ground and unclassified, all, or none.",
-        ),
-        click.Option(["--only-ground"], is_flag=True, help="Mark ground and leave every other class as it is."),
-        click.Option(
-            ["--noise-class"],
-            type=CLASS,
-            help="Class for low outliers, which METHOD finds below the ground; the ASPRS has 7. SMRF finds none.  "
-            "[default: that of other points]",
-        ),
-        click.Option(
-            ["--extra"],
-            multiple=True,
-            type=click.Choice(writing.EXTRAS),
-            help="Also write this quantity of each point, in metres or degrees whatever the file has; may be repeated.",
-        ),
-        *(_review_options() if method is None or method.DOUBTS else ()),
-        *(OPTIONS[name] for name in RUN),
+        option("--only-ground", "Mark ground and leave every other class as it is.", bool),
+        option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
+        option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
+        *(REVIEW if method is None or method.DOUBTS else ()),
+        *RUN,
         *session_options(),
     ]
-    if method is None:
-        words = "The default method, set up for the data."
-        return _Default(_DEFAULT, params=parameters, callback=run, help=words, hidden=True)
-    return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
-
-
-def _preset(method: type[Filter]) -> click.Option:
-    return click.Option(["--preset"], type=click.Choice(list(method.PRESETS)), help="A named set of parameters.")
-
-
-def _review_options() -> list[click.Option]:
-    return [
-        click.Option(
-            ["--review"],
-            metavar="FILE",
-            type=click.Path(dir_okay=False, path_type=Path),
-            help="Also write the places to look at, most expected errors first, as polygons (.gpkg or .geojson).",
-        ),
-        click.Option(
-            ["--review-area"],
-            type=click.FloatRange(0, 100, min_open=True),
-            default=5.0,
-            help="Per cent of the area that they cover.",
-        ),
-    ]
+    if method is not None:
+        return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
+    words = "\n".join(f"{name:6} {_summary(kind)}" for name, kind in FILTERS.items())
+    return click.Command("ground", params=parameters, callback=run, help=help, epilog=f"\b\nMethods:\n{words}")
 
 
 def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: dict[str, Any]) -> Answer:
     """Run ``ground``."""
     recipe.alone()  # what is wrong with the parameters is said before anything is read
-    inputs, out = split_names(paths, options["in_place"], bare=recipe.method is None)
     from ..files.writing import Classes
     from ..surveys.ground import Review, ground
 
-    reading, run = take_reading(options), take_run(options, session)
-    places, area = options.pop("review", None), options.pop("review_area", 5.0)
+    places = options.get("review")
+    review = None if places is None else Review(places, options["review_area"])
     if places is not None:
-        check_target(places, run.overwrite or run.resume, REVIEWS)
-    review = None if places is None else Review(places, area)
-    extra = options.pop("extra")
-    classes = Classes(**options)
-    check_out(out, inputs, run)
-    collection = open_inputs(session, inputs, reading)
-    with session.step("run", collection.count):
-        report = ground(collection, out, recipe, reading=reading, classes=classes, extra=extra, review=review, run=run)
-    output = out or ", ".join(inputs)
+        check_target(places, options["overwrite"] or options["resume"])
+    classes, extra = take(Classes, options), options["extra"]
+    files = open_files(session, paths, options, bare=recipe.method is None)
+    with session.step("run", files.collection.count):
+        report = ground(
+            files.collection,
+            files.out,
+            recipe,
+            reading=files.reading,
+            classes=classes,
+            extra=extra,
+            review=review,
+            run=files.run,
+        )
+    units, of_class = files.collection.units, classes.ground_class
     tell(session, report)
-    logger.info(f"{output}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground")
-    facts = run_facts(report, session) | {
-        "input": inputs[0] if len(inputs) == 1 else inputs,
-        "output": output,
-        "units": str(collection.units),
-        "metres_per_unit": [collection.units.xy, collection.units.z],
-        "ground_class": classes.ground_class,
+    logger.info(
+        f"{files.output}: {len(report.files):,} files, {report.ground:,} of {report.points:,} points are ground"
+    )
+    facts = run_facts(session, report, files) | {
+        "units": str(units),
+        "metres_per_unit": [units.xy, units.z],
+        "ground_class": of_class,
         "noise_class": classes.noise_class,
-        "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == classes.ground_class),
+        "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
+        if report.classes
+        else None,
         "all_reset": classes.reset != "none" and not classes.only_ground,
     }
     if not report.classes:
         labels = ((0, report.ground), (1, report.points - report.ground))
-        facts |= {"of_ground_class": None, "labels": [{"label": one, "points": n} for one, n in labels]}
+        facts["labels"] = [{"label": one, "points": n} for one, n in labels]
     return Answer(facts, lambda: print_report(facts), complete=report.complete)
 
 
 @main.command()
 @click.argument("labelled", metavar="OUT", type=INPUT)
 @click.argument("reference", metavar="REFERENCE", type=INPUT)
-@click.option(
-    "--ignore-class",
-    "ignore_classes",
-    type=int,
-    multiple=True,
-    help="Leave points of this class of REFERENCE out; may be repeated.",
+@with_options(
+    option("--ignore-class ignore_classes", "Leave points of this class of REFERENCE out.", int, multiple=True),
+    option("--candidates-only", "Count only points of OUT that are judged by default.", bool),
+    option("--ground-class", "Of OUT.", CLASS, default=2),
 )
-@click.option(
-    "--candidates-only",
-    is_flag=True,
-    help="Count only points of OUT that are judged by default: last and only echoes, not withheld, no class kept.",
-)
-@click.option("--ground-class", type=CLASS, default=2, help="Of OUT.")
 @in_session
-def evaluate(
-    session: Session,
-    labelled: Path,
-    reference: Path,
-    ignore_classes: tuple[int, ...],
-    candidates_only: bool,
-    ground_class: int,
-) -> Answer:
+def evaluate(session: Session, labelled: Path, reference: Path, ground_class: int, **options: Any) -> Answer:
     """Score the ground labels of OUT against those of REFERENCE.
 
     Both are LAS, LAZ or labelled text files of the same points, in any order. Points of class 0 in REFERENCE were never
@@ -311,33 +251,24 @@ def evaluate(
     classes = truth.classification
     if classes is None and cloud.classification is not None:
         classes = cloud.classification[match]
-    ignored = ~cloud.candidate[match] if candidates_only else None
-    scores = score(result[match], truth, classes=classes, ignore_classes=ignore_classes, ignore=ignored)
-    facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)} | session.as_dict()
+    ignored = ~cloud.candidate[match] if options["candidates_only"] else None
+    scores = score(result[match], truth, classes=classes, ignore_classes=options["ignore_classes"], ignore=ignored)
+    facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}
     return Answer(facts, lambda: _print_scores(scores), always=True)
 
 
 def _print_scores(scores: Scores) -> None:
-    labels = {
-        "type1": "Type I error (ground lost)",
-        "type2": "Type II error (objects accepted)",
-        "total": "total error",
-        "kappa": "kappa",
-        "accuracy": "accuracy",
-        "precision": "precision (ground)",
-        "recall": "recall (ground)",
-        "f1": "F1 (ground)",
-    }
-    values = {label: getattr(scores, name) for name, label in labels.items()}
-    rows = [(label, "undefined" if math.isnan(value) else f"{value:.2f}") for label, value in values.items()]
+    values = scores.as_dict()
+    counts, words = values.pop("confusion"), {"type1": "Type I (ground lost)", "type2": "Type II (objects accepted)"}
+    rows = [(words.get(name, name), "undefined" if math.isnan(one) else f"{one:.2f}") for name, one in values.items()]
     print_table(("score", "percent"), rows, left=1)
     names = ("reference ground", "reference object")
-    counts = [(name, *(f"{v:,}" for v in row)) for name, row in zip(names, scores.confusion.tolist(), strict=True)]
-    print_table(("points", "labelled ground", "labelled object"), counts, left=1)
+    table = [(name, *(f"{v:,}" for v in row)) for name, row in zip(names, counts, strict=True)]
+    print_table(("points", "labelled ground", "labelled object"), table, left=1)
 
 
 @main.command()
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@with_options(option("--json as_json", "Print JSON.", bool))
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
     from ..citing import citation
@@ -355,7 +286,7 @@ def methods(as_json: bool) -> None:
         for name, method in FILTERS.items()
     }
     if as_json:
-        print_json(table)
+        click.echo(json_text(table))
         return
     for name, entry in table.items():
         click.echo(f"{name}  {entry['summary']}")

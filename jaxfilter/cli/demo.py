@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .answer import Answer, in_session
 from .commands import main
 from .options import take_run
-from .output import print_report, run_facts
+from .output import Answer, in_session, print_report, run_facts
 from .session import BadUsage, Session
-from .values import FOLDER
+from .values import FOLDER, SEED, option, with_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,13 +24,13 @@ DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "
 
 @main.command()
 @click.argument("directory", metavar="[DIR]", default="jaxfilter-demo", type=FOLDER)
-@click.option(
-    "--size", nargs=2, type=float, default=(400.0, 300.0), metavar="WIDTH HEIGHT", help="Size of the scene, metres."
+@with_options(
+    option("--size", "Width and height of the scene, metres.", float, nargs=2, default=(400.0, 300.0)),
+    option("--density", "Number of pulses per m2.", float, default=1.5),
+    option("--seed", "Seed of the scene.", SEED, default=0),
+    option("--method", "Filter by this method.  [default: the default filter]", "METHOD"),
+    option("--overwrite", "Write into DIR even if it holds other files.", bool),
 )
-@click.option("--density", type=float, default=1.5, help="Number of pulses per m2.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the scene.")
-@click.option("--method", metavar="METHOD", help="Filter by this method.  [default: the default filter]")
-@click.option("--overwrite", is_flag=True, help="Write into DIR even if it holds other files.")
 @in_session
 def demo(session: Session, directory: Path, method: str | None, overwrite: bool, **survey: Any) -> Answer:
     """Make a scene whose ground is known, filter it, score the result and draw it.
@@ -42,22 +41,20 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     from .. import scenes
     from ..files.disk import remove_dead
     from ..files.reading import read
-    from ..methods import FILTERS
     from ..scoring import evaluate as score
     from ..surveys.ground import ground
     from ..surveys.measures import Recipe
+    from .flags import method_of
 
     if directory.is_dir():
         remove_dead(directory)
     others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
     if others and not overwrite:
         raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
-    if method is not None and method not in FILTERS:
-        raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
+    recipe = Recipe() if method is None else Recipe(method_of(method), preset="recommended")
     with session.step("scene"):
         scene = scenes.make("mixed", **survey)
         _write_scene(directory, scene)
-    recipe = Recipe(FILTERS[method], preset="recommended") if method else Recipe()
     run, target = take_run({"overwrite": True}, session), directory / "scene_ground.laz"
     with session.step("run", len(scene)):
         report = ground(directory / "scene.laz", target, recipe, run=run)
@@ -67,7 +64,7 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     scores = score(labels, scene.truth, ignore=~scene.cloud.candidate)
     with session.step("pictures"):
         _draw(directory, scene, labels)
-    facts = run_facts(report, session) | {"output": str(target)}
+    facts = run_facts(session, report) | {"output": str(target)}
 
     def show() -> None:
         print_report(facts)

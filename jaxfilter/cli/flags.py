@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import types
 import typing
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -13,8 +13,17 @@ from click.core import ParameterSource
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
+from ..methods import FILTERS
 from ..pdal import aliases
+from .session import BadUsage
 from .values import Number
+
+
+def method_of(name: str) -> type[Filter]:
+    """A filter class by its name. Raises BadUsage."""
+    if name not in FILTERS:
+        raise BadUsage(f"no method {name!r}: choose one of {', '.join(FILTERS)}")
+    return FILTERS[name]
 
 
 def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
@@ -25,8 +34,14 @@ def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
 def options(method: type[Filter]) -> list[click.Option]:
     """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool. Fields that PDAL has
     under another name have that as well: ``--scalar`` for ``scaling``."""
-    types_of, other = typing.get_type_hints(method), aliases(method.__name__.lower())
-    return [_option(field, types_of[name], other.get(name)) for name, field in fields(method).items()]
+    made, other = [], aliases(method.__name__.lower())
+    for name, field in fields(method).items():
+        flag, kind = _flag(name), _kind(method, field)
+        names = [flag, *([_flag(other[name])] if name in other else [])]
+        if kind is click.BOOL:
+            names = [f"{flag}/--no-{flag[2:]}"]
+        made.append(click.Option([*names, name], type=kind, default=None, help=describe(field)))
+    return made
 
 
 def given(method: type[Filter], ctx: click.Context) -> dict[str, Any]:
@@ -45,27 +60,19 @@ def describe(field: dataclasses.Field[Any]) -> str:
     return f"{str(meta.get('doc', '')).rstrip('.')} [{'; '.join(n for n in notes if n)}]"
 
 
-def _option(field: dataclasses.Field[Any], annotation: Any, alias: str | None = None) -> click.Option:
-    flag = _flag(field.name)
-    choices = field.metadata.get("choices")
-    if annotation is bool:
-        return click.Option([f"{flag}/--no-{flag[2:]}", field.name], default=None, help=describe(field))
-    kind: click.ParamType = Number(_base(annotation), bool(field.metadata.get("optional")))
-    if choices is not None and all(isinstance(c, str) for c in choices):
-        kind = click.Choice(choices)
-    names = [flag, _flag(alias)] if alias else [flag]
-    return click.Option([*names, field.name], type=kind, default=None, help=describe(field))
-
-
 def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-def _base(annotation: Any) -> type:
-    """``float`` of ``float`` and of ``float | None``."""
-    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
-        annotation = next(a for a in typing.get_args(annotation) if a is not type(None))
-    return annotation
+def _kind(method: type[Filter], field: dataclasses.Field[Any]) -> click.ParamType:
+    """The kind of values of a field, which are not yet held against its limits."""
+    hint, choices = typing.get_type_hints(method)[field.name], field.metadata.get("choices")
+    base = next(one for one in (*typing.get_args(hint), hint) if one is not type(None))  # float of float | None
+    if base is bool:
+        return click.BOOL
+    if choices is not None and all(isinstance(choice, str) for choice in choices):
+        return click.Choice(choices)
+    return Number(base, bool(field.metadata.get("optional")))
 
 
 def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
@@ -73,11 +80,8 @@ def value_of(method: type[Filter], name: str, text: str, option: str) -> Any:
     known = fields(method)
     if name not in known:
         raise ParameterError(f"{option} {name}: {method.__name__} has no such field; it has {', '.join(known)}")
-    base = _base(typing.get_type_hints(method)[name])
-    optional = bool(known[name].metadata.get("optional"))
-    kind = click.BOOL if base is bool else Number(base, optional)
     try:
-        return kind.convert(text, None, None)
+        return _kind(method, known[name]).convert(text, None, None)
     except click.UsageError as error:
         raise ParameterError(f"{option} {name}={text}: {error.message}") from error
 
@@ -88,3 +92,15 @@ def words_for(name: str, value: Any) -> list[str]:
     if isinstance(value, bool):
         return [flag if value else f"--no-{flag[2:]}"]
     return [flag, "none" if value is None else str(value)]
+
+
+def changed(filter_: Filter, base: Filter) -> dict[str, Any]:
+    """The fields in which a filter differs from another of its kind."""
+    values = {name: getattr(filter_, name) for name in fields(type(filter_))}
+    return {name: value for name, value in values.items() if value != getattr(base, name)}
+
+
+def command_for(filter_: Filter, names: Sequence[str], base: Filter) -> list[str]:
+    """The words of a command that runs a filter over files, after those that make ``base`` of it."""
+    words = (word for name, value in changed(filter_, base).items() for word in words_for(name, value))
+    return ["jaxfilter", "ground", type(filter_).__name__.lower(), *names, *words]

@@ -3,265 +3,207 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from ..core.reading import KEPT_CLASSES
-from .session import BadUsage, Session, in_flags
-from .values import Bytes, Number
+from ..core.reading import KEPT_CLASSES, Reading
+from .session import BadUsage, Session
+from .values import BOX, CLASS, COUNT, METRES, Bytes, Number, option
 
 if TYPE_CHECKING:
-    from ..core.reading import Reading
     from ..files.storage import Place
     from ..surveys.collection import Collection
     from ..surveys.measures import Recipe
     from ..surveys.options import RunOptions
 
-Metres = click.FloatRange(0, min_open=True)
-OPTIONS = {
-    "units": click.Option(
-        ["--units"],
-        metavar="UNIT",
-        help="Units of the coordinates: m, ft, us-ft, or XY,Z such as us-ft,m.  [default: as the CRS says]",
-    ),
-    "bounds": click.Option(
-        ["--bounds"],
-        nargs=4,
-        type=float,
-        metavar="XMIN YMIN XMAX YMAX",
-        help="Read and write only the points within this box, in file units.",
-    ),
-    "returns": click.Option(
-        ["--returns"],
-        default="last,only",
-        help="Echoes to judge: first, intermediate, last, only, or all.",
-    ),
-    "ignore_classes": click.Option(
-        ["--ignore-class", "ignore_classes"],
-        type=Number(int, optional=True),
+T = TypeVar("T")
+UNITS = option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT")
+BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
+READING = [
+    UNITS,
+    BOUNDS,
+    option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
+    option(
+        "--ignore-class ignore_classes",
+        "Points of this class are not judged and keep it. Replaces the default; none judges all.",
+        Number(int, optional=True),
         multiple=True,
         default=KEPT_CLASSES,
         show_default="7, 9, and all from 17 on",
-        help="Points of this class are not judged and keep it; may be repeated. Replaces the default; none judges all.",
+        callback=lambda context, parameter, given: tuple(number for number in given if number is not None),
     ),
-    "ignore_overlap": click.Option(
-        ["--ignore-overlap"], is_flag=True, help="Points of class 12 or with the overlap flag are not judged either."
+    option("--ignore-overlap", "Points of class 12 or with the overlap flag are not judged either.", bool),
+    option("--keep-withheld", "Judge points with the withheld flag as well.", bool),
+    option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool),
+]
+"""Fields of Reading."""
+FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
+PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
+FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
+WIDTH = option(
+    "--largest-building", "Width of the largest building; sets what depends on it, as --for-cloud does.", METRES
+)
+BY_DATA = [FOR_CLOUD, WIDTH]
+FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
+FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
+"""What makes a Recipe."""
+CLASSES = option("--ground-class ground_classes", "Class of the ground points.", CLASS, multiple=True, default=(2,))
+GROUND = [*FILTER, CLASSES, UNITS]
+"""What is ground."""
+RUN = [
+    option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
+    option(
+        "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
     ),
-    "keep_withheld": click.Option(
-        ["--keep-withheld"], is_flag=True, help="Judge points with the withheld flag as well."
-    ),
-    "drop_invalid": click.Option(
-        ["--drop-invalid"], is_flag=True, help="Label NaN and infinite coordinates non-ground."
-    ),
-    "for_cloud": click.Option(
-        ["--for-cloud"], is_flag=True, help="Set parameters that depend on point spacing from the data."
-    ),
-    "largest_building": click.Option(
-        ["--largest-building"],
-        type=Metres,
-        metavar="METRES",
-        help="Width of the largest building. Set the parameters that depend on it, and those of --for-cloud.",
-    ),
-    "set": click.Option(
-        ["--set", "fields"],
-        metavar="NAME=VALUE",
-        multiple=True,
-        help="A parameter of the filter; may be repeated.",
-    ),
-    "preset": click.Option(["--preset"], metavar="NAME", help="A named set of parameters of the filter to start from."),
-    "filter": click.Option(
-        ["--filter", "method"],
-        metavar="METHOD",
-        help="Find the ground with this filter instead of by class or label.",
-    ),
-    "ground_classes": click.Option(
-        ["--ground-class", "ground_classes"],
-        type=click.IntRange(0, 255),
-        multiple=True,
-        default=(2,),
-        help="Class of the ground points; may be repeated.",
-    ),
-    "tile": click.Option(
-        ["--tile"],
-        type=Metres,
-        metavar="METRES",
-        help="Side of the tiles that large data are cut into.  [default: as holds about 5 million points]",
-    ),
-    "halo": click.Option(
-        ["--halo"],
-        type=click.FloatRange(0),
-        metavar="METRES",
-        help="Width around each tile that the filter sees as well.  [default: what the method needs]",
-    ),
-    "workers": click.Option(
-        ["--workers"],
-        type=click.IntRange(1),
-        help="Number of processes, or of threads if there is one tile.  [default: one per core]",
-    ),
-    "threads": click.Option(
-        ["--workers"], type=click.IntRange(1), help="Number of threads for triangulation.  [default: one per core]"
-    ),
-    "memory": click.Option(
-        ["--memory"],
-        type=Bytes(),
-        help="Memory for all processes together, such as 4GB.  [default: 70 % of what is free]",
-    ),
-    "client": click.Option(
-        ["--scheduler", "client"],
-        metavar="ADDRESS",
-        help="Address of a Dask scheduler, whose workers then do the work.",
-    ),
-    "work": click.Option(
-        ["--work"],
-        metavar="FOLDER",
-        help="Local folder where a run keeps what it needs to go on; needed for several files into a URL.  [default: beside OUT]",
-    ),
-    "resume": click.Option(["--resume"], is_flag=True, help="Go on with the run that was begun for OUT."),
-    "overwrite": click.Option(["--overwrite"], is_flag=True, help="Replace OUT if it exists, and begin the run anew."),
-    "in_place": click.Option(
-        ["--in-place"], is_flag=True, help="Replace the files IN. Then all names are IN; there is no OUT."
-    ),
-}
-"""Every shared option."""
-READING = ("units", "bounds", "returns", "ignore_classes", "ignore_overlap", "keep_withheld", "drop_invalid")
-RUN = ("tile", "halo", "workers", "memory", "client", "work", "resume", "overwrite", "in_place")
+    option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
+    option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", Bytes()),
+    option("--scheduler client", "Address of a Dask scheduler, whose workers then do the work.", "ADDRESS"),
+    option("--work", "Local folder for what a run keeps to go on; several files into a URL need one.", "FOLDER"),
+    option("--resume", "Go on with the run that was begun for OUT.", bool),
+    option("--overwrite", "Replace OUT if it exists, and begin the run anew.", bool),
+    option("--in-place", "Replace the files IN. Then all names are IN; there is no OUT.", bool),
+]
+"""Fields of RunOptions."""
+THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
+MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
+SWEPT = [FIELDS, PRESET, WIDTH, UNITS, MEMORY, THREADS]
+"""What sweeps and calibrations share."""
+REPLACE = option("--overwrite", "Replace what exists.", bool)
 
 
-def with_options(*given: str | click.Option) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A decorator that gives a command these options, in this order."""
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        made = [OPTIONS[one] if isinstance(one, str) else one for one in given]
-        command.__dict__.setdefault("__click_params__", []).extend(reversed(made))
-        return command
-
-    return decorate
-
-
-def take_reading(options: dict[str, Any]) -> Reading:
-    """The value of the options of :data:`READING` that a command has, which are taken out. Raises BadUsage."""
-    from ..core.errors import InputError
-    from ..core.reading import Reading
-
-    given = {name: options.pop(name) for name in READING if name in options}
-    if "ignore_classes" in given:
-        given["ignore_classes"] = tuple(c for c in given["ignore_classes"] if c is not None)
-    try:
-        return Reading(**given)
-    except InputError as error:
-        raise BadUsage(in_flags(str(error))) from error
+def take(kind: type[T], options: dict[str, Any], **more: Any) -> T:
+    """A value of the library, a dataclass, from the options that are named as its fields, which are taken out, and ``more``."""
+    names = [field.name for field in dataclasses.fields(kind) if field.name in options]  # type: ignore[arg-type]
+    return kind(**{name: options.pop(name) for name in names}, **more)
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:
-    """The value of the options of :data:`RUN`, which are taken out; the session shows progress. Raises ParameterError."""
+    """How a run is carried out; the session shows its progress. Raises ParameterError."""
     from ..surveys.options import RunOptions
     from ..surveys.report import Standing
 
+    told = False
+
     def show(standing: Standing) -> None:
+        nonlocal told
         many = standing.tiles > 1
+        if many and not told:
+            told = True
+            session.note(
+                f"{standing.tiles:,} tiles; with their surroundings each point is read {standing.times_read:.1f} times"
+            )
         note = f"{standing.tiles_done:,} of {standing.tiles:,}" if many else ""
         session.progress(standing.share, standing.step, note, standing.rate if many else None)
 
-    return RunOptions(**{name: options.pop(name) for name in RUN if name in options}, progress=show)
+    return take(RunOptions, options, progress=show)
 
 
 def take_recipe(options: dict[str, Any]) -> Recipe | None:
-    """The filter that ``method``, ``fields``, ``preset``, ``for_cloud`` and ``largest_building`` describe, which are taken out;
-    None without a method. Raises BadUsage for names that there are not, ParameterError for values."""
-    from ..methods import FILTERS
+    """The filter that the options of :data:`FILTER` describe, which are taken out; None without a method. Raises BadUsage for
+    names that there are not, ParameterError for values."""
     from ..surveys.measures import Recipe
     from . import flags
 
-    method, fields, preset, width = (
-        options.pop(name, None) for name in ("method", "fields", "preset", "largest_building")
-    )
-    for_cloud = options.pop("for_cloud", False)
-    if method is None:
-        if fields or preset or for_cloud or width:
+    name, fields = options.pop("filter"), options.pop("fields")
+    if name is None:
+        if any([fields, *(options.pop(one) for one in ("preset", "for_cloud", "largest_building"))]):
             raise BadUsage("--set, --preset, --for-cloud and --largest-building need --filter METHOD")
         return None
-    if method not in FILTERS:
-        raise BadUsage(f"no method {method!r}: choose one of {', '.join(FILTERS)}")
-    kind = FILTERS[method]
-    if preset is not None and preset not in kind.PRESETS:
-        raise BadUsage(f"--preset {preset!r}: {kind.__name__} has {', '.join(kind.PRESETS)}")
-    changes = {name: flags.value_of(kind, name, text, "--set") for name, text in pairs("--set", fields or ())}
-    recipe = Recipe(kind, changes, preset, for_cloud, width)
+    method = flags.method_of(name)
+    changes = {field: flags.value_of(method, field, text, "--set") for field, text in pairs("--set", fields).items()}
+    recipe = take(Recipe, options, method=method, changes=changes)
     recipe.alone()
     return recipe
 
 
-def pairs(option: str, texts: Sequence[str]) -> list[tuple[str, str]]:
+def pairs(flag: str, texts: Sequence[str]) -> dict[str, str]:
     """Field and value of FIELD=VALUE; a field with dashes is the one with underscores. Raises BadUsage."""
     found: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         name = name.strip().replace("-", "_")
         if not equals or not name:
-            raise BadUsage(f"{option} {text!r}: write it as FIELD=...")
+            raise BadUsage(f"{flag} {text!r}: write it as FIELD=...")
         if name in found:
-            raise BadUsage(f"{option} {name}: given twice")
+            raise BadUsage(f"{flag} {name}: given twice")
         found[name] = value.strip()
-    return list(found.items())
+    return found
 
 
-def split_names(names: Sequence[str], in_place: bool, bare: bool = False) -> tuple[list[str], str | None]:
-    """IN and OUT. Raises BadUsage if one is missing, or a local IN stands for nothing; ``bare``: the first might be meant as a
-    method."""
+def check_inputs(names: Sequence[str], bare: bool = False) -> None:
+    """Raises BadUsage for a local name of nothing; ``bare``: the first might be meant as a method."""
     from ..methods import FILTERS
 
-    *inputs, out = (*names, None) if in_place else names
-    if not inputs:
-        raise BadUsage("OUT is missing: name a file or a folder to write, or pass --in-place")
-    for number, name in enumerate(inputs):
-        assert name is not None
-        if "://" in name or any(c in name for c in "*?[") or Path(name).exists():
-            continue
-        first = bare and number == 0 and "." not in name
-        words = f", and no method: choose one of {', '.join(FILTERS)}" if first else ""
-        raise BadUsage(f"{name}: no such file or folder{words}")
-    return inputs, out  # type: ignore[return-value]
+    for name in names:
+        if "://" not in name and not any(c in name for c in "*?[") and not Path(name).exists():
+            method = bare and name == names[0] and "." not in name
+            words = f", and no method: choose one of {', '.join(FILTERS)}" if method else ""
+            raise BadUsage(f"{name}: no such file or folder{words}")
 
 
 def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = ()) -> None:
-    """Raises BadUsage if ``target`` exists and not ``overwrite``, cannot be written, or has none of the suffixes."""
-    from ..core.errors import JaxfilterError
+    """Raises BadUsage if ``target`` exists and not ``overwrite``, or has none of the suffixes; OutputError if it cannot be
+    written."""
     from ..files.disk import is_there
 
     if suffixes and target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
-    try:
-        there = is_there(target)
-    except JaxfilterError as error:
-        raise BadUsage(str(error)) from error
-    if there and not overwrite:
+    if is_there(target) and not overwrite:
         raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
     if isinstance(target, Path) and not target.absolute().parent.is_dir():
         raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
 
 
-def check_out(out: str | None, inputs: Sequence[str], run: RunOptions) -> None:
-    """Refuse an output that cannot be, before anything is read. Raises BadUsage."""
-    from ..core.errors import JaxfilterError
-    from ..surveys import targets
+@dataclasses.dataclass(frozen=True)
+class Files:
+    """What a command over files works on.
 
-    try:
-        if out is not None:
-            targets.check_out(out, inputs, run)
-    except JaxfilterError as error:
-        raise BadUsage(in_flags(str(error))) from error
+    Attributes:
+        inputs, out: names; no ``out`` in place.
+        collection: the inputs.
+        reading, run: what the options say.
+    """
+
+    inputs: list[str]
+    out: str | None
+    collection: Collection
+    reading: Reading
+    run: RunOptions
+
+    @property
+    def output(self) -> str:
+        """Where the results go."""
+        return self.out or ", ".join(self.inputs)
 
 
-def open_inputs(session: Session, inputs: Sequence[str], reading: Reading) -> Collection:
-    """The files that are named; what does not fit together in several of them is noted."""
+def open_files(
+    session: Session, names: Sequence[str], options: dict[str, Any], suffixes: Sequence[str] = (), bare: bool = False
+) -> Files:
+    """The files that a command names; what does not fit together in several of them is noted.
+
+    ``suffixes``: of an output that is no file of points; ``bare``: the first name might be meant as a method. Raises: BadUsage,
+    JaxfilterError.
+    """
+    from ..files.storage import place_of
     from ..surveys.collection import open as open_collection
+    from ..surveys.targets import check_out
 
+    reading, run = take(Reading, options), take_run(options, session)
+    inputs, out = (list(names), None) if run.in_place else (list(names[:-1]), names[-1])
+    if not inputs:
+        raise BadUsage("OUT is missing: name a file or a folder to write, or pass --in-place")
+    check_inputs(inputs, bare)
+    if out is not None:
+        if suffixes:
+            check_target(place_of(out), run.overwrite or run.resume, suffixes)
+        else:
+            check_out(out, inputs, run)
     with session.step("headers"):
         collection = open_collection(inputs, units=reading.units)
         findings = [] if len(collection) < 2 else dataclasses.replace(collection.check(), mixed=None).lines()
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")
-    return collection
+    return Files(inputs, out, collection, reading, run)

@@ -1,78 +1,74 @@
-"""What commands print: the summary of a run, tables of classes, JSON."""
+"""What commands print: the summary of a run, tables of classes, JSON; and how they run, in a session."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
 from ..core.result import Status
-from .session import Session, logger
+from .session import BadUsage, Session, logger
+from .values import OUTPUT, option
 
 if TYPE_CHECKING:
     from ..surveys.report import RunReport
+    from .options import Files
 
 _CUT_LISTED = 5
 
 
-def run_facts(report: RunReport, session: Session) -> dict[str, Any]:
+def run_facts(session: Session, report: RunReport, files: Files | None = None) -> dict[str, Any]:
     """The summary of a run, in plain Python values."""
-    facts = report.as_dict() | session.as_dict()
-    facts |= {"seconds": dict(report.seconds), "remarks": dict(report.remarks)}
+    facts = session.as_dict() | report.as_dict()
     if report.tiles == 1 and len(report.statuses) == 1:
         (status,) = report.statuses
         facts |= {"status": status, "message": Status[status].message}
+    if files is not None:
+        facts |= {"input": files.inputs[0] if len(files.inputs) == 1 else files.inputs, "output": files.output}
     return facts
 
 
 def print_report(report: dict[str, Any]) -> None:
     """Print what `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
-    ground, points = report["ground"], report["points"]
+    ground, points, compiled = report["ground"], report["points"], report["compilations"]
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
     click.echo(
         f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({100 * ground / max(points, 1):.1f} %), "
         f"{report['candidates']:,} were judged"
     )
-    kept = (report.get("of_ground_class") or ground) - ground
-    if kept:
-        name, what = report["ground_class"], "that were not judged" if report["all_reset"] else "that are not ground"
-        holder = "the files now have" if files else "the file now has"
-        verb = "keeps" if kept == 1 else "keep"
-        click.echo(
-            f"{count(kept, 'point')} {what} {verb} class {name}; {holder} {count(report['of_ground_class'], 'point')} of it"
-        )
+    if kept := (report.get("of_ground_class") or ground) - ground:
+        what = "that were not judged" if report["all_reset"] else "that are not ground"
+        words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
+        of_class = count(report["of_ground_class"], "point")
+        click.echo(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
     xy, z = report.get("metres_per_unit", (1.0, 1.0))
     if (xy, z) != (1.0, 1.0):
         click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
-    if report["barred"]:
-        click.echo(
-            f"{count(report['barred'], 'point')} could not be seeds, since they are outliers; {report['barred_ground']:,} of "
-            "them became ground later"
-        )
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
-    compiled = report["compilations"]
-    click.echo(
-        f"{report['method']}: {ended}; {times(report['seconds'])}; {compiled['count']} compilations in "
-        f"{compiled['seconds']:.2f} s"
-    )
-    if report.get("tiles", 1) > 1:
-        click.echo(
-            f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s; with their halos they hold "
-            f"{report['read'] / max(points, 1):.2f} times the points"
-        )
-    if listed := report.get("review"):
-        click.echo(
-            f"{listed['output']}: {listed['places']:,} places with {listed['expected_errors']:,.0f} expected errors"
-        )
+    made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
+    click.echo(f"{report['method']}: {ended}; {times(report['seconds'])}; {made}")
+    if report["tiles"] > 1:
+        click.echo(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
+    if listed := report["review"]:
+        click.echo(f"{listed['output']}: {listed['places']:,} places, {listed['expected_errors']:,.0f} expected errors")
     if labels := report.get("labels"):
         click.echo("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
-    print_overlap(report.get("overlap", {}))
-    if report.get("classes"):
-        print_classes(report["classes"])
+    marked = report["overlap"]
+    if marked.get("points"):
+        what = f"{marked['judged']:,} of them were judged and {marked['ground']:,} are ground; --ignore-overlap sets them aside"
+        what = what if marked["judged"] else "were not judged"
+        click.echo(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
+    if report["classes"]:
+        moves = [(one["before"], one["after"], one["points"]) for one in report["classes"]]
+        rows = [(str(old), "kept" if old == new else str(new), f"{points:,}") for old, new, points in moves]
+        print_table(("class before", "class after", "points"), rows)
 
 
 def tell(session: Session, report: RunReport) -> None:
@@ -120,45 +116,15 @@ def count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def print_overlap(counts: dict[str, int]) -> None:
-    """What became of points in the overlap of flight lines, if there are any."""
-    if not counts.get("points"):
-        return
-    what = "were not judged"
-    if counts["judged"]:
-        what = f"{counts['judged']:,} of them were judged and {counts['ground']:,} are ground; --ignore-overlap sets them aside"
-    click.echo(f"{counts['points']:,} points are of class 12 or have the overlap flag: {what}")
-
-
-def print_classes(changes: list[dict[str, int]]) -> None:
-    """A table of old and new classes."""
-    moves = ((change["before"], change["after"], change["points"]) for change in changes)
-    rows = [(str(old), "kept" if old == new else str(new), f"{points:,}") for old, new, points in moves]
-    print_table(("class before", "class after", "points"), rows)
-
-
-def print_table(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0, title: str | None = None) -> None:
-    """Print a table on standard output; columns are set to the right, but the first ``left`` ones.
-
-    Values that are too long for a terminal are folded, since a number that is cut off is of no use; other programs get a line
-    for each row.
-    """
-    from rich.table import Table
-
-    table = Table(title=title)
-    for number, name in enumerate(heading):
-        table.add_column(name, justify="left" if number < left else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    console = Console()
-    if not console.is_terminal:
-        console.width = 10_000
-    console.print(table)
-
-
-def print_json(value: Any) -> None:
-    """Print a value on standard output."""
-    click.echo(json_text(value))
+def print_table(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0, title: str = "") -> None:
+    """Print a table on standard output, a line for each row; columns are set to the right, but the first ``left`` ones."""
+    lines = [heading, *rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    if title:
+        click.echo(title)
+    for line in lines:
+        cells = [f"{cell:{'<' if k < left else '>'}{widths[k]}}" for k, cell in enumerate(line)]
+        click.echo("  ".join(cells).rstrip())
 
 
 def json_text(value: Any) -> str:
@@ -177,3 +143,52 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None if math.isnan(value) else str(value)
     return value if value is None or isinstance(value, (bool, int, str)) else str(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What a command has found.
+
+    Attributes:
+        facts: printed by --json.
+        show: text for people, or what prints it.
+        always: printed with --quiet as well.
+        complete: False: something could not be done, and the exit code is 1.
+    """
+
+    facts: dict[str, Any]
+    show: str | Callable[[], None]
+    always: bool = False
+    complete: bool = True
+
+
+def session_options() -> list[click.Option]:
+    """The options of every command that works."""
+    return [
+        option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
+        option("--json as_json", "Print the result as JSON.", bool),
+        option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
+        option("--debug", "Show the traceback of an error.", bool),
+    ]
+
+
+def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
+    """A decorator: ``command`` gets a Session before its arguments, and the options of all commands that work."""
+
+    @functools.wraps(command)
+    def run(*, quiet: bool, as_json: bool, debug: bool, log: Path | None, **arguments: Any) -> None:
+        names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
+        files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
+        if log is not None and os.path.realpath(log) in files:
+            raise BadUsage(f"--log {log}: is an input or output as well: name another file")
+        with Session(quiet=quiet, debug=debug, log=log) as session:
+            answer = command(session, **arguments)
+        if as_json:
+            click.echo(json_text(session.as_dict() | answer.facts))
+        elif answer.always or not quiet:
+            click.echo(answer.show) if isinstance(answer.show, str) else answer.show()
+        if not answer.complete:
+            click.get_current_context().exit(1)
+
+    run.__dict__["__click_params__"] = session_options()[::-1]
+    return run

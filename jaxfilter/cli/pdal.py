@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from .answer import Answer, in_session
 from .commands import main
-from .options import with_options
+from .options import UNITS
+from .output import Answer, in_session
 from .session import Session
-from .values import INPUT
+from .values import INPUT, with_options
 
 if TYPE_CHECKING:
     from ..core.units import Units
@@ -24,7 +24,7 @@ _SUFFIXES = (".las", ".laz")
 
 @main.command("from-pdal")
 @click.argument("pipeline", metavar="PIPELINE.json", type=INPUT)
-@with_options("units")
+@with_options(UNITS)
 @in_session
 def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
     """Print the command that does what the ground stage of a pipeline of PDAL does.
@@ -90,18 +90,13 @@ def _words(found: Translation, units: str | None) -> tuple[list[str], list[str]]
     elif Path(out).suffix.lower() not in _SUFFIXES or out.lower().endswith(".copc.laz"):
         remarks.append(f"{out} cannot be written: OUT is LAS or LAZ")
         out = "OUT.laz"
-    words = ["jaxfilter", "ground", type(filter_).__name__.lower(), *inputs, out]
-    words += ["--preset", found.preset] if base != type(filter_)() else []
-    for name in flags.fields(type(filter_)):
-        value: Any = getattr(filter_, name)
-        if value != getattr(base, name):
-            words += flags.words_for(name, value)
-    reading, writing = found.reading, found.writing
-    words += ["--returns", reading["returns"]] if "returns" in reading else []
-    for number in reading["ignore_classes"] or ("none",):
+    preset = ["--preset", found.preset] if base != type(filter_)() else []
+    words = flags.command_for(filter_, [*inputs, out, *preset], base)
+    reading = dict(found.reading)
+    for number in reading.pop("ignore_classes") or ("none",):
         words += ["--ignore-class", str(number)]
-    words += ["--keep-withheld"] if reading["keep_withheld"] else []
-    words += ["--units", units] if units else []
-    for name, value in writing.items():
-        words += flags.words_for(name, value)
+    if units:
+        reading["units"] = units
+    for name, value in {**reading, **found.writing}.items():
+        words += [] if value is False else flags.words_for(name, value)
     return words, remarks

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .answer import Answer, in_session
+from ..core.reading import Reading
 from .commands import main
-from .options import check_target, take_reading, take_recipe, with_options
-from .output import times
+from .options import BOUNDS, FILTER, REPLACE, THREADS, UNITS, check_target, take, take_recipe
+from .output import Answer, in_session, times
 from .session import BadUsage, Session
-from .values import CLASS, INPUT, OUTPUT
+from .values import CLASS, COUNT, INPUT, OUTPUT, option, with_options
 
 if TYPE_CHECKING:
     from ..core.cloud import PointCloud
-    from ..core.reading import Reading
 
 OWN = "own"
 """The word for the labels of IN as a reference."""
@@ -25,26 +24,23 @@ OWN = "own"
 @main.command()
 @click.argument("source", metavar="IN", type=INPUT)
 @click.argument("target", metavar="OUT.html", type=OUTPUT)
-@with_options("filter", "set", "preset", "for_cloud", "largest_building")
-@click.option(
-    "--reference",
-    metavar="FILE|own",
-    help="Show errors against the ground labels of this file, which holds the same points in any order; own takes those of IN.",
+@with_options(
+    *FILTER,
+    option(
+        "--reference",
+        "Show errors against the ground labels of this file, which holds the same points in any order; own takes those of IN.",
+        "FILE|own",
+    ),
+    option("--ground-class", "Class of the ground points of IN, if there is no --filter.", CLASS, default=2),
+    option(
+        "--steps",
+        "Number of positions of the slider; at most 15 where each is a classification.  [default: as many as are quick]",
+        click.IntRange(0, 250),
+    ),
+    option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
+    option("--title", "Title of the page.  [default: the name of IN]"),
+    *(BOUNDS, UNITS, THREADS, REPLACE),
 )
-@click.option(
-    "--ground-class", type=CLASS, default=2, help="Class of the ground points of IN, if there is no --filter."
-)
-@click.option(
-    "--steps",
-    type=click.IntRange(0, 250),
-    help="Number of positions of the slider; 0 for no slider. If the threshold is not applied last, each position is a "
-    "classification, and there are at most 15."
-    "  [default: as many as are quick]",
-)
-@click.option("--max-points", type=click.IntRange(1), default=1_500_000, help="Draw at most this many points.")
-@click.option("--title", help="Title of the page.  [default: the name of IN]")
-@with_options("bounds", "units", "threads")
-@click.option("--overwrite", is_flag=True, help="Replace OUT.html if it exists.")
 @in_session
 def report(
     session: Session,
@@ -53,7 +49,7 @@ def report(
     reference: str | None,
     ground_class: int,
     overwrite: bool,
-    **settings: Any,
+    **options: Any,
 ) -> Answer:
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
 
@@ -68,8 +64,7 @@ def report(
     check_target(target, overwrite, SUFFIXES)
     if target.exists() and target.samefile(source):
         raise BadUsage(f"{target} is both input and output: name another file")
-    how, recipe = take_reading(settings), take_recipe(settings)
-    options = ReportOptions(**settings)
+    how, recipe, shown = take(Reading, options), take_recipe(options), take(ReportOptions, options)
     if recipe is None and reference == OWN:
         raise BadUsage("--reference own: the labels of IN are what is shown; name a file, or pass --filter METHOD")
     if reference not in (None, OWN) and not Path(str(reference)).is_file():
@@ -81,18 +76,18 @@ def report(
     if recipe is not None:
         filter_ = recipe.on(cloud)
         with session.step("filter", len(cloud)):
-            result = filter_(cloud, workers=options.workers, progress=session.progress)
+            result = filter_(cloud, workers=shown.workers, progress=session.progress)
         ground = result.ground
     else:
         result = ground = _labels(cloud, source, ground_class)
     with session.step("report", len(cloud)):
         write_report(
-            cloud, result, target, reference=truth, options=options, overwrite=overwrite, progress=session.progress
+            cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
         )
     size, count = target.stat().st_size, int(ground.sum())
     facts = {"input": str(source), "output": str(target), "points": len(cloud), "ground": count, "bytes": size}
     return Answer(
-        facts | session.as_dict(),
+        facts,
         f"{target}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}",
     )
 

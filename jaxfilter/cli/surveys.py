@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .answer import Answer, in_session
+from ..core.reading import Reading
 from .commands import main
-from .options import check_target, take_reading, with_options
-from .output import count, print_table
-from .session import BadUsage, Session, in_flags
-from .values import OUTPUT
+from .options import REPLACE, UNITS, check_inputs, check_target
+from .output import Answer, count, in_session, print_table
+from .session import Session, in_flags
+from .values import OUTPUT, option, with_options
 
 if TYPE_CHECKING:
     from ..surveys.collection import Collection
@@ -24,10 +24,12 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 
 @main.command()
 @click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
-@with_options("units")
-@click.option("--vpc", type=OUTPUT, help="Write the survey as a virtual point cloud.")
-@click.option("--map", "picture", type=OUTPUT, help="Draw a map of the files as PNG, PDF or SVG.")
-@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@with_options(
+    UNITS,
+    option("--vpc", "Write the survey as a virtual point cloud.", OUTPUT),
+    option("--map picture", "Draw a map of the files as PNG, PDF or SVG.", OUTPUT),
+    REPLACE,
+)
 @in_session
 def info(
     session: Session, names: tuple[str, ...], units: str | None, vpc: Path | None, picture: Path | None, overwrite: bool
@@ -38,58 +40,23 @@ def info(
     what does not fit together in it: overlaps, gaps, doubles, files that cannot be read, mixed CRS or units.
     """
     from ..files import reading
+    from ..files.disk import new_file
+    from ..files.storage import place_of
+    from ..surveys.collection import open as open_survey
 
-    take_reading({"units": units})  # checks them
-    _check_names(names)
+    Reading(units=units)  # checks them
+    check_inputs(names)
     for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
         if target is not None:
             check_target(target, overwrite, suffixes)
-    one = None if vpc is not None or picture is not None else _one_file(names)
-    if one is None:
-        return _survey(session, names, units, vpc, picture, overwrite)
-    facts = reading.info(one, units=units)
-    lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in facts.items()}
-    width = max(len(k) for k in lines)
-    return Answer(facts, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
-
-
-def _plain(value: Any) -> str:
-    """A fact on a file in words: no brackets, and no digits that say nothing."""
-    if isinstance(value, dict):
-        return ", ".join(f"{key}: {one:,}" for key, one in value.items() if one) or "none"
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "none" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _check_names(names: tuple[str, ...]) -> None:
-    """Raises BadUsage for local names of nothing."""
-    from ..files.storage import place_of
-
-    for name in names:
-        place = place_of(name)
-        if isinstance(place, Path) and not place.exists() and not any(c in name for c in "*?["):
-            raise BadUsage(f"{name}: no such file or folder")
-
-
-def _one_file(names: tuple[str, ...]) -> Path | None:
-    """The one local file of points that is named, to be read as a whole; None for a survey."""
-    from ..files.storage import place_of
-
     place = place_of(names[0])
-    if len(names) > 1 or not isinstance(place, Path) or not place.is_file() or place.suffix.lower() == ".vpc":
-        return None
-    return place
-
-
-def _survey(
-    session: Session, names: tuple[str, ...], units: str | None, vpc: Path | None, picture: Path | None, overwrite: bool
-) -> Answer:
-    from ..files.disk import new_file
-    from ..surveys.collection import open as open_survey
-
+    one_file = len(names) == 1 and isinstance(place, Path) and place.is_file() and place.suffix.lower() != ".vpc"
+    if one_file and vpc is None and picture is None:
+        with session.reading(place):
+            about = reading.info(place, units=units)
+        lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in about.items()}
+        width = max(len(k) for k in lines)
+        return Answer(about, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
     with session.step("headers"):
         survey = open_survey(names, units=units)
     with session.step("check"):
@@ -117,9 +84,19 @@ def _survey(
         "units": None if mixed else str(survey.units),
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
-        **session.as_dict(),
     }
     return Answer(facts, show)
+
+
+def _plain(value: Any) -> str:
+    """A fact on a file in words: no brackets, and no digits that say nothing."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {one:,}" for key, one in value.items() if one) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "none" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _print_survey(survey: Collection) -> None:

@@ -1,23 +1,22 @@
-"""The ``sweep`` command: many sets of parameters."""
+"""The commands ``sweep``, many sets of parameters, and ``calibrate``, those that suit a cloud by labels of some of its points."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import importlib.util
-from collections.abc import Callable, Iterator
+import shlex
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .answer import Answer, in_session
+from ..core.reading import Reading
 from .commands import main
-from .options import pairs, take_reading, take_recipe, with_options
-from .output import count, print_table, times
+from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
+from .output import Answer, count, in_session, json_text, print_table, times
 from .session import BadUsage, Session
-from .values import FOLDER, INPUT
+from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option, with_options
 
 if TYPE_CHECKING:
     import pandas
@@ -25,49 +24,36 @@ if TYPE_CHECKING:
 
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
-    from ..core.reading import Reading
 
-MEMORY = click.Option(
-    ["--memory"],
-    type=click.FloatRange(0, min_open=True),
-    default=2.0,
-    metavar="GB",
-    help="Sets that are computed at the same time hold at most this much memory.",
-)
+SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 
 
 @main.command()
-@click.argument("method", metavar="METHOD")
+@click.argument("filter", metavar="METHOD")
 @click.argument("sources", metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT)
 @click.argument("directory", metavar="OUT_DIR", type=FOLDER)
-@click.option(
-    "--axis",
-    "axes",
-    metavar="FIELD=VALUES",
-    multiple=True,
-    required=True,
-    help="Values of a field: V,V,... or START:STOP:STEP (with STOP), or LOW..HIGH to draw from; may be repeated.",
+@with_options(
+    option(
+        "--axis axes",
+        "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from.",
+        "FIELD=VALUES",
+        multiple=True,
+        required=True,
+    ),
+    option(
+        "--design",
+        "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ...",
+        click.Choice(["grid", "random", "sobol", "list"]),
+        default="grid",
+    ),
+    option("--size", "Number of sets of a random or sobol design.", int),
+    option("--seed", "Seed of a random or sobol design.", SEED, default=0),
+    option("--votes", "Count for every point how many sets call it ground.", bool),
+    option("--score", "The sets are sorted by this score.", click.Choice(SCORES), default="total"),
+    *SWEPT,
+    click.Option(["--resume/--fresh"], default=True, help="Go on with the sweep in OUT_DIR, or replace it."),
 )
-@click.option(
-    "--design",
-    type=click.Choice(["grid", "random", "sobol", "list"]),
-    default="grid",
-    help="grid runs all combinations, random and sobol draw --size sets, list takes the first values of all axes, then the "
-    "second ones, and so on.",
-)
-@click.option("--size", type=int, help="Number of sets of a random or sobol design.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Seed of a random or sobol design.")
-@with_options("set", "preset", "largest_building")
-@click.option("--votes", is_flag=True, help="Count for every point how many sets call it ground.")
-@click.option(
-    "--score",
-    type=click.Choice(["total", "kappa", "type1", "type2"]),
-    default="total",
-    help="The sets are sorted by this score.",
-)
-@with_options("units", MEMORY, "threads")
-@click.option("--resume/--fresh", default=True, help="Go on with the sweep in OUT_DIR, or replace it.")
 @in_session
 def sweep(
     session: Session,
@@ -81,21 +67,22 @@ def sweep(
     """Classify with many sets of parameters, and score each against the labels of IN.
 
     Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
-    scores (NetCDF, for xarray); sets.csv, a line per set, best first; and pictures, where matplotlib is installed. An
-    interrupted sweep goes on where it was when the command is given again.
+    scores (NetCDF, for xarray); sets.csv, a line per set, best first; and pictures. An interrupted sweep goes on where it
+    was when the command is given again.
     """
     from ..core.errors import InputError
     from ..sweeps import sweep as sweeps
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    recipe, memory, reading = take_recipe(options), options.pop("memory"), take_reading(options)
+    recipe, reading = take_recipe(options), take(Reading, options)
     assert recipe is not None
     filter_ = recipe.alone()
     assert filter_ is not None
     design = {name: options.pop(name) for name in ("design", "size", "seed")}
-    ranges = {name: _axis(type(filter_), name, text, design["design"]) for name, text in pairs("--axis", axes)}
-    plan = make_design(filter_, ranges, design["design"], design["size"], design["seed"])
+    drawn = design["design"] in ("random", "sobol")
+    ranges = {name: axis(type(filter_), name, text, drawn) for name, text in pairs("--axis", axes).items()}
+    plan = make_design(filter_, ranges, *design.values())
     checkpoint = directory / CHECKPOINT
     if resume and (directory / DATASET).exists() and not checkpoint.exists():
         raise BadUsage(f"{directory} holds {DATASET} of another sweep: name another folder, or pass --fresh")
@@ -109,9 +96,17 @@ def sweep(
     directory.mkdir(parents=True, exist_ok=True)
     if not resume:
         checkpoint.unlink(missing_ok=True)
-    options |= design | {"memory": memory * 1e9, "checkpoint": checkpoint, "progress": session.progress}
-    with session.step("sweep", len(clouds) * len(plan.sets), "sets"), _explained(checkpoint):
-        dataset = sweeps.sweep(filter_, clouds if len(clouds) > 1 else first, ranges, **options)
+    options |= design | {"checkpoint": checkpoint, "progress": session.progress}
+    try:
+        with session.step("sweep", len(clouds) * len(plan.sets), "sets"):
+            dataset = sweeps.sweep(filter_, clouds if len(clouds) > 1 else first, ranges, **options)
+    except InputError as error:
+        if str(checkpoint) not in str(error):
+            raise
+        raise BadUsage(f"{error}; --fresh replaces it") from error
+    except KeyboardInterrupt as error:
+        error.add_note(f"finished sets are kept in {directory}, the same command goes on from there")
+        raise
     with session.step("write"):
         table = best_sets(dataset, score, None)
         files = _write(directory, dataset, table, clouds, score)
@@ -137,50 +132,145 @@ def sweep(
             f"{times(session.seconds)}\nin {directory}: {', '.join(files)}"
         )
 
-    return Answer(facts | session.as_dict(), show)
+    return Answer(facts, show)
 
 
-def _axis(method: type[Filter], name: str, text: str, design: str) -> list[Any] | tuple[Any, Any]:
-    """The values of an axis of a sweep, or the range to draw them from."""
+@main.command()
+@click.argument("filter", metavar="METHOD")
+@click.argument("source", metavar="IN", type=INPUT)
+@with_options(
+    option("--labels labels_file", "File with some of the points and their classes or labels.  [default: IN]", INPUT),
+    option("--unlabelled", "Points of this class have no label.", CLASS, multiple=True, default=(0,)),
+    option("--bounds patches", "Take only the labels within.", float, nargs=4, multiple=True, metavar=BOX),
+    option(
+        "--axis axes",
+        "Search this field between these values.  [default: the thresholds of the method]",
+        "FIELD=LOW..HIGH",
+        multiple=True,
+    ),
+    option("--size", "Number of sets that each round tries.", COUNT, default=256),
+    option("--rounds", "Rounds; all but the first search around the best set so far.", COUNT, default=2),
+    option("--score", "The score that decides.", click.Choice(["total", "kappa"]), default="total"),
+    option("--folds", "Number of parts for the cross-validation.", click.IntRange(2), default=5),
+    option("--block", "The parts are made of square blocks with this side.", METRES),
+    option("--seed", "Seed of the sets that are drawn.", SEED, default=0),
+    *SWEPT,
+    option("--out", "Write the result to this JSON file as well.", OUTPUT),
+    REPLACE,
+)
+@in_session
+def calibrate(
+    session: Session,
+    source: Path,
+    labels_file: Path | None,
+    axes: tuple[str, ...],
+    out: Path | None,
+    overwrite: bool,
+    **options: Any,
+) -> Answer:
+    """Find the parameters that suit IN from the labels of some of its points.
+
+    Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
+    the rest at class 0. If the rest is class 1, pass --unlabelled 0 --unlabelled 1 and give objects another class, or name
+    the patches with --bounds. The score is cross-validated: each fold of blocks is scored with the set that the others chose.
+    """
+    from ..files.disk import check_bounds, new_file
+    from ..files.reading import read
+    from ..sweeps import calibrate as sweeps
+    from ..sweeps import labels as labelling
+    from ..sweeps.best import word
+    from ..sweeps.design import make_design
     from . import flags
 
-    def value(piece: str) -> Any:
-        return flags.value_of(method, name, piece, "--axis")
+    words, recipe, reading = options["units"], take_recipe(options), take(Reading, options)
+    assert recipe is not None
+    alone = recipe.alone()
+    assert alone is not None
+    ranges = {name: axis(type(alone), name, text, True) for name, text in pairs("--axis", axes).items()} or None
+    if ranges is not None:
+        if lists := [name for name, ends in ranges.items() if isinstance(ends, list)]:
+            raise BadUsage(f"--axis {lists[0]}={dict(pairs('--axis', axes))[lists[0]]}: write a range as LOW..HIGH")
+        make_design(alone, ranges, "random", 1)  # checks fields and limits
+    unlabelled, patches = options.pop("unlabelled"), [check_bounds(patch) for patch in options.pop("patches")]
+    if out is not None:
+        check_target(out, overwrite)
+    with session.reading(source):
+        cloud = read(source, units=reading.units, progress=session.progress)
+        some = cloud if labels_file is None else read(labels_file, units=reading.units or cloud.units)
+        labels = labelling.point_labels(some, unlabelled, str(labels_file or source))
+        if some is not cloud:
+            labels = labelling.labels_from(cloud, some, labels, str(labels_file), options["workers"])
+        if patches:
+            labels = labelling.within(cloud, patches, labels)
+    filter_ = recipe.on(cloud)
+    with session.step("calibrate", options["size"] * options["rounds"], "sets"):
+        session.progress(0.0, "labels")
+        found = sweeps.calibrate(filter_, cloud, labels, axes=ranges, progress=session.progress, **options)
+    method, best = type(filter_), found.filter
+    names = [str(source), "OUT", *(["--units", words] if words else [])]
+    truth, trials = {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())}, found.trials
+    facts = {
+        "method": method.__name__,
+        "input": str(source),
+        "labels": str(labels_file or source),
+        "labelled": truth,
+        "score": trials.attrs["score"],
+        "cross_validated": found.score,
+        "spread": found.spread,
+        "before": found.before,
+        "sets": trials.sizes["set"],
+        "folds": trials.sizes["fold"],
+        "found": {name: getattr(best, name) for name in found.searched},
+        "changed": flags.changed(best, method()),
+        "parameters": dataclasses.asdict(best),  # type: ignore[call-overload]
+        "command": shlex.join(flags.command_for(best, names, method())),
+        **session.as_dict(),
+    }
+    if out is not None:
+        with new_file(out, overwrite=overwrite) as temporary:
+            temporary.write_text(json_text(facts) + "\n")
+    text = (
+        f"{method.__name__}: {', '.join(f'{name} {word(value)}' for name, value in facts['found'].items())}\n"
+        f"{'total error' if facts['score'] == 'total' else 'kappa'} {found.score:.2f} +- {found.spread:.2f} %, "
+        f"cross-validated over {facts['folds']} folds of {truth['ground']:,} ground and {truth['object']:,} object points; "
+        f"{found.before:.2f} % before\n{facts['sets']:,} sets; {times(session.seconds)}\n{facts['command']}"
+    )
+    return Answer(facts, text + (f"\nin {out}" if out is not None else ""))
 
+
+def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] | tuple[Any, Any]:
+    """The values V,V,... or START:STOP:STEP of a field; or the ends of LOW..HIGH, if values are ``drawn`` from it.
+
+    Raises: BadUsage, ParameterError.
+    """
+    from . import flags
+
+    def values(pieces: Iterable[str]) -> list[Any]:
+        return [flags.value_of(method, name, piece.strip(), "--axis") for piece in pieces]
+
+    given = f"--axis {name}={text}"
     if not text:
-        raise BadUsage(f"--axis {name} is empty: give values")
+        raise BadUsage(f"{given} is empty: give values")
     if ".." in text:
-        if design not in ("random", "sobol"):
-            raise BadUsage(f"--axis {name}={text}: a range needs --design random or sobol, and --size")
-        return drawn_range(method, name, text)
-    if ":" in text:
-        return [value(piece) for piece in _steps(name, text)]
-    return [value(piece.strip()) for piece in text.split(",")]
-
-
-def drawn_range(method: type[Filter], name: str, text: str) -> tuple[Any, Any]:
-    """The ends of LOW..HIGH."""
-    from . import flags
-
-    low, dots, high = text.partition("..")
-    if not (dots and low and high):
-        raise BadUsage(f"--axis {name}={text}: write a range as LOW..HIGH")
-    ends = flags.value_of(method, name, low, "--axis"), flags.value_of(method, name, high, "--axis")
-    if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
-        raise BadUsage(f"--axis {name}={text}: a range needs numbers; give words as a list")
-    return ends
-
-
-def _steps(name: str, text: str) -> list[str]:
-    """START:STOP:STEP as numbers, STOP included."""
+        if not drawn:
+            raise BadUsage(f"{given}: a range needs --design random or sobol, and --size")
+        low, _, high = text.partition("..")
+        if not (low and high):
+            raise BadUsage(f"{given}: write a range as LOW..HIGH")
+        ends = values((low, high))
+        if not all(isinstance(end, (int, float)) and not isinstance(end, bool) for end in ends):
+            raise BadUsage(f"{given}: a range needs numbers; give words as a list")
+        return ends[0], ends[1]
+    if ":" not in text:
+        return values(text.split(","))
     try:
-        start, stop, step = (float(piece) for piece in text.split(":"))
+        start, stop, step = map(float, text.split(":"))
         count = int((stop - start) / step + 1e-9) + 1
     except (ValueError, ZeroDivisionError, OverflowError):
-        raise BadUsage(f"--axis {name}={text}: write a series as START:STOP:STEP, three finite numbers") from None
+        raise BadUsage(f"{given}: write a series as START:STOP:STEP, three finite numbers") from None
     if not (step > 0 and stop >= start and count <= 10_000):
-        raise BadUsage(f"--axis {name}={text}: a series goes up from START to STOP, in at most 10,000 steps")
-    return [f"{start + i * step:.10g}" for i in range(count)]
+        raise BadUsage(f"{given}: a series goes up from START to STOP, in at most 10,000 steps")
+    return values(f"{start + i * step:.10g}" for i in range(count))
 
 
 def _read_all(sources: tuple[Path, ...], reading: Reading) -> dict[str, PointCloud]:
@@ -194,65 +284,27 @@ def _read_all(sources: tuple[Path, ...], reading: Reading) -> dict[str, PointClo
     return {name: read(source, units=reading.units) for name, source in zip(names, sources, strict=True)}
 
 
-@contextlib.contextmanager
-def _explained(checkpoint: Path) -> Iterator[None]:
-    """Say what to do when a checkpoint does not fit, or the sweep is interrupted."""
-    from ..core.errors import InputError
-
-    try:
-        yield
-    except InputError as error:
-        if str(checkpoint) in str(error):
-            raise BadUsage(f"{error}; --fresh replaces it") from error
-        raise
-    except KeyboardInterrupt as error:
-        error.add_note(f"finished sets are kept in {checkpoint.parent}, the same command goes on from there")
-        raise
-
-
 def _write(
     directory: Path, dataset: xarray.Dataset, table: pandas.DataFrame, clouds: dict[str, PointCloud], score: str
 ) -> list[str]:
     """All files of a sweep; their names. Pictures of a sweep that was replaced are removed."""
+    from .. import plots
     from ..files.disk import new_file
+    from ..sweeps.best import axes_of, word
 
-    writers: dict[str, Callable[[Path], Any]] = {
-        DATASET: lambda path: _storable(dataset).to_netcdf(path, engine="scipy"),
-        TABLE: lambda path: table.to_csv(path),
-    }
-    for name, figure in _pictures(dataset, clouds, score).items():
-        if figure is None:
-            (directory / name).unlink(missing_ok=True)
-        else:
-            writers[name] = functools.partial(figure.savefig, format="png")
-    for name, write in writers.items():
-        with new_file(directory / name, overwrite=True) as path:
-            write(path)
-    return list(writers)
-
-
-def _storable(dataset: xarray.Dataset) -> xarray.Dataset:
-    """With values that are not all of one type as words, which NetCDF can hold."""
-    from ..sweeps.best import word
-
-    words = {
+    of_words = {  # values that are not all of one type, which NetCDF cannot hold
         name: (values.dims, [word(value) for value in values.values], values.attrs)
         for name, values in dataset.coords.items()
         if values.dtype == object
     }
-    return dataset.assign_coords(words)
-
-
-def _pictures(dataset: xarray.Dataset, clouds: dict[str, PointCloud], score: str) -> dict[str, Any]:
-    """Figures by the names of their files; None where there is nothing to draw, or no matplotlib to draw it."""
+    writers: dict[str, Callable[[Path], Any]] = {
+        DATASET: lambda path: dataset.assign_coords(of_words).to_netcdf(path, engine="scipy"),
+        TABLE: lambda path: table.to_csv(path),
+    }
     ends = {name: f"_{name}" if len(clouds) > 1 else "" for name in clouds}
-    every = ["", *(f"_{name}" for name in clouds)]
-    figures: dict[str, Any] = dict.fromkeys(["curves.png", "maps.png", *(f"votes{end}.png" for end in every)])
-    if importlib.util.find_spec("matplotlib") is None:
-        return figures
-    from .. import plots
-    from ..sweeps.best import axes_of
-
+    figures: dict[str, Any] = dict.fromkeys(
+        ["curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)]
+    )
     if dataset[score].notnull().any():
         figures["curves.png"] = plots.sweep_curves(dataset, score)
         if len(axes_of(dataset)) > 1:
@@ -261,7 +313,15 @@ def _pictures(dataset: xarray.Dataset, clouds: dict[str, PointCloud], score: str
         if f"votes{end}" in dataset and len(clouds[name]):
             votes = dataset[f"votes{end}"].values
             figures[f"votes{end}.png"] = plots.votes_map(clouds[name], votes, title=name if end else "").figure
-    return figures
+    for name, figure in figures.items():
+        if figure is None:
+            (directory / name).unlink(missing_ok=True)
+        else:
+            writers[name] = functools.partial(figure.savefig, format="png")
+    for name, write in writers.items():
+        with new_file(directory / name, overwrite=True) as path:
+            write(path)
+    return list(writers)
 
 
 def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:

@@ -1,23 +1,30 @@
-"""Kinds of values that options of the commands take."""
+"""Options of commands, and the kinds of values that they take."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
+
+T = TypeVar("T")
 
 INPUT = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUTPUT = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 CLASS = click.IntRange(0, 255)
 """An ASPRS class."""
+METRES = click.FloatRange(0, min_open=True)
+METRES.name = "metres"
+BOX = "XMIN YMIN XMAX YMAX"
+COUNT, SEED = click.IntRange(1), click.IntRange(0)
 _UNITS = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 class Bytes(click.ParamType):
-    """A number of bytes: 4e9, 4GB, 512MiB."""
+    """A number of bytes, a million or more: 4e9, 4GB, 512MiB."""
 
     name = "size"
 
@@ -26,9 +33,10 @@ class Bytes(click.ParamType):
         if isinstance(value, float):
             return value
         found = re.fullmatch(r"([\d.]+(?:e\d+)?)\s*([kmgt]?i?)b?", str(value).strip().lower())
-        if found is None or float(found[1]) <= 0:
+        size = 0.0 if found is None else float(found[1]) * _UNITS[found[2]]
+        if size < 1e6:
             self.fail(f"{value!r} is no number of bytes, such as 4GB or 512MiB.", param, ctx)
-        return float(found[1]) * _UNITS[found[2]]
+        return size
 
 
 class Number(click.ParamType):
@@ -46,3 +54,25 @@ class Number(click.ParamType):
             return self.base(value)
         except ValueError:
             self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
+
+
+def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option:
+    """An option by its flags, separated by spaces, with the name of its argument last where it is another.
+
+    ``kind``: bool for a switch, a text that stands for words in the help, or a type of click.
+    """
+    if isinstance(kind, str):
+        kind, more["metavar"] = None, kind
+    if more.get("multiple"):
+        help = help.replace(".", "; may be repeated.", 1)
+    return click.Option(flags.split(), help=help, type=kind, is_flag=kind is bool, **more)
+
+
+def with_options(*given: click.Parameter) -> Callable[[Callable[..., T]], Callable[..., T]]:
+    """A decorator that gives a command these options, in this order."""
+
+    def decorate(command: Callable[..., T]) -> Callable[..., T]:
+        command.__dict__.setdefault("__click_params__", []).extend(reversed(given))
+        return command
+
+    return decorate

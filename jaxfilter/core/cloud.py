@@ -62,6 +62,8 @@ class PointCloud:
         anchor: f64[2], file coordinates that all grids count from; zero by default, so that clouds of one CRS share grids.
         source: a handle to the file (see ``jaxfilter.files.handles``), used by lossless writing; None for plain arrays.
         whole: the scene that the cloud is a part of; None = it is a scene of its own.
+        core: (xmin, ymin, xmax, ymax), file coordinates, of a part of a scene: labels are asked for inside only, and methods may
+            leave out work that does not reach there. None = everywhere.
 
     >>> cloud.xyz.shape == (len(cloud), 3), cloud.xyz.dtype, cloud.units.name
     (True, dtype('float32'), 'metre')
@@ -84,6 +86,7 @@ class PointCloud:
     anchor: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(2))
     source: Any = None
     whole: Whole | None = None
+    core: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crs", parse_crs(self.crs))

@@ -5,16 +5,25 @@ from __future__ import annotations
 import collections
 import contextlib
 import functools
+import inspect
+import itertools
 import os
-import re
+import pickle
+import platform
 import stat
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.monitoring
+import numpy as np
+from jax.experimental import serialize_executable
 
 from .errors import warn
 
@@ -125,34 +134,126 @@ def cache_folder(kind: str) -> Path | None:
     return private_folder(Path(os.environ.get("JAXFILTER_CACHE") or platformdirs.user_cache_dir("jaxfilter")) / kind)
 
 
-def use_persistent_cache() -> Path | None:
-    """Let the next process reuse this one's compilations. Called by the commands, never on import.
-
-    A cache directory that JAX has already been given is left in place. Returns the directory, or None where there is none
-    that can be used (a read-only home, say), in which case compilation simply is not cached.
-    """
-    configured = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    directory = Path(configured) if configured else cache_folder("xla")
-    if directory is None:
+def read_kept(path: Path, stamp: bytes) -> bytes | None:
+    """What :func:`write_kept` has written, if it is whole and was made with this stamp. Warns: as :func:`cache_trouble`."""
+    try:
+        content = path.read_bytes()
+        if sha256(content[32:]).digest() != content[:32]:
+            raise ValueError("the file is damaged")
+        return content[64:] if content[32:64] == stamp else None
+    except FileNotFoundError:
         return None
-    jax.config.update("jax_compilation_cache_dir", str(directory))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    return directory
+    except (OSError, ValueError) as error:
+        cache_trouble(path.parent, error)
+        return None
 
 
-_OF_CACHE = re.compile(r"Error (?:reading|writing) persistent compilation cache entry for '(\w+)': (.*)", re.DOTALL)
+def write_kept(path: Path, stamp: bytes, content: bytes) -> None:
+    """Write a file that appears whole: the SHA-256 of what follows, the stamp, and the content. Warns: as
+    :func:`cache_trouble`."""
+    part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
+    try:
+        part.write_bytes(sha256(stamp + content).digest() + stamp + content)
+        part.replace(path)
+    except OSError as error:
+        cache_trouble(path.parent, error)
+    finally:
+        part.unlink(missing_ok=True)
 
 
-def cache_warning(text: str) -> bool:
-    """Whether this is what JAX says of each entry of its cache that it cannot read or write. Such entries are removed, since JAX
-    keeps damaged ones, and :func:`cache_trouble` tells of the first."""
-    found = _OF_CACHE.match(text)
-    directory = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if found is None or not directory:
-        return False
-    for entry in Path(directory).glob(f"{found[1]}-*"):
-        with contextlib.suppress(OSError):
-            entry.unlink()
-    cache_trouble(Path(directory), found[2])
-    return True
+class jit:
+    """``jax.jit``, but in the commands the machine code for each kind of arguments is kept on disk.
+
+    The next process calls it without tracing the function anew, which takes longer than reading it. It is executed, so it
+    lies in a private folder (:func:`cache_folder`), and is used only for the same source, versions, settings and processor.
+    """
+
+    def __init__(self, function: Callable[..., Any], static_argnames: str | Sequence[str] = ()) -> None:
+        self._static = (static_argnames,) if isinstance(static_argnames, str) else tuple(static_argnames)
+        self._name, self._names = function.__qualname__, tuple(inspect.signature(function).parameters)
+        self._jit = jax.jit(function, static_argnames=self._static)
+        self.lower, self._ready = self._jit.lower, dict[Any, Callable[..., Any]]()
+        functools.update_wrapper(self, function)
+
+    def __get__(self, instance: Any, kind: type | None = None) -> Callable[..., Any]:
+        return self if instance is None else functools.partial(self, instance)
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        if not _keeps or (folder := _kept_folder()) is None:
+            return self._jit(*args, **named)
+        given = dict(zip(self._names, args, strict=False)) | named
+        fixed = tuple((name, given[name]) for name in self._static if name in given)
+        places = [value for value, name in zip(args, self._names, strict=False) if name not in self._static]
+        others = {name: value for name, value in named.items() if name not in self._static}
+        leaves, tree = jax.tree.flatten((places, others))
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self._jit(*args, **named)
+        key = tree, fixed, tuple(_kind(leaf) for leaf in leaves)
+        if key not in self._ready:
+            digest = sha256(repr((self.__module__, key)).encode()).hexdigest()
+            path = folder / f"{self._name}-{digest[:32]}.jax"
+            self._ready[key] = _loaded(path) or self._compiled(path, args, named)
+        return self._ready[key](*places, **others)
+
+    def _compiled(self, path: Path, args: tuple[Any, ...], named: dict[str, Any]) -> Callable[..., Any]:
+        made = self._jit.lower(*args, **named).compile()
+        with contextlib.suppress(NotImplementedError, TypeError, ValueError, pickle.PicklingError):
+            write_kept(path, _stamp(), pickle.dumps(serialize_executable.serialize(made)))
+        return made
+
+
+def _kind(leaf: Any) -> Any:
+    """What machine code depends on of an argument."""
+    if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
+        return leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)
+    return type(leaf).__name__
+
+
+def _loaded(path: Path) -> Callable[..., Any] | None:
+    content = read_kept(path, _stamp())
+    try:
+        return None if content is None else serialize_executable.deserialize_and_load(*pickle.loads(content))
+    except Exception as error:
+        cache_trouble(path.parent, error)
+        return None
+
+
+@functools.cache
+def _stamp() -> bytes:
+    """What machine code depends on besides arguments: sources, versions, settings and the processor."""
+    package = Path(__file__).parents[1]
+    files = (package.glob(f"{room}*.py") for room in ("", "core/", "engines/**/", "steps/", "methods/"))
+    sources = [path.read_bytes() for path in sorted(itertools.chain(*files))]
+    settings = {name: value for name, value in jax.config.values.items() if "cache" not in name}
+    machine = [platform.machine(), platform.processor(), os.cpu_count(), os.environ.get("XLA_FLAGS")]
+    with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
+        machine += [line for line in itertools.islice(file, 40) if line.startswith(("flags", "Features", "model name"))]
+    versions = sys.version, jax.__version__, version("jaxlib"), np.__version__
+    return sha256(repr((sources, settings, machine, versions)).encode()).digest()
+
+
+_keeps = False
+"""Whether :class:`jit` keeps machine code now."""
+
+
+@functools.cache
+def _kept_folder() -> Path | None:
+    """Where :class:`jit` keeps machine code. For other devices than the processor JAX keeps it in its own way; where it was
+    given a cache directory, that is all there is."""
+    if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
+        return None
+    if jax.default_backend() == "cpu" and jax.config.jax_default_device is None:  # type: ignore[attr-defined]
+        return cache_folder("jax")
+    if (folder := cache_folder("xla")) is not None:
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    return None
+
+
+def keep_compilations(on: bool = True) -> bool:
+    """Let the next process reuse what this one compiles from now on, or no longer. Commands and workers call it; an import of
+    the package does not. Returns: whether it was so before."""
+    global _keeps
+    before, _keeps = _keeps, on
+    return before

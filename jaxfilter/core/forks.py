@@ -6,8 +6,8 @@ import os
 
 from .errors import ForkError
 
-_started = False
-_lost = False
+_owner: int | None = None
+"""The process that has started the threads."""
 
 
 def need_threads() -> None:
@@ -15,19 +15,10 @@ def need_threads() -> None:
 
     Raises: ForkError in a process that was forked from one in which this had been called.
     """
-    global _started
-    if _lost:
+    global _owner
+    if _owner not in (None, os.getpid()):
         raise ForkError(
             f"process {os.getpid()} was forked from one in which jaxfilter had started the threads of JAX or of the LAZ codec, "
             "which it does not have: make processes with multiprocessing.get_context('spawn'), or 'forkserver'"
         )
-    _started = True
-
-
-def _after_fork() -> None:
-    global _lost
-    _lost = _started
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+    _owner = os.getpid()

@@ -15,7 +15,8 @@ import numbers
 import operator
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import Any, TypeVar, dataclass_transform
 
@@ -98,42 +99,27 @@ def sample_presets(note: str, names: str, rows: Mapping[int, tuple[float, ...]],
     return out
 
 
-class _Registry(Mapping[str, type[Any]]):
+class _Registry(UserDict[str, Any]):
     """Filter classes by name; look-ups ignore case, iteration gives the lower-case names.
 
-    A class that is only announced is imported when it is first looked up.
+    The name of a module may stand for a class: it is imported when the class is first looked up, and enters it.
 
     >>> jf.FILTERS["SMRF"] is jf.SMRF, "fptd" in jf.FILTERS
     (True, True)
     """
 
-    def __init__(self) -> None:
-        self._known: dict[str, Any] = {}
-
-    def announce(self, name: str, module: str) -> None:
-        """A class of this name is entered by the import of a module."""
-        self._known[name.lower()] = module
-
-    def add(self, cls: type) -> None:
-        """Enter a class under its own name."""
-        self._known[cls.__name__.lower()] = cls
+    def __setitem__(self, name: str, item: type[Any] | str) -> None:
+        self.data[name.lower()] = item
 
     def __getitem__(self, name: str) -> type[Any]:
-        key = name.lower()
-        if key not in self._known:
-            raise KeyError(f"no filter named {name!r}; known filters: {', '.join(self._known)}")
-        if isinstance(self._known[key], str):
-            import_module(self._known[key])
-        return self._known[key]
+        if name not in self:
+            raise KeyError(f"no filter named {name!r}; known filters: {', '.join(self)}")
+        if isinstance(self.data[name.lower()], str):
+            import_module(self.data[name.lower()])
+        return self.data[name.lower()]  # type: ignore[no-any-return]
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name.lower() in self._known
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._known)
-
-    def __len__(self) -> int:
-        return len(self._known)
+        return isinstance(name, str) and name.lower() in self.data
 
 
 FILTERS = _Registry()
@@ -245,5 +231,5 @@ def filter_params(cls: type[T]) -> type[T]:
 
     jax.tree_util.register_pytree_with_keys(out, flatten, unflatten)
     if callable(getattr(out, "classify", None)):
-        FILTERS.add(out)
+        FILTERS[out.__name__] = out
     return out

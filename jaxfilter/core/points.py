@@ -135,6 +135,16 @@ class Points:
             return 1, 1
         return tuple(math.ceil(side / cell) + 1 + margin for side in (whole.height, whole.width))  # type: ignore[return-value]
 
+    def near_core(self, distance: float) -> np.ndarray:
+        """bool[m]: points at most so many metres, in x and in y, from the box in which labels are asked for."""
+        if self.cloud.core is None:
+            return np.ones(len(self), bool)
+        local = (np.array(self.cloud.core).reshape(2, 2) - self.cloud.origin[:2]) * self.cloud.units.xy
+        (low, high), near = local + [[-distance], [distance]], np.empty(len(self), bool)
+        for part in pieces(len(self)):
+            near[part] = ((self.xyz[part, :2] >= low) & (self.xyz[part, :2] <= high)).all(axis=1)
+        return near
+
     def lattice_corner(self, cell: float) -> tuple[float, float]:
         """The corner of a cell of this size at or south-west of all points, local metres."""
         grid = lattice_over(self.xyz, cell, self.offset(cell))
@@ -161,7 +171,7 @@ def _occupied(xyz: np.ndarray, high: np.ndarray, cell: np.float32) -> int:
 
 def pieces(n: int) -> Iterator[slice]:
     """Rows of n, so many at a time that what is made of them stays in the cache."""
-    return (slice(start, start + PIECE) for start in range(0, n, PIECE))
+    return (slice(start, min(start + PIECE, n)) for start in range(0, n, PIECE))
 
 
 def check_extent(cloud: PointCloud, xy: np.ndarray) -> None:
@@ -253,8 +263,9 @@ def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     order, repeated = _canonical_order(*_codes(xyz, (east, north)), xyz[:, 2])
     member = np.empty(len(order), np.int64)
     if len(repeated) == 0:
-        member[order] = np.arange(len(order))
-        return xyz[order], index, member, np.ones(len(order), np.int32)
+        for part in pieces(len(order)):
+            member[order[part]] = np.arange(part.start, part.stop)
+        return xyz[order], index, member, np.broadcast_to(np.int32(1), len(order))
     first = np.ones(len(order), bool)
     first[repeated] = False
     group = np.cumsum(first) - 1
@@ -295,12 +306,17 @@ def _canonical_order(code: np.ndarray, bits: int, z: np.ndarray) -> tuple[np.nda
     places = (n - 1).bit_length()
     key = code >> np.uint64(max(0, bits + places - 64))
     key <<= np.uint64(places)
-    key |= np.arange(n, dtype=np.uint64)
-    key.sort(kind="stable")  # which makes use of the runs that files have: a half to a third of the time
-    order = (key & np.uint64((1 << places) - 1)).view(np.int64)
-    key >>= np.uint64(places)
-    alike = np.flatnonzero(key[1:] == key[:-1])
-    rows = np.union1d(alike, alike + 1)
+    for part in pieces(n):
+        key[part] |= np.arange(part.start, part.stop, dtype=np.uint64)
+    key.sort()
+    alike = [np.zeros(0, np.int64)]
+    for part in pieces(n - 1):
+        differ = key[part] ^ key[part.start + 1 : part.stop + 1]
+        alike.append(part.start + np.flatnonzero(differ < np.uint64(1 << places)))
+    rows = np.concatenate(alike)
+    rows = np.union1d(rows, rows + 1)
+    key &= np.uint64((1 << places) - 1)
+    order = key.view(np.int64)
     points = order[rows]
     points = points[np.lexsort((z[points], code[points]))]
     order[rows] = points

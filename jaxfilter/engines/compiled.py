@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import pickle
 import sys
-import threading
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -18,7 +18,7 @@ from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 
-from ..core.compilation import cache_folder, cache_trouble, private_folder
+from ..core.compilation import cache_folder, cache_trouble, private_folder, read_kept, write_kept
 
 
 def compiled(function: Callable[..., Any] | None = None, *, fused: bool = False) -> Callable[..., Any]:
@@ -52,10 +52,7 @@ class _Interruptible(CPUDispatcher):  # type: ignore[misc]
 
 
 class _Kept(NullCache):  # type: ignore[misc]
-    """Machine code of a function on disk: a file for the types of its arguments. Damage to it is noticed, whatever it is.
-
-    A file holds the SHA-256 of what follows, the SHA-256 of the sources and versions that it was made with, and the code.
-    """
+    """Machine code of a function on disk: a file for the types of its arguments."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -86,14 +83,8 @@ class _Kept(NullCache):  # type: ignore[misc]
         if (path := self._path(signature, context.codegen())) is None:
             return None
         try:
-            content = path.read_bytes()
-            if sha256(content[32:]).digest() != content[:32]:
-                raise ValueError("the file is damaged")
-            if content[32:64] != self.stamp:
-                return None
-            return CompileResult._rebuild(context, *pickle.loads(content[64:]))
-        except FileNotFoundError:
-            return None
+            content = read_kept(path, self.stamp)
+            return None if content is None else CompileResult._rebuild(context, *pickle.loads(content))
         except Exception as error:
             cache_trouble(path.parent, error)
             return None
@@ -102,15 +93,8 @@ class _Kept(NullCache):  # type: ignore[misc]
         path = self._path(signature, result.codegen)
         if path is None or result.library.has_dynamic_globals:
             return
-        part = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
-        try:
-            content = self.stamp + dumps(result._reduce())
-            part.write_bytes(sha256(content).digest() + content)
-            part.replace(path)
-        except OSError as error:
-            cache_trouble(path.parent, error)
-        finally:
-            part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # its source is no file: load_overload has said it
+            write_kept(path, self.stamp, dumps(result._reduce()))
 
 
 @functools.cache

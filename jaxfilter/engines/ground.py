@@ -16,8 +16,8 @@ class GroundNodes(ABC):
     A kind of them says how they are tested, and over what: facets of a triangulation, planes through the ground around.
 
     Attributes:
-        ground: bool[k]. rest: i64, nodes that may still become ground. todo: i64, those of them to be tested in the next
-            step; the others would fail again, since nothing that they are tested over has changed.
+        ground: bool[k]. left: how many may still become ground. todo: i64, those of them to be tested in the next step;
+            the others would fail again, since nothing that they are tested over has changed.
         rule: the limits of the tests.
         trace: a record of each step.
     """
@@ -25,8 +25,8 @@ class GroundNodes(ABC):
     STEP: ClassVar[str]
     """What progress is reported as."""
 
-    def __init__(self, ground: np.ndarray, rest: np.ndarray, rule: Any) -> None:
-        self.ground, self.rest, self.todo, self.rule = ground, rest, rest, rule
+    def __init__(self, ground: np.ndarray, todo: np.ndarray, rule: Any) -> None:
+        self.ground, self.left, self.todo, self.rule = ground, len(todo), todo, rule
         self.trace: list[dict[str, Any]] = []
 
     @abstractmethod
@@ -35,7 +35,7 @@ class GroundNodes(ABC):
 
     @abstractmethod
     def take(self, accepted: np.ndarray) -> dict[str, Any]:
-        """Test others over these from now on, and find out which: sets ``rest`` and ``todo``. What the record also holds."""
+        """Test others over these from now on, and find out which: sets ``left`` and ``todo``. What the record also holds."""
 
     def step(self) -> None:
         """Test all of ``todo`` at once, and make ground of those that pass: the order of nodes never matters."""
@@ -46,9 +46,9 @@ class GroundNodes(ABC):
 
 def grow(ground: GroundNodes, max_rounds: int, progress: Progress = silent, keep_labels: bool = False) -> Status:
     """Steps until nothing is left to be tested, or so many. ``keep_labels``: with the labels after each in the trace."""
-    total = max(1, len(ground.rest))
+    total = max(1, ground.left)
     for _ in range(max_rounds):
-        progress(1.0 - len(ground.rest) / total, ground.STEP)
+        progress(1.0 - ground.left / total, ground.STEP)
         ground.step()
         if keep_labels:
             ground.trace[-1]["ground"] = ground.ground.copy()

@@ -1,12 +1,14 @@
 """Runs of point records that can be read alone, and the area that each covers: how to get at a part of a file.
 
-The runs are the chunks of LAZ, the nodes of COPC (``copc.py``), and :data:`RUN` records of LAS. What area the points of a
-run of LAS or LAZ cover is found by one pass over the file, see :func:`measured`, and can be kept.
+The runs are the chunks of LAZ, the nodes of COPC, and :data:`RUN` records of LAS. What area the points of a run of LAS or LAZ
+cover is found by one pass over the file, see :func:`measured`, and can be kept. The octree of COPC says it (Hobu Inc., COPC
+specification 1.0: info record of 160 bytes, hierarchy pages of 32-byte entries).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,14 +17,17 @@ from typing import BinaryIO
 import lazrs
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import InputError, warn
 from ..core.forks import need_threads
 from .disk import Bounds, new_file
-from .header import Header
+from .header import Header, chunk_table
 from .storage import Remote, read_ranges
 
 RUN = 16384
 """Records of LAS in a run."""
+
+_ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
+"""Level, x, y, z of a node; where its chunk is; number of points, -1: the entry is of another page."""
 
 
 class Changed(InputError):
@@ -98,47 +103,36 @@ class Blocks:
 
 def runs(header: Header, file: BinaryIO) -> Blocks:
     """The runs of a LAS or LAZ file, whose areas are not known yet: they are infinite."""
-    if not header.count:
-        points = size = np.zeros(0, np.int64)
-        begin = 0
-    elif header.compressed:
-        file.seek(len(header.head))
-        compressor = lazrs.LazVlr(header.decoder)
-        table = np.array(lazrs.read_chunk_table(file, compressor), np.int64).reshape(-1, 2)
-        points, size = table.T.copy()
-        if not compressor.uses_variable_size_chunks():
-            points[:] = compressor.chunk_size()
+    if header.count and header.compressed:
+        start, size, points = chunk_table(header, file)
         points = np.diff(np.minimum(np.cumsum(points), header.count), prepend=0)
-        begin = len(header.head) + 8
     else:
-        points = np.full(-(-header.count // RUN), RUN, np.int64)
-        points[-1] = header.count - RUN * (len(points) - 1)
-        size = points * header.record_length
-        begin = len(header.head)
+        first = np.arange(0, header.count, RUN)
+        points = np.minimum(header.count - first, RUN)
+        start, size = len(header.head) + first * header.record_length, points * header.record_length
     unknown = np.zeros((len(points), 2))
-    start, first = begin + np.cumsum(size) - size, np.cumsum(points) - points
+    first = np.cumsum(points) - points
     return Blocks(start, size, first, points, unknown, unknown, np.full(len(points), -1)).everywhere()
 
 
 def measured(header: Header) -> Blocks:
-    """The runs of a LAS or LAZ file with the areas that their points cover, and checksums: reads all of it. Raises InputError."""
-    low, high, sums = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    """The runs of a file with checksums and with the areas that their points cover, which COPC states: reads all of it.
+
+    Raises: InputError.
+    """
     with header.open() as file:
-        found = runs(header, file)
+        found = nodes(header, file) if header.is_copc else runs(header, file)
         found = found[found.points > 0]
+        groups = [found[:0]]
         for group in found.groups():
-            packed = _packed(header, file, group)
-            records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-            sums.append(_checksums(group, packed))
-            for areas, edge in zip((low, high), _areas(header, group, records), strict=True):
-                areas.append(edge)
-    return dataclasses.replace(found, low=np.concatenate(low), high=np.concatenate(high), checksum=np.concatenate(sums))
-
-
-def summed(header: Header, file: BinaryIO, blocks: Blocks) -> Blocks:
-    """The same runs with their checksums: reads all of their bytes. Raises InputError if the file ends before."""
-    sums = [_checksums(group, _packed(header, file, group)) for group in blocks.groups()]
-    return dataclasses.replace(blocks, checksum=np.concatenate([np.zeros(0, np.int64), *sums]))
+            packed, area = read_ranges(header.path, file, group.start, group.size), (group.low, group.high)
+            if not header.is_copc:
+                records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+                area = _areas(header, group, records)
+            sums = _checksums(group, packed)
+            groups.append(dataclasses.replace(group, low=area[0], high=area[1], checksum=sums))
+    columns = [[getattr(group, field.name) for group in groups] for field in dataclasses.fields(Blocks)]
+    return Blocks(*map(np.concatenate, columns))
 
 
 def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
@@ -146,27 +140,13 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
 
     Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
-    packed, known = _packed(header, file, blocks), blocks.checksum >= 0
+    packed, known = read_ranges(header.path, file, blocks.start, blocks.size), blocks.checksum >= 0
     if known.any() and (_checksums(blocks, packed) != blocks.checksum)[known].any():
         raise Changed(
             f"{header.path}: the file has changed since its points were first read; open it again, and begin a run anew with "
             "overwrite=True"
         )
     return _decoded(header, blocks, packed, wanted)
-
-
-def _packed(header: Header, file: BinaryIO, blocks: Blocks) -> np.ndarray:
-    """u8: the bytes of some runs, one after the other."""
-    if isinstance(header.path, Remote):
-        parts = read_ranges(header.path, file, blocks.start.tolist(), blocks.size.tolist())
-        return np.frombuffer(bytearray().join(parts), np.uint8)
-    packed, at = np.empty(int(blocks.size.sum()), np.uint8), 0
-    for start, size in zip(blocks.start.tolist(), blocks.size.tolist(), strict=True):
-        file.seek(start)
-        if file.readinto(packed[at : at + size].data) < size:  # type: ignore[attr-defined]
-            raise InputError(f"{header.path}: the file ends within its points; it is truncated")
-        at += size
-    return packed
 
 
 def _checksums(blocks: Blocks, packed: np.ndarray) -> np.ndarray:
@@ -188,15 +168,82 @@ def _decoded(header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) ->
     return records
 
 
-def hold(header: Header, blocks: Blocks, records: np.ndarray) -> bool:
-    """Whether the records of some runs, u8[n, record_length], lie in the areas that these are said to cover."""
-    low, high = _areas(header, blocks, records)
-    return bool(((low >= blocks.low) & (high <= blocks.high)).all())
-
-
 def _areas(header: Header, blocks: Blocks, records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[k, 2] each, file coordinates: lowest and highest x and y of the points of each run."""
     ticks, at = records[:, :8].view("<i4"), np.cumsum(blocks.points) - blocks.points
     scale, offset = header.scales[:2], header.offsets[:2]
     low, high = (bound.reduceat(ticks, at) * scale + offset for bound in (np.minimum, np.maximum))
     return low, high
+
+
+def nodes(header: Header, file: BinaryIO) -> Blocks:
+    """The nodes with points, in file order, with the squares that their cubes cover.
+
+    The whole octree is read. Of files on a disk it is compared with the table of chunks, and the first point of each
+    chunk, which is not compressed, with the cube of its node: a damaged cube would lose points. If these do not agree, all
+    nodes cover everything, with a warning.
+
+    Raises: InputError if the octree is damaged.
+    """
+    at = header.vlrs[0].payload
+    *centre, half, _, page, size = struct.unpack_from("<5d2Q", header.head.ljust(at + 160, b"\0"), at)
+    entries = _entries(header, file, page, size)
+    entries = np.sort(entries, order=("offset", "size", "points"))
+    start, length, points = (entries[name].astype(np.int64) for name in ("offset", "size", "points"))
+    _check_chunks(header, file, start, length, points)
+    key = entries["key"]
+    with np.errstate(over="ignore", invalid="ignore"):
+        edge = 2 * half / 2.0 ** key[:, :1]
+        low = np.array(centre) - half + key[:, 1:] * edge - header.scales  # cubes are rounded by some writers
+        high = np.array(centre) - half + (key[:, 1:] + 1) * edge + header.scales
+    found = Blocks(start, length, np.cumsum(points) - points, points, low[:, :2], high[:, :2], np.full(len(points), -1))
+    if not isinstance(header.path, Remote):
+        ticks = read_ranges(header.path, file, start, np.full_like(start, 12)).view("<i4")
+        first = ticks.reshape(-1, 3) * header.scales + header.offsets
+        if not ((first >= low) & (first <= high)).all():
+            return _unknown(header, found)
+    return found
+
+
+def sound(header: Header, found: Blocks, group: Blocks, records: np.ndarray) -> Blocks | None:
+    """None if the records of a group of nodes lie in their cubes; otherwise all nodes ``found``, to be read without a look
+    at the cubes, with a warning: other nodes may hold points of anywhere, too."""
+    low, high = _areas(header, group, records)
+    return None if ((low >= group.low) & (high <= group.high)).all() else _unknown(header, found)
+
+
+def _unknown(header: Header, found: Blocks) -> Blocks:
+    warn(f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds")
+    return found.everywhere()
+
+
+def _entries(header: Header, file: BinaryIO, page: int, size: int) -> np.ndarray:
+    """The entries of all pages that are of nodes with points."""
+    found, pages, seen = [np.zeros(0, _ENTRY)], [(page, size)], set()
+    while pages:
+        page, size = pages.pop()
+        if page in seen or size % _ENTRY.itemsize or page + size > header.file_size:
+            raise InputError(f"{header.path}: page of the octree at byte {page}, {size} bytes long, is damaged")
+        seen.add(page)
+        entries = read_ranges(header.path, file, np.array([page]), np.array([size])).view(_ENTRY)
+        level, points, length = entries["key"][:, 0], entries["points"], entries["size"]
+        end = entries["offset"].astype(np.float64) + length
+        if not ((level >= 0) & (level < 64) & (length >= 0) & (points >= -1) & (end <= header.file_size)).all():
+            raise InputError(f"{header.path}: entry of the octree's page at byte {page} is damaged")
+        pages += entries[points == -1][["offset", "size"]].tolist()
+        found.append(entries[points > 0])
+    return np.concatenate(found)
+
+
+def _check_chunks(header: Header, file: BinaryIO, start: np.ndarray, size: np.ndarray, points: np.ndarray) -> None:
+    """Raises InputError unless the nodes are the chunks of the file; of remote files only their total is known."""
+    if isinstance(header.path, Remote):
+        complete = points.sum() == header.count and (start[1:] >= start[:-1] + size[:-1]).all()
+    else:
+        chunks, nodes = chunk_table(header, file), np.stack([start, size, points])
+        complete = np.array_equal(chunks[:, chunks[2] > 0], nodes)
+    if not complete:
+        raise InputError(
+            f"{header.path}: the octree does not name the chunks that are in the table of chunks; it is damaged: read the "
+            "file without bounds"
+        )

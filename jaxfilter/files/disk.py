@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import hashlib
 import os
 import platform
 import re
@@ -62,19 +63,20 @@ class Identity:
     def kept(self, path: Place, message: str) -> Iterator[None]:
         """A block that reads ``path``. Raises InputError with ``message`` if, when the block ends or fails, the name is
         not that of this file any more or the file was changed: what the block then found wrong is not to be believed."""
-        failure = None
         try:
             yield
         except Exception as error:
-            failure = error
+            if self._lost(path):
+                raise InputError(f"{path}: {message}") from error
+            raise
+        if self._lost(path):
+            raise InputError(f"{path}: {message}")
+
+    def _lost(self, path: Place) -> bool:
         try:
-            changed = Identity.of(path) != self
+            return Identity.of(path) != self
         except (OSError, InputError):
-            changed = True
-        if changed:
-            raise InputError(f"{path}: {message}") from failure
-        if failure is not None:
-            raise failure
+            return True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,12 +84,12 @@ class Seal:
     """By which a file that a run has written is known again.
 
     Attributes:
-        size: bytes; checksum: CRC-32 of them, None for remote files.
+        size: bytes; checksum: a hash of them, None for remote files.
         status: numbers that change with every change of the file; where they have changed, the checksum decides.
     """
 
     size: int
-    checksum: int | None
+    checksum: str | None
     status: Sequence[int | str]
 
     @classmethod
@@ -102,28 +104,21 @@ class Seal:
             size, status = _state(place)
             if size != self.size:
                 return f"has {size:,} bytes instead of {self.size:,}"
-            if status == list(self.status):
-                return None
-            known = not isinstance(place, Remote) and self.checksum == _checksum(place)
-            return None if known else "was changed"
+            same = status == list(self.status) or (isinstance(place, Path) and self.checksum == _checksum(place))
+            return None if same else "was changed"
         except (OSError, InputError):
             return "is missing"
 
 
 def _state(place: Place) -> tuple[int, list[int | str]]:
-    if isinstance(place, Remote):
-        size, tag = place.status()
-        return size, [tag]
-    status = os.stat(place)
-    return status.st_size, [status.st_ino, status.st_mtime_ns, status.st_ctime_ns]
+    known = Identity.of(place)
+    changed = 0 if isinstance(place, Remote) else os.stat(place).st_ctime_ns
+    return known.size, [known.inode, known.modified, changed, known.tag]
 
 
-def _checksum(path: Path) -> int:
-    found = 0
+def _checksum(path: Path) -> str:
     with open(path, "rb") as file:
-        while piece := file.read(2**22):
-            found = zlib.crc32(piece, found)
-    return found
+        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
 
 class Tally:
@@ -177,6 +172,9 @@ def is_there(place: Place) -> bool:
         raise OutputError(str(error)) from error
 
 
+_FULL = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
+    errno.EFBIG: "the disk is full, or the file too large for it"
+}
 _KINDS = {
     "folder": stat.S_ISDIR,
     "pipe": stat.S_ISFIFO,
@@ -200,9 +198,10 @@ def new_file(
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
     not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
     """
+    one = OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
     if isinstance(path, Remote):
         if path == source and not in_place:
-            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+            raise one
         with new_object(path, overwrite or path == source) as part:
             yield part
         return
@@ -211,7 +210,7 @@ def new_file(
         status = existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
-            raise OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
+            raise one
         if status is not None and not mine and not overwrite:
             raise OutputError(f"{path}: the file exists; pass overwrite=True to replace it")
         remove_dead(final.parent)
@@ -238,21 +237,16 @@ def output_errors(path: Path) -> Iterator[None]:
         if isinstance(error, OutputError):
             raise
         reason = error.strerror or str(error)
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            reason = f"the disk is full ({reason})"
-        elif error.errno == errno.EFBIG:
-            reason = f"the disk is full, or the file too large for it ({reason})"
+        if full := _FULL.get(error.errno or 0):
+            reason = f"{full} ({reason})"
         raise OutputError(f"{path}: cannot be written: {reason}") from error
 
 
 def _name_exclusively(part: Path, final: Path) -> None:
     """Rename, unless the name was taken since it was looked at."""
     try:
-        if sys.platform == "win32":
-            os.rename(part, final)  # which replaces nothing there
-            return
         try:
-            os.link(part, final)
+            os.rename(part, final) if sys.platform == "win32" else os.link(part, final)  # which replace nothing there
         except FileExistsError:
             raise
         except OSError:  # no hard links on this disk: claim the name, then replace the claim
@@ -263,9 +257,8 @@ def _name_exclusively(part: Path, final: Path) -> None:
                 final.unlink()
                 raise
     except FileExistsError as error:
-        raise OutputError(
-            f"{final}: another program made this file meanwhile; pass overwrite=True to replace it, or name another"
-        ) from error
+        hint = "pass overwrite=True to replace it, or name another"
+        raise OutputError(f"{final}: another program made this file meanwhile; {hint}") from error
 
 
 def _sync(path: Path) -> None:
@@ -328,7 +321,8 @@ def remove_dead(parent: Path) -> None:
         found = [Path(entry.path) for entry in entries if _NAME.fullmatch(entry.name)]
     for folder in found:
         with contextlib.suppress(OSError):  # removed by another, or not ours to remove
-            if not folder.name.startswith(f"{_PREFIX}{_host()}-") and _age(folder) < _FOREIGN_AGE:
+            age = time.time() - max(place.stat().st_mtime for place in (folder, *folder.iterdir()))
+            if not folder.name.startswith(f"{_PREFIX}{_host()}-") and age < _FOREIGN_AGE:
                 continue
             try:
                 lock = os.open(folder / _LOCK, os.O_RDWR)
@@ -373,7 +367,3 @@ def try_lock(descriptor: int) -> bool | None:
 
 def _host() -> str:
     return f"{zlib.crc32(platform.node().encode()):08x}"
-
-
-def _age(folder: Path) -> float:
-    return time.time() - max(place.stat().st_mtime for place in (folder, *folder.iterdir()))

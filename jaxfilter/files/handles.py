@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -42,20 +42,9 @@ class Handle:
     checksum: int | None
     blocks: Any = None
 
-    @property
-    def table(self) -> Path:
-        """The path of a text file, which is on a local disk."""
-        assert isinstance(self.path, Path)
-        return self.path
-
-    def check_unchanged(self) -> None:
-        """Raises InputError when the file is gone, or is not the one that was read."""
-        try:
-            found = Identity.of(self.path)
-        except OSError as error:
-            raise InputError(f"{self.path}: the source of the cloud cannot be read again: {error.strerror}") from error
-        if found != self.identity:
-            raise InputError(f"{self.path}: {CHANGED_SINCE}")
+    def layout(self) -> text.Layout:
+        """That of a text file. Raises InputError."""
+        return text.layout_of(cast(Path, self.path))
 
     def header(self) -> Header:
         """That of a LAS file. Raises InputError."""
@@ -64,7 +53,7 @@ class Handle:
 
     def records(self, header: Header, tally: Tally, every_field: bool = True) -> Iterator[np.ndarray]:
         """The records of a LAS file, u8[k, record_length], read once more and added to ``tally``. Raises InputError."""
-        for chunk in records.read_records(header, self.bounds, every_field, self.blocks):
+        for chunk, _ in records.read_records(header, self.bounds, every_field, self.blocks):
             tally.add(chunk[:, :12].view("V12"))  # in one piece, which is copied faster
             yield chunk
 
@@ -76,7 +65,7 @@ class Handle:
             for chunk in self.records(header, tally, every_field=False):
                 yield records.coordinates(chunk, header), {}
         else:
-            for xyz, columns in text.read_text(self.table, text.layout_of(self.table), self.bounds):
+            for xyz, columns in text.read_text(self.layout(), self.bounds):
                 tally.add(xyz)
                 yield xyz, columns
 
@@ -89,8 +78,15 @@ class Handle:
     def again(self) -> Iterator[Tally]:
         """A block in which the points are read once more, and added to what it is given.
 
-        Raises: InputError when it ends, if the file or its points are not those that were read.
+        Raises: InputError if the file is gone, or if the file or its points are not those that were read.
         """
+        try:
+            found = Identity.of(self.path)
+        except OSError as error:
+            lost = f"{self.path}: the source of the cloud cannot be read again: {error.strerror}"
+            raise InputError(f"{lost}; put it back, or read it again where it is now") from error
+        if found != self.identity:
+            raise InputError(f"{self.path}: {CHANGED_SINCE}")
         tally = Tally(self.path, self.points, self.checksum)
         with self.identity.kept(self.path, CHANGED_SINCE):
             yield tally

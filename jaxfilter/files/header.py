@@ -46,17 +46,12 @@ _UINT8, FLOAT32, FLOAT64 = 1, 9, 10
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """A variable length record: ``start`` and ``end`` in the file; its data begin at ``payload``."""
+    """A variable length record: its user and number, where it begins and ends in the file, and where its data begin."""
 
-    user: str
-    number: int
+    key: tuple[str, int]
     start: int
     payload: int
     end: int
-
-    @property
-    def key(self) -> tuple[str, int]:
-        return self.user, self.number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,16 +65,16 @@ class ExtraDimension:
 
 
 class _Field:
-    """A number of the public header block, or several as f64; 0 where its LAS version has none."""
+    """A number of the public header block, some bits of it, or several as f64; 0 where its LAS version has none."""
 
-    def __init__(self, at: int, layout: str, minor: int = 0) -> None:
-        self.at, self.layout, self.minor = at, layout, minor
+    def __init__(self, at: int, layout: str, minor: int = 0, mask: int | None = None) -> None:
+        self.at, self.layout, self.minor, self.mask = at, layout, minor, mask
 
     def __get__(self, header: Header, kind: type[Header]) -> Any:
         if header.head[25] < self.minor:
             return 0
         found = struct.unpack_from("<" + self.layout, header.head, self.at)
-        return found[0] if len(found) == 1 else np.array(found)
+        return np.array(found) if len(found) > 1 else found[0] if self.mask is None else found[0] & self.mask
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +87,8 @@ class Header:
     head: bytes
     file_size: int
     vlrs: tuple[Record, ...]
-    evlrs: tuple[Record, ...]
+    evlrs: tuple[Record, ...] = ()
+    evlr_start: int = 0
     identity: Identity | None = None
     unread: int = 0
 
@@ -113,21 +109,9 @@ class Header:
         return hashlib.sha256(stated + self.head).hexdigest()[:32]
 
     minor, size, record_length = _Field(25, "B"), _Field(94, "H"), _Field(105, "H")
+    compressed, point_format = _Field(104, "B", mask=0x80), _Field(104, "B", mask=0x3F)
     scales, offsets, waveform_start = _Field(131, "3d"), _Field(155, "3d"), _Field(227, "Q", 3)
-    _kind, _legacy_count, _count, _evlr_start = (
-        _Field(104, "B"),
-        _Field(107, "I"),
-        _Field(247, "Q", 4),
-        _Field(235, "Q", 4),
-    )
-
-    @property
-    def compressed(self) -> bool:
-        return bool(self._kind & 0x80)
-
-    @property
-    def point_format(self) -> int:
-        return self._kind & 0x3F
+    _legacy_count, _count = _Field(107, "I"), _Field(247, "Q", 4)
 
     @property
     def count(self) -> int:
@@ -153,30 +137,21 @@ class Header:
         """Cloud Optimised Point Cloud: LAZ with its octree in an info record, which comes first."""
         return bool(self.vlrs) and self.vlrs[0].key == ("copc", 1)
 
-    def remarks(self) -> list[str]:
+    def remarks(self) -> Iterator[str]:
         """What the header says of the number of points that contradicts itself or the file."""
-        found, full, legacy = [], self._count, self._legacy_count
+        full, legacy, said = self._count, self._legacy_count, f"the header announces {self.count} points"
         if self.minor >= 4 and legacy and full != legacy:
-            found.append(f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read")
-        room = 0
-        if not self.compressed:
-            room = self._next(self.points_end) - self.points_end
-        returns = struct.unpack_from("<15Q", self.head, 255) if full else struct.unpack_from("<5I", self.head, 111)
-        said = f"the header announces {self.count} points"
+            yield f"the header announces {full} points, and {legacy} in its legacy field: {self.count} are read"
+        room = 0 if self.compressed else self._next(self.points_end) - self.points_end
+        returns = sum(struct.unpack_from("<15Q", self.head, 255) if full else struct.unpack_from("<5I", self.head, 111))
         if self.unread:
-            found.append(
-                f"{said}, but the compressed chunks hold at least {self.count + self.unread}: the others are not read, and "
-                "will be in no output"
-            )
-        elif room >= self.record_length:
-            more = room // self.record_length
-            found.append(
-                f"{said}, but {room} bytes follow them, enough for {more} more, so {self.count + more} in all: they are not "
-                "read; LAS written from this file keeps them as they are, behind its points"
-            )
-        elif sum(returns) > self.count:
-            found.append(f"{said}, and {sum(returns)} in its counts by return: {self.count} are read")
-        return found
+            held = f"the compressed chunks hold at least {self.count + self.unread}"
+            yield f"{said}, but {held}: the others are not read, and will be in no output"
+        elif more := room // self.record_length:
+            held = f"{room} bytes follow them, enough for {more} more, so {self.count + more} in all"
+            yield f"{said}, but {held}: they are not read; LAS written from this file keeps them as they are"
+        elif returns > self.count:
+            yield f"{said}, and {returns} in its counts by return: {self.count} are read"
 
     @property
     def points_end(self) -> int:
@@ -186,18 +161,12 @@ class Header:
     @property
     def tail(self) -> int:
         """Where that begins which follows the points (EVLRs, waveforms) and is copied as it stands."""
-        if not self.compressed:
-            return self.points_end
-        return self._next(len(self.head))
+        return self._next(len(self.head)) if self.compressed else self.points_end
 
     def _next(self, start: int) -> int:
         """Where after ``start`` something else than points begins; else the end of the file."""
         starts = [s for s in (self.waveform_start, self.evlr_start) if start <= s <= self.file_size]
         return min(starts, default=self.file_size)
-
-    @property
-    def evlr_start(self) -> int:
-        return self._evlr_start if self.evlrs else 0
 
     @property
     def laszip(self) -> bytes:
@@ -229,11 +198,11 @@ class Header:
             if (record.end - record.payload) % _EXTRA_ENTRY:
                 return None
             for entry in range(record.payload, record.end, _EXTRA_ENTRY):
-                data_type, options, name = struct.unpack_from("<BB32s", self.head, entry + 2)
+                data_type, size, name = struct.unpack_from("<BB32s", self.head, entry + 2)
                 if data_type > 30:
                     return None
-                one = _EXTRA_SIZES[(data_type - 1) % 10] * ((data_type - 1) // 10 + 1)
-                size = one if data_type else options
+                if data_type:
+                    size = _EXTRA_SIZES[(data_type - 1) % 10] * ((data_type - 1) // 10 + 1)
                 found.append(ExtraDimension(_text(name), data_type, at, size))
                 at += size
         return found if at <= self.record_length else None
@@ -243,7 +212,7 @@ class Header:
     ) -> Header:
         """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
         float32 dimensions ``extra`` (names and descriptions), and without the records of the users in ``drop``."""
-        kept = [r for r in self.vlrs if r.key != _LASZIP and r.user not in drop]
+        kept = [r for r in self.vlrs if r.key != _LASZIP and r.key[0] not in drop]
         blocks = [self.head[r.start : r.end] for r in kept]
         length = self.record_length
         if extra:
@@ -251,14 +220,17 @@ class Header:
             if described is None:
                 raise OutputError(f"{self.path}: the description of its extra bytes is damaged, so none can be added")
             end = max((d.start + d.size for d in described), default=RECORD_LENGTHS[self.point_format])
-            entries = [_entry(f"undescribed {i + 1}", _UINT8) for i in range(length - end)]  # they precede the new ones
-            entries += [_entry(name, FLOAT32, words) for name, words in extra.items()]
+            entries = [(f"undescribed {i + 1}", _UINT8, "") for i in range(length - end)]  # they precede the new ones
+            entries += [(name, FLOAT32, words) for name, words in extra.items()]
+            payload = b"".join(
+                struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), words.encode())
+                for name, kind, words in entries
+            )
             old = [i for i, r in enumerate(kept) if r.key == _EXTRA_BYTES]
-            payload = b"".join(entries)
             if old:
                 block = blocks[old[-1]]
-                size = len(block) - _VLR + len(payload)
-                blocks[old[-1]] = block[:20] + struct.pack("<H", size) + block[22:] + payload
+                size = struct.pack("<H", len(block) - _VLR + len(payload))
+                blocks[old[-1]] = block[:20] + size + block[22:] + payload
             else:
                 blocks.append(vlr(*_EXTRA_BYTES, payload))
             length += 4 * len(extra)
@@ -268,7 +240,7 @@ class Header:
         head = bytearray(self.head[: self.size] + b"".join(blocks) + gap)
         kind = self.point_format | (0x80 if compressor is not None else self.head[104] & 0x40)  # LASzip's bits
         struct.pack_into("<IIBH", head, 96, len(head), len(blocks), kind, length)
-        return _parse(self.path, bytes(head), None)
+        return _parse(self.path, bytes(head), len(head))
 
 
 @contextlib.contextmanager
@@ -294,95 +266,84 @@ def read_header(path: Place, tables: bool = True) -> Header:
     with opened(path) as (file, identity):
         size = identity.size
         block = file.read(HEADER_LENGTHS[4])
-        if size == 0:
+        if not size:
             raise InputError(f"{path}: the file is empty (0 bytes)")
         if block[:4] != b"LASF":
             raise InputError(f"{path}: not a LAS file: it begins with {block[:4]!r} instead of b'LASF'")
-        if len(block) < HEADER_LENGTHS[0]:
-            raise InputError(f"{path}: {len(block)} bytes are too few for a LAS header; the file is truncated")
+        _refuse(path, len(block) < HEADER_LENGTHS[0], f"{len(block)} bytes are too few for a LAS header")
         major, minor = block[24], block[25]
         if major != 1 or minor >= len(HEADER_LENGTHS):
             raise InputError(f"{path}: LAS version {major}.{minor} is not supported; 1.0 to 1.4 are")
-        header_size, offset, records = struct.unpack_from("<HII", block, 94)
-        if header_size < HEADER_LENGTHS[minor] or header_size > size:
-            raise InputError(f"{path}: header size {header_size} is impossible: LAS 1.{minor}, {size} bytes in all")
-        if not header_size <= offset <= size:
-            raise InputError(
-                f"{path}: offset to point data {offset} is not in the file ({size} bytes); it is damaged or truncated"
-            )
-        if records * _VLR > offset - header_size:
-            raise InputError(
-                f"{path}: the header announces {records} variable length records, but there are only "
-                f"{offset - header_size} bytes for them; the file is damaged"
-            )
+        own, offset, records = struct.unpack_from("<HII", block, 94)
+        _refuse(path, not HEADER_LENGTHS[minor] <= own <= size, f"header size {own} is impossible in {size} bytes")
+        _refuse(path, not own <= offset <= size, f"offset to point data {offset} is not in the file ({size} bytes)")
+        announced = f"the header announces {records} variable length records, and has {offset - own} bytes for them"
+        _refuse(path, records * _VLR > offset - own, announced)
         file.seek(0)
-        head = file.read(offset)
-        header = dataclasses.replace(_parse(path, head, size), identity=identity)
+        header = dataclasses.replace(_parse(path, file.read(offset), size), identity=identity)
         _check_points(header)
         if tables and header.compressed and (header.count or any(record.key == _LASZIP for record in header.vlrs)):
             header = dataclasses.replace(header, unread=_check_chunk_table(header, file))
-        if minor >= 4:
-            start, count = struct.unpack_from("<QI", head, 235)
-            points = len(head) if header.compressed else header.points_end
-            if count and start < points:
-                raise InputError(
-                    f"{path}: extended records begin at byte {start}, before the end of the points ({points}); the header "
-                    "is damaged"
-                )
-            if count * _EVLR + start > size and count:
-                raise InputError(
-                    f"{path}: the header announces {count} extended records from byte {start}, but the file has {size} bytes; "
-                    "it is damaged or truncated"
-                )
-            words = "extended record", "ends behind the file; it is truncated"
-            evlrs = _records(path, file, start, count, size, "<16sHQ", words)
-            header = dataclasses.replace(header, evlrs=evlrs)
+        start, count = struct.unpack_from("<QI", block, 235) if minor >= 4 else (0, 0)
+        if count:
+            end = len(header.head) if header.compressed else header.points_end
+            _refuse(path, start < end, f"extended records begin at byte {start}, before the end of the points ({end})")
+            announced = f"the header announces {count} extended records from byte {start}, and has {size} bytes"
+            _refuse(path, count * _EVLR + start > size, announced)
+            evlrs = _records(path, file, start, count, size, "<16sHQ", "extended record")
+            header = dataclasses.replace(header, evlrs=evlrs, evlr_start=start)
     if header.extra_dimensions() is None:
         warn(f"{path}: the description of its extra bytes is damaged; they are kept as they are")
     return header
 
 
-def _parse(path: Place, head: bytes, file_size: int | None) -> Header:
-    header_size, _, count = struct.unpack_from("<HII", head, 94)
-    what, where = "variable length record", "runs into the points; the file is damaged"
-    vlrs = _records(path, io.BytesIO(head), header_size, count, len(head), "<16sHH", (what, where))
-    return Header(path, head, len(head) if file_size is None else file_size, vlrs, ())
+def _refuse(path: Place, wrong: object, fault: str) -> None:
+    if wrong:
+        raise InputError(f"{path}: {fault}; the file is damaged or truncated")
+
+
+def _parse(path: Place, head: bytes, file_size: int) -> Header:
+    start, _, count = struct.unpack_from("<HII", head, 94)
+    vlrs = _records(path, io.BytesIO(head), start, count, len(head), "<16sHH", "variable length record")
+    return Header(path, head, file_size, vlrs)
 
 
 def _records(
-    path: Place, file: BinaryIO, start: int, count: int, end: int, layout: str, words: tuple[str, str]
+    path: Place, file: BinaryIO, start: int, count: int, end: int, layout: str, kind: str
 ) -> tuple[Record, ...]:
-    """So many records from ``start`` on; ``words``: what they are, and what is wrong if they do not end before ``end``."""
-    found = []
-    own = 2 + struct.calcsize(layout) + 32
+    """So many records of a kind from ``start`` on, which end before ``end``."""
+    found, own = [], 2 + struct.calcsize(layout) + 32
     for i in range(count):
         file.seek(start)
         block = file.read(own)
         user, number, length = struct.unpack_from(layout, block.ljust(own, b"\0"), 2)
-        if len(block) < own or start + own + length > end:
-            raise InputError(
-                f"{path}: {words[0]} {i + 1} of {count} ({_text(user)!r} {number}, {length} bytes) {words[1]}"
-            )
-        found.append(Record(_text(user), number, start, start + own, start + own + length))
-        start += own + length
+        record = Record((_text(user), number), start, start + own, start + own + length)
+        named = f"{kind} {i + 1} of {count} {record.key}, {length} bytes long, ends behind byte {end}"
+        _refuse(path, len(block) < own or record.end > end, named)
+        found.append(record)
+        start = record.end
     return tuple(found)
 
 
 def _check_points(header: Header) -> None:
-    path, number = header.path, header.point_format
+    path, number, length, count = header.path, header.point_format, header.record_length, header.count
     if number >= len(RECORD_LENGTHS):
         raise InputError(f"{path}: point format {number} is unknown; 0 to 10 are supported")
-    if header.record_length < RECORD_LENGTHS[number]:
-        raise InputError(
-            f"{path}: point records of {header.record_length} bytes are too short for point format {number} "
-            f"({RECORD_LENGTHS[number]} bytes); the header is damaged"
-        )
+    short = f"point records of {length} bytes are too short for point format {number} ({RECORD_LENGTHS[number]} bytes)"
+    _refuse(path, length < RECORD_LENGTHS[number], short)
     check_scales(header.scales, header.offsets, str(path))
-    if not header.compressed and header.points_end > header.file_size:
-        held = (header.file_size - len(header.head)) // header.record_length
-        raise InputError(
-            f"{path}: the header announces {header.count} points, but the file holds {held}; it is truncated or damaged"
-        )
+    held = count if header.compressed else (header.file_size - len(header.head)) // length
+    _refuse(path, count > held, f"the header announces {count} points, but the file holds {held}")
+
+
+def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
+    """i64[3, k]: where the chunks of a LAZ file begin, their bytes, and their points: of chunks of a fixed size, that size."""
+    compressor = lazrs.LazVlr(header.laszip)
+    file.seek(len(header.head))
+    points, sizes = np.array(lazrs.read_chunk_table(file, compressor), np.int64).reshape(-1, 2).T
+    if not compressor.uses_variable_size_chunks():
+        points = np.full_like(points, compressor.chunk_size())
+    return np.stack([len(header.head) + 8 + np.cumsum(sizes) - sizes, sizes, points])
 
 
 def _check_chunk_table(header: Header, file: BinaryIO) -> int:
@@ -391,139 +352,115 @@ def _check_chunk_table(header: Header, file: BinaryIO) -> int:
     Returns: number of points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed
     size do not say how full the last one is, unless they are layered.
     """
-    path, compressor = header.path, lazrs.LazVlr(header.decoder)
-    if compressor.item_size() != header.record_length:
-        raise InputError(
-            f"{path}: the laszip record describes points of {compressor.item_size()} bytes, the header of "
-            f"{header.record_length}; the file is damaged"
-        )
-    items = _items(header.laszip)
-    known = _items(laszip_record(header.point_format, header.record_length - RECORD_LENGTHS[header.point_format]))
+    path, laszip, length, number = header.path, header.laszip, header.record_length, header.point_format
+    compressor, begin, file_size = lazrs.LazVlr(header.decoder), len(header.head) + 8, header.file_size
+    described = f"the laszip record describes points of {compressor.item_size()} bytes, the header of {length}"
+    _refuse(path, compressor.item_size() != length, described)
+    items, method = _items(laszip), struct.unpack_from("<H", laszip)[0]
+    known = _items(laszip_record(number, length - RECORD_LENGTHS[number]))
     versions = {kind: (1, 2) if kind == _WAVES else (2,) if kind < _POINT14 else (3, 4) for kind, _, _ in known}
-    method, size = struct.unpack_from("<H", header.laszip)[0], struct.unpack_from("<I", header.laszip, 12)[0]
     same = [item[:2] for item in items] == [item[:2] for item in known]
-    if (
-        not same
-        or any(version not in versions[kind] for kind, _, version in items)
-        or method == (_LAYERED if header.point_format < 6 else _CHUNKED)
-    ):
-        raise InputError(
-            f"{path}: the laszip record describes other points than point format {header.point_format}; the file is damaged"
-        )
+    same = same and all(version in versions[kind] for kind, _, version in items)
+    other = not same or method == (_LAYERED if number < 6 else _CHUNKED)
+    _refuse(path, other, f"the laszip record describes other points than point format {number}")
     if method not in (_CHUNKED, _LAYERED):
         raise InputError(f"{path}: LAZ without chunks (before LASzip 2.0) is not supported; compress the file anew")
-    if header.count > _POINTS_PER_BYTE * header.file_size:
-        raise InputError(
-            f"{path}: the header announces {header.count} points, too many for {header.file_size} bytes; it is damaged"
-        )
-    file.seek(len(header.head))
+    announced = f"the header announces {header.count} points"
+    _refuse(path, header.count > _POINTS_PER_BYTE * file_size, f"{announced}, too many for {file_size} bytes")
+    file.seek(begin - 8)
     start = int.from_bytes(file.read(8), "little", signed=True)
     if start == -1:  # written by a compressor that could not seek
         file.seek(-8, 2)
         start = int.from_bytes(file.read(8), "little", signed=True)
-    if not len(header.head) + 8 <= start <= header.file_size - 8:
-        if not header.count:  # some writers leave out the table where there is nothing in it
-            return 0
-        raise InputError(f"{path}: the table of compressed chunks (byte {start}) is not in the file; it is truncated")
+    inside = begin <= start <= file_size - 8
+    if not inside and not header.count:  # some writers leave out the table where there is nothing in it
+        return 0
+    _refuse(path, not inside, f"the table of compressed chunks (byte {start}) is not in the file")
     file.seek(start)
-    _, chunks = struct.unpack("<II", file.read(8))
-    if chunks * header.record_length > header.file_size:  # each chunk begins with one uncompressed point
-        raise InputError(f"{path}: {chunks} compressed chunks cannot fit into {header.file_size} bytes; it is damaged")
-    file.seek(len(header.head))
-    table = lazrs.read_chunk_table(file, compressor)
-    varying, sizes = compressor.uses_variable_size_chunks(), [length for _, length in table]
-    held = [count if varying else size for count, _ in table]
-    most = least = sum(held)
-    if not varying and sizes:  # the last chunk holds anything from one point on, if it is more than the end of a stream
-        least += int(sizes[-1] >= header.record_length) - size
-    if len(header.head) + 8 + sum(sizes) != start:
-        raise InputError(
-            f"{path}: the compressed chunks do not end where their table begins; the file is damaged or truncated"
-        )
-    largest, memory = min(header.count, max(held, default=0)), psutil.virtual_memory().total
-    if largest * header.record_length > memory:
+    chunks = struct.unpack("<II", file.read(8))[1]  # each begins with one uncompressed point
+    _refuse(path, chunks * length > file_size, f"{chunks} compressed chunks cannot fit into {file_size} bytes")
+    varying, (_, sizes, held) = compressor.uses_variable_size_chunks(), (table := chunk_table(header, file))
+    most = least = int(held.sum())
+    # the last chunk holds anything from one point on, if it is more than the end of a stream
+    if not varying and len(sizes):
+        least += int(sizes[-1] >= length) - int(held[-1])
+    _refuse(path, begin + sizes.sum() != start, "the compressed chunks do not end where their table begins")
+    largest, memory = min(header.count, int(held.max(initial=0))), psutil.virtual_memory().total
+    if largest * length > memory:
         raise InputError(
             f"{path}: a compressed chunk of {largest} points does not fit into the memory of this machine ({memory} bytes); "
             "the file is damaged, or has to be compressed anew in smaller chunks"
         )
     if header.count <= most:
-        counts = _check_chunks(header, file, sizes, held)
-        full = len(held) - (not varying)
-        if counts and (counts[:full] != held[:full] or counts[full:] > held[full:]):
-            raise InputError(
-                f"{path}: the compressed chunks hold other numbers of points than their table says: damaged"
-            )
-        most, least = (sum(counts), sum(counts)) if counts else (most, least)
-    if header.count > most or (header.is_copc and header.count != most):
-        raise InputError(
-            f"{path}: the header announces {header.count} points, but the compressed chunks hold "
-            f"{'' if most == least else 'at most '}{most}; the file is damaged or truncated"
-        )
+        counts = _check_chunks(header, file, table)
+        if counts is not None:
+            full = len(held) - (not varying)
+            other = (counts[:full] != held[:full]).any() or (counts[full:] > held[full:]).any()
+            _refuse(path, other, "the compressed chunks hold other numbers of points than their table says")
+            most = least = int(counts.sum())
+    other = header.count > most or (header.is_copc and header.count != most)
+    _refuse(path, other, f"{announced}, but the compressed chunks hold {'' if most == least else 'at most '}{most}")
     return max(0, least - header.count)
 
 
-def _check_chunks(header: Header, file: BinaryIO, sizes: list[int], held: list[int]) -> list[int]:
+def _check_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarray | None:
     """Refuse chunks of the wrong length: decoders would read other points from them, and not notice.
 
     Of formats 6 to 10, a chunk is a first point, the number of points, the sizes of its layers, then the layers, which fill
-    it; without points it may have no bytes at all. Of formats 0 to 5, it is a first point, then the others. Of files on a
-    disk more is looked at: what an encoder writes, a layer or such a chunk, ends in two zero bytes. The first chunk of
-    formats 0 to 5 is decoded, and each before one whose first point lies outside the extent: its points need all its bytes.
+    it; without points it may have no bytes at all. Of files on a disk more is looked at: what an encoder writes, a layer or a
+    chunk of formats 0 to 5, ends in two zero bytes.
 
-    Args: ``held``: points of each chunk by the table.
-    Returns: points of each chunk of formats 6 to 10.
+    Returns: points of each chunk of formats 6 to 10, i64[k].
     """
-    path, local, counts = header.path, not isinstance(header.path, Remote), [0] * len(sizes)
-    starts = len(header.head) + 8 + np.cumsum([0, *sizes[:-1]])
-    chunks = [(i, int(at), size) for i, (at, size) in enumerate(zip(starts, sizes, strict=False)) if size]
-    if header.point_format < 6:
-        wrong = _wrong_chunks(header, file, chunks, held) if local and chunks else []
-        counts = []
-    else:
+    path, local, counts = header.path, not isinstance(header.path, Remote), None
+    there = np.flatnonzero(table[1])
+    start, size, _ = table[:, there]
+    wrong = np.zeros(len(there), bool)
+    if header.point_format < 6 and local and len(there):
+        wrong = _wrong_chunks(header, file, table[:, there])
+    elif header.point_format >= 6:
         items = _items(header.laszip)
-        layers = sum(size if kind == 14 else {_POINT14: 9, 12: 2}.get(kind, 1) for kind, size, _ in items)
-        first = header.record_length + 4 + 4 * layers
-        wrong = [i for i, _, size in chunks if size < first]
-        begins = [at + header.record_length for _, at, _ in chunks if not wrong]
-        stated = read_ranges(path, file, begins, [first - header.record_length] * len(begins))
-        for (i, at, size), block in zip(chunks, stated, strict=not wrong):
-            counts[i], *lengths = struct.unpack(f"<{1 + layers}I", block)
-            ends = at + first - 2 + np.cumsum([length for length in lengths if length])
-            if first + sum(lengths) != size or (
-                local and not _zero(read_ranges(path, file, ends.tolist(), [2] * len(ends)))
-            ):
-                wrong.append(i)
-    if wrong:
-        raise InputError(
-            f"{path}: compressed chunk {wrong[0] + 1} of {len(sizes)} is not as long as its table says; the file is damaged"
-        )
+        layers = sum(width if kind == 14 else {_POINT14: 9, 12: 2}.get(kind, 1) for kind, width, _ in items)
+        first, counts = header.record_length + 4 + 4 * layers, np.zeros(table.shape[1], np.int64)
+        wrong = size < first
+        if not wrong.any():
+            stated = read_ranges(path, file, start + header.record_length, np.full_like(start, 4 + 4 * layers))
+            stated = stated.view("<u4").reshape(-1, 1 + layers).astype(np.int64)
+            counts[there], lengths = stated[:, 0], stated[:, 1:]
+            wrong = first + lengths.sum(axis=1) != size
+            if local and not wrong.any():
+                ends, of = (start + first - 2)[:, None] + np.cumsum(lengths, axis=1), np.nonzero(lengths)[0]
+                wrong[of[_unended(path, file, ends[lengths > 0])]] = True
+    number = int(there[wrong.argmax()]) + 1 if wrong.any() else 0
+    _refuse(path, number, f"compressed chunk {number} of {table.shape[1]} is not as long as its table says")
     return counts
 
 
-def _wrong_chunks(header: Header, file: BinaryIO, chunks: list[tuple[int, int, int]], held: list[int]) -> list[int]:
-    """Those of formats 0 to 5, out of number, start and bytes, that are not as long as stated: see ``_check_chunks``."""
-    behind = [12] * (len(chunks) - 1) + [0]  # of the next one: X, Y, Z of its first point
-    found = read_ranges(
-        header.path, file, [max(0, at + size - 2) for _, at, size in chunks], [2 + more for more in behind]
-    )
-    wrong = [i for (i, _, _), end in zip(chunks, found, strict=True) if not _zero([end[:2]])]
-    ticks = np.frombuffer(b"".join(end[2:] for end in found), "<i4").reshape(-1, 3)
+def _unended(path: Place, file: BinaryIO, starts: np.ndarray) -> np.ndarray:
+    """bool[k]: which pairs of bytes are not zero."""
+    return read_ranges(path, file, starts, np.full_like(starts, 2)).view("<u2") != 0
+
+
+def _wrong_chunks(header: Header, file: BinaryIO, table: np.ndarray) -> np.ndarray:
+    """bool[k]: the chunks of formats 0 to 5 that are not as long as stated. The first is decoded, and each before one whose
+    first point lies outside the extent: its points need all its bytes."""
+    path, (start, size, held) = header.path, table
+    wrong = _unended(path, file, np.maximum(0, start + size - 2))
+    if len(start) < 2 or wrong.any():
+        return wrong
+    ticks = read_ranges(path, file, start[1:], np.full_like(start[1:], 12)).view("<i4").reshape(-1, 3)
     with np.errstate(all="ignore"):  # headers may state any extent
         low, high = (np.rint((edge - header.offsets) / header.scales) for edge in header.extent)
     odd = np.flatnonzero(((ticks < low - 1) | (ticks > high + 1)).any(axis=1))
-    for i, at, size in [chunks[k] for k in np.union1d(odd, 0).tolist() if len(chunks) > 1 and not wrong]:
-        need_threads()
-        most = read_ranges(header.path, file, [at], [size - 1])[0]
-        points = np.empty(held[i] * header.record_length, np.uint8)
+    need_threads()
+    for i in np.union1d(odd, 0).tolist():
+        most, points = int(size[i]) - 1, np.empty(int(held[i]) * header.record_length, np.uint8)
+        packed = read_ranges(path, file, start[i : i + 1], size[i : i + 1] - 1)
         everything = lazrs.DecompressionSelection(lazrs.SELECTIVE_DECOMPRESS_ALL)
         with contextlib.suppress(lazrs.LazrsError):  # as it has to be: the last point needs the last byte
-            lazrs.decompress_points_with_chunk_table(most, header.laszip, points, [(held[i], size - 1)], everything)
-            wrong.append(i)
+            lazrs.decompress_points_with_chunk_table(packed, header.laszip, points, [(int(held[i]), most)], everything)
+            wrong[i] = True
     return wrong
-
-
-def _zero(ends: list[bytes]) -> bool:
-    return not any(map(any, ends))
 
 
 def _items(record: bytes) -> list[tuple[int, int, int]]:
@@ -555,11 +492,7 @@ def new_header(
     struct.pack_into("<BB32s32sHH", block, 24, 1, 4, b"OTHER", b"jaxfilter", *created)
     struct.pack_into("<HIIBH", block, 94, len(block), len(block) + len(record), bool(record), 6, RECORD_LENGTHS[6])
     struct.pack_into("<6d", block, 131, *scales, *offsets)
-    return _parse(path, bytes(block) + record, None)
-
-
-def _entry(name: str, data_type: int, description: str = "") -> bytes:
-    return struct.pack("<HBB32s124x32s", 0, data_type, 0, name.encode(), description.encode())
+    return _parse(path, bytes(block) + record, len(block) + len(record))
 
 
 def _text(raw: bytes) -> str:

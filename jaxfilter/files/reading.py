@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,21 +14,12 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS, KEPT_CLASSES, PointCloud
 from ..core.errors import InputError, warn
+from ..core.frame import ends
 from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
 from ..core.reading import Reading
 from ..core.result import Progress, silent
-from ..core.units import (
-    GEOKEYS,
-    PROJECTION,
-    WKT,
-    Reference,
-    Units,
-    linear_units,
-    not_metric,
-    reference_of,
-    sampled,
-)
+from ..core.units import GEOKEYS, PROJECTION, WKT, Reference, Units, linear_units, not_metric, reference_of, sampled
 from . import records, text
 from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
 from .handles import Handle
@@ -43,6 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
+Suspect = Callable[[str], None] | None
+"""Is told why coordinates cannot be lengths."""
 
 
 def read(
@@ -92,17 +85,17 @@ def read(
     >>> 0 < len(west) < len(cloud), float(west.xyz[:, 0].max()) < 30
     (True, True)
     """
-    cut = None if bounds is None else check_bounds(bounds)
     reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor)
+    cut = None if bounds is None else check_bounds(bounds)
+    reading = dataclasses.replace(reading, bounds=cut)
     if is_laspy(path):
-        return _laspy_cloud(path, reading, cut)
-    path = place_of(path)
-    suspect = _refuse if reading.units is None else None
-    if is_text(path):
-        return _text_cloud(path, reading, cut, suspect)
-    file = open_las(path)
-    chunks = _records(file.header, cut, progress or silent)
-    return las_cloud(file, file.reading(reading), chunks, file.header.count, cut, suspect)
+        las: Any = path
+        if cut is not None:
+            las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
+        return _warn_if_empty("LasData", PointCloud.from_laspy(las, **_fields(reading)), cut)
+    place = place_of(path)
+    file = _opened(place, reading)
+    return _warn_if_empty(place, file.cloud(reading, _refuse if units is None else None, progress or silent), cut)
 
 
 def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict[str, Any]:
@@ -117,36 +110,30 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
     >>> facts["points"] == len(cloud), facts["format"]
     (True, 'LAZ 1.4, point format 6')
     """
-    path = place_of(path)
-    reading = Reading(drop_invalid=True, units=units)
-    header, reference, suspect = None, Reference(), warn if units is None else None
-    if is_text(path):
-        cloud = _text_cloud(path, reading, None, suspect)
-    else:
-        file = open_las(path)
-        header, reference = file.header, file.reference
-        if units is None and reference.problem is not None:
-            reading, suspect = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown)), None
-        cloud = las_cloud(file, file.reading(reading), _records(header), header.count, None, suspect)
-    angular = units is None and reference.problem is not None
-    low = high = None
+    place, reading = place_of(path), Reading(drop_invalid=True, units=units)
+    file = _opened(place, reading)
+    header, reference = (file.header, file.reference) if isinstance(file, LasFile) else (None, Reference())
+    if angular := units is None and reference.problem is not None:
+        reading = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown))
+    cloud = _warn_if_empty(place, file.cloud(reading, warn if units is None and not angular else None), None)
+    corners = None
     if len(cloud):
-        corners = np.stack([cloud.xyz.min(axis=0), cloud.xyz.max(axis=0)])
-        low, high = np.round(dataclasses.replace(cloud, xyz=corners).coordinates(), 3).tolist()
+        corners = np.round(dataclasses.replace(cloud, xyz=np.stack(ends(cloud.xyz))).coordinates(), 3)
     points = canonical_points(cloud)
+    extra = None if header is None else header.extra_dimensions()
     spacing = None if angular or len(points) < 2 else points.spacing()
     return {
-        "path": str(path),
+        "path": str(place),
         "format": cloud.source.format,
         "points": len(cloud),
         "crs": reference.name,
         "units": str(cloud.units),
         "metres_per_unit": None if angular else [cloud.units.xy, cloud.units.z],
-        "bounds": None if low is None or high is None else [*low[:2], *high[:2]],
-        "z": None if low is None or high is None else [low[2], high[2]],
+        "bounds": None if corners is None else corners[:, :2].ravel().tolist(),
+        "z": None if corners is None else corners[:, 2].tolist(),
         "scales": None if header is None else header.scales.tolist(),
         "offsets": None if header is None else header.offsets.tolist(),
-        "extra_bytes": _extra_names(header),
+        "extra_bytes": None if extra is None else [dimension.name for dimension in extra],
         "classes": _counts(cloud.classification),
         "echoes": _echo_counts(cloud),
         "withheld": None if cloud.withheld is None else int(cloud.withheld.sum()),
@@ -155,11 +142,6 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
         "spacing": spacing,
         "density": None if spacing is None else 1 / spacing**2,
     }
-
-
-def _extra_names(header: Header | None) -> list[str] | None:
-    found = None if header is None else header.extra_dimensions()
-    return None if found is None else [one.name for one in found]
 
 
 def is_text(path: Place) -> bool:
@@ -187,10 +169,64 @@ class LasFile:
     header: Header
     reference: Reference
 
-    def reading(self, asked: Reading) -> Reading:
-        """How its points are read, with units: those asked for, or of its CRS, or metres with a warning. Raises InputError."""
-        units = linear_units(self.reference, cast("Units | None", asked.units), str(self.header.path))
-        return dataclasses.replace(asked, units=units)
+    def cloud(
+        self,
+        reading: Reading,
+        suspect: Suspect = None,
+        progress: Progress = silent,
+        *,
+        chunks: Iterable[np.ndarray] | None = None,
+        most: int | None = None,
+    ) -> PointCloud:
+        """The points inside ``reading.bounds``, in the units asked for, or of the CRS, or in metres with a warning.
+
+        Args:
+            suspect: is told why coordinates cannot be lengths, if so.
+            chunks: the records of these points, u8[k, record_length] at a time; by default they are read. ``most``: there are
+                as many or fewer.
+
+        Raises: InputError.
+        """
+        header, reference = self.header, self.reference
+        path, number, scales, offsets = header.path, header.point_format, header.scales, header.offsets
+        units = linear_units(reference, cast("Units | None", reading.units), str(path))
+        most = header.count if most is None else most
+        with reading_errors(
+            path
+        ):  # np.empty takes memory only as it is filled, so little where bounds leave few points
+            ticks, n = np.empty((most, 3), np.int32), 0
+            kinds = {name: kind for name, kind in COLUMNS.items() if number >= 6 or name != "overlap"}
+            columns: dict[str, Any] = {name: np.empty(most, kind) for name, kind in kinds.items()}
+        identity, tally = cast(Identity, header.identity), Tally()
+        with identity.kept(path, CHANGED_IN_READING):
+            for chunk in self._chunks(reading.bounds, progress) if chunks is None else chunks:
+                rows = slice(n, n + len(chunk))
+                ticks[rows] = records.integers(chunk)
+                tally.add(ticks[rows])
+                for name, values in records.attributes(chunk, number).items():
+                    columns[name][rows] = values
+                n = rows.stop
+        if n < most:
+            ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
+        stated = reference.units is not None or reading.bounds is not None
+        _look(path, ticks[sampled(n)] * scales + offsets, n, stated, suspect)
+        is_ground = columns["classification"] == GROUND_CLASS
+        return PointCloud.from_integers(
+            ticks,
+            scales,
+            offsets,
+            dataclasses.replace(reading, units=units),
+            name=str(path),
+            crs=reference.crs,
+            source=Handle(path.absolute(), "las", str(header), n, reading.bounds, identity, tally.checksum),
+            reference=is_ground if is_ground.any() else None,
+            **columns,
+        )
+
+    def _chunks(self, bounds: Bounds | None, progress: Progress) -> Iterator[np.ndarray]:
+        for number, (chunk, _) in enumerate(read_records(self.header, bounds, every_field=False)):
+            progress(min(1.0, number * records.CHUNK / max(self.header.count, 1)), "read")
+            yield chunk
 
 
 def open_las(path: Place, tables: bool = True) -> LasFile:
@@ -201,91 +237,12 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         with header.open() as file:
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
-                if record.user == PROJECTION and record.number in (WKT, GEOKEYS) and size <= _LARGEST_CRS:
+                if record.key in ((PROJECTION, WKT), (PROJECTION, GEOKEYS)) and size <= _LARGEST_CRS:
                     file.seek(record.payload)
-                    stated[record.number] = file.read(size)
+                    stated[record.key[1]] = file.read(size)
         for remark in header.remarks():
             warn(f"{path}: {remark}")
         return LasFile(header, reference_of(stated, str(path)))
-
-
-def _records(header: Header, cut: Bounds | None = None, progress: Progress = silent) -> Iterable[np.ndarray]:
-    """The records inside a cut; warns if there are none."""
-    found = False
-    for number, chunk in enumerate(read_records(header, cut, every_field=False)):
-        progress(min(1.0, number * records.CHUNK / max(header.count, 1)), "read")
-        found |= len(chunk) > 0
-        yield chunk
-    if not found:
-        _warn_empty(str(header.path), cut)
-
-
-def _refuse(message: str) -> None:
-    raise InputError(message)
-
-
-def _laspy_cloud(las: Any, reading: Reading, cut: Bounds | None) -> PointCloud:
-    if cut is not None:
-        las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
-    cloud = PointCloud.from_laspy(las, **_fields(reading))
-    if not len(cloud):
-        _warn_empty("LasData", cut)
-    return cloud
-
-
-def _fields(reading: Reading) -> dict[str, Any]:
-    return {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name != "bounds"}
-
-
-def las_cloud(
-    file: LasFile,
-    reading: Reading,
-    chunks: Iterable[np.ndarray],
-    most: int,
-    cut: Bounds | None = None,
-    suspect: Callable[[str], None] | None = None,
-) -> PointCloud:
-    """The cloud of some records of a file, u8[k, record_length] at a time, ``most`` of them or fewer; ``cut`` says which
-    they are. ``suspect`` is told why coordinates cannot be lengths, if so."""
-    header, reference = file.header, file.reference
-    name, number = str(header.path), header.point_format
-    # np.empty takes memory only as it is filled, so little of it where bounds leave few points
-    with reading_errors(header.path):
-        ticks, n = np.empty((most, 3), np.int32), 0
-        columns: dict[str, Any] = {key: np.empty(most, kind) for key, kind in COLUMNS.items()}
-    if number < 6:
-        del columns["overlap"]
-    identity, tally = cast(Identity, header.identity), Tally()
-    with identity.kept(header.path, CHANGED_IN_READING):
-        for chunk in chunks:
-            rows = slice(n, n + len(chunk))
-            ticks[rows] = records.integers(chunk)
-            tally.add(ticks[rows])
-            columns["return_number"][rows], columns["number_of_returns"][rows] = records.echoes(chunk, number)
-            columns["classification"][rows] = records.classes(chunk, number)
-            columns["withheld"][rows] = records.withheld(chunk, number)
-            if number >= 6:
-                columns["overlap"][rows] = records.overlap(chunk)
-            n = rows.stop
-    if n < most:
-        ticks, columns = ticks[:n].copy(), {key: column[:n].copy() for key, column in columns.items()}
-    if suspect is not None:
-        some = ticks[sampled(n)] * header.scales + header.offsets
-        if reason := not_metric(some, n, reference.units is not None or cut is not None):
-            suspect(f"{name}: {reason}")
-    is_ground = columns["classification"] == GROUND_CLASS
-    source = Handle(header.path.absolute(), "las", str(header), n, cut, identity, tally.checksum)
-    return PointCloud.from_integers(
-        ticks,
-        header.scales,
-        header.offsets,
-        reading,
-        name=name,
-        crs=reference.crs,
-        source=source,
-        reference=is_ground if is_ground.any() else None,
-        **columns,
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -309,19 +266,32 @@ class TextFile:
         columns = {name: column[rows] for name, column in self.columns.items()}
         return dataclasses.replace(self, xyz=self.xyz[rows], columns=columns)
 
+    def cloud(self, reading: Reading, suspect: Suspect = None, progress: Progress = silent) -> PointCloud:
+        """The points, which are those inside ``reading.bounds``; ``suspect``: as of :class:`LasFile`."""
+        xyz, columns, tally = self.xyz, dict(self.columns), Tally()
+        is_ground = columns.get("classification", np.zeros(0)) == GROUND_CLASS
+        if "reference" not in columns and is_ground.any():
+            columns["reference"] = is_ground
+        some = xyz[sampled(len(xyz))]
+        _look(self.path, some[np.isfinite(some).all(axis=1)], len(xyz), reading.bounds is not None, suspect)
+        tally.add(xyz)
+        source = Handle(
+            self.path.absolute(), "text", str(self.layout), len(xyz), reading.bounds, self.identity, tally.checksum
+        )
+        fields: dict[str, Any] = columns | _fields(reading) | {"units": reading.metres}
+        return PointCloud.from_arrays(xyz, name=str(self.path), source=source, **fields)
 
-def open_text(path: Path, cut: Bounds | None = None, drop_invalid: bool = True) -> TextFile:
-    """The points of a text file that are inside a cut. Raises: InputError as :func:`text.read_text`."""
+
+def open_text(path: Path, bounds: Bounds | None = None, drop_invalid: bool = True) -> TextFile:
+    """The points of a text file that are inside bounds. Raises: InputError as :func:`text.read_text`."""
     with reading_errors(path), open(path, "rb") as file:  # held, so that no other file gets the same number meanwhile
         identity = Identity.of(file.fileno())
         with identity.kept(path, CHANGED_IN_READING):
             layout = text.layout_of(path)
-            parts = list(text.read_text(path, layout, cut, drop_invalid))
+            parts = list(text.read_text(layout, bounds, drop_invalid))
     xyz = np.concatenate([np.zeros((0, 3)), *(points for points, _ in parts)])
-    keys = parts[0][1] if parts else ()
-    return TextFile(
-        path, identity, layout, xyz, {key: np.concatenate([part[key] for _, part in parts]) for key in keys}
-    )
+    columns = {key: np.concatenate([part[key] for _, part in parts]) for key in (parts[0][1] if parts else ())}
+    return TextFile(path, identity, layout, xyz, columns)
 
 
 def kept_text(path: Path) -> TextFile:
@@ -336,36 +306,29 @@ def _kept_text(path: Path, identity: Identity) -> TextFile:
     return open_text(path)
 
 
-def text_cloud(
-    file: TextFile, reading: Reading, cut: Bounds | None = None, suspect: Callable[[str], None] | None = None
-) -> PointCloud:
-    """The cloud of a text file; ``cut`` says which points these are. ``suspect``: as in :func:`las_cloud`."""
-    xyz, columns, tally = file.xyz, dict(file.columns), Tally()
-    if "reference" not in columns and (columns.get("classification", np.zeros(0)) == GROUND_CLASS).any():
-        columns["reference"] = columns["classification"] == GROUND_CLASS
-    if suspect is not None:
-        some = xyz[sampled(len(xyz))]
-        some = some[np.isfinite(some).all(axis=1)]
-        if reason := not_metric(some, len(xyz), cut is not None):
-            suspect(f"{file.path}: {reason}")
-    tally.add(xyz)
-    source = Handle(file.path.absolute(), "text", str(file.layout), len(xyz), cut, file.identity, tally.checksum)
-    if reading.units is None:
-        reading = dataclasses.replace(reading, units=Units())
-    fields: dict[str, Any] = columns | _fields(reading)
-    return PointCloud.from_arrays(xyz, name=str(file.path), source=source, **fields)
+def _opened(place: Place, reading: Reading) -> LasFile | TextFile:
+    return open_text(cast(Path, place), reading.bounds, reading.drop_invalid) if is_text(place) else open_las(place)
 
 
-def _text_cloud(path: Place, reading: Reading, cut: Bounds | None, suspect: Callable[[str], None] | None) -> PointCloud:
-    cloud = text_cloud(open_text(cast(Path, path), cut, reading.drop_invalid), reading, cut, suspect)
+def _fields(reading: Reading) -> dict[str, Any]:
+    return {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name != "bounds"}
+
+
+def _look(path: Place, some: np.ndarray, n: int, stated: bool, suspect: Suspect) -> None:
+    """Tell ``suspect`` why some coordinates out of n cannot be lengths, if so."""
+    if suspect is not None and (reason := not_metric(some, n, stated)):
+        suspect(f"{path}: {reason}")
+
+
+def _refuse(message: str) -> None:
+    raise InputError(message)
+
+
+def _warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:
+    """The cloud, with a warning if it has no points."""
     if not len(cloud):
-        _warn_empty(str(path), cut)
+        warn(f"{name}: holds no points" + ("" if bounds is None else f" within bounds {bounds}"))
     return cloud
-
-
-def _warn_empty(name: str, cut: Bounds | None) -> None:
-    where = "" if cut is None else f" within bounds {cut}"
-    warn(f"{name}: holds no points{where}")
 
 
 def _counts(values: np.ndarray | None) -> dict[int, int] | None:

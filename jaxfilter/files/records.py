@@ -13,8 +13,7 @@ import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
 from ..core.forks import need_threads
-from . import copc
-from .blocks import Blocks, read_blocks, runs
+from .blocks import Blocks, nodes, read_blocks, runs, sound
 from .disk import Bounds
 from .header import Header
 from .storage import Place
@@ -30,6 +29,16 @@ NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud
 )
 
 
+_FAULTS: tuple[tuple[Any, str], ...] = (
+    (FileNotFoundError, "no such file"),
+    (IsADirectoryError, "is a folder: name one of its files, or open all of them by jaxfilter.open"),
+    (OSError, "cannot be read: {}"),
+    (MemoryError, "its points need more memory than there is ({}); read a part of it by bounds, or run it in tiles"),
+    ((ValueError, IndexError, OverflowError, struct.error), "cannot be decoded: {}"),
+    (lazrs.LazrsError, "the compressed points are damaged or truncated: {}"),
+)
+
+
 @contextlib.contextmanager
 def reading_errors(path: Place) -> Iterator[None]:
     """Turn whatever the decoders raise on a bad file into an InputError that names it."""
@@ -37,36 +46,16 @@ def reading_errors(path: Place) -> Iterator[None]:
         yield
     except JaxfilterError:
         raise
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(
-            f"{path}: is a folder: name one of its files, or open all of them by jaxfilter.open"
-        ) from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except MemoryError as error:
-        raise InputError(
-            f"{path}: its points need more memory than there is ({error}); read a part of it by bounds, or run it in tiles"
-        ) from error
-    except (ValueError, IndexError, OverflowError, struct.error) as error:
-        raise InputError(f"{path}: cannot be decoded: {error}") from error
-    except lazrs.LazrsError as error:
-        raise InputError(f"{path}: the compressed points are damaged or truncated: {error}") from error
     except BaseException as error:
+        words = next((words for kinds, words in _FAULTS if isinstance(error, kinds)), None)
         if type(error).__name__ == "PanicException":  # how the LAZ decoder reports some damage; not an Exception
-            raise InputError(f"{path}: the compressed points are damaged: {error}") from error
-        raise
+            words = "the compressed points are damaged: {}"
+        if words is None:
+            raise
+        raise InputError(f"{path}: {words.format(getattr(error, 'strerror', None) or error)}") from error
 
 
 def read_records(
-    header: Header, bounds: Bounds | None = None, every_field: bool = True, blocks: Blocks | None = None
-) -> Iterator[np.ndarray]:
-    """The records of :func:`numbered_records` without their numbers."""
-    return (chunk for chunk, _ in numbered_records(header, bounds, every_field, blocks))
-
-
-def numbered_records(
     header: Header, bounds: Bounds | None = None, every_field: bool = True, blocks: Blocks | None = None
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """The point records, u8[k, record_length] with k about a million, in file order, and their numbers in the file, i64[k]; only
@@ -83,19 +72,19 @@ def numbered_records(
     waiting, again = [], None  # the cubes of an octree are believed when all points read agree with them
     with reading_errors(header.path), header.open() as file:
         if blocks is None:
-            blocks = copc.nodes(header, file) if header.is_copc and bounds is not None else runs(header, file)
+            blocks = nodes(header, file) if header.is_copc and bounds is not None else runs(header, file)
         for group in (blocks if bounds is None else blocks.meeting(bounds)).groups(CHUNK):
             chunk, numbers = read_blocks(header, file, group, wanted), group.records()
             if bounds is None:
                 yield chunk, numbers
                 continue
-            if header.is_copc and (again := copc.sound(header, blocks, group, chunk)) is not None:
+            if header.is_copc and (again := sound(header, blocks, group, chunk)) is not None:
                 break
             kept = inside(coordinates(chunk, header, 2), bounds)
             waiting.append((chunk[kept], numbers[kept]))
             if not header.is_copc:
                 yield waiting.pop()
-    yield from waiting if again is None else numbered_records(header, bounds, every_field, again)
+    yield from waiting if again is None else read_records(header, bounds, every_field, again)
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -133,14 +122,12 @@ def set_classes(records: np.ndarray, point_format: int, values: np.ndarray) -> N
         records[:, 16] = values
 
 
-def withheld(records: np.ndarray, point_format: int) -> np.ndarray:
-    """bool[n]."""
-    return ((records[:, 15] >> (7 if point_format < 6 else 2)) & 1).astype(bool)
-
-
-def overlap(records: np.ndarray) -> np.ndarray:
-    """bool[n]; for point formats 6 to 10."""
-    return ((records[:, 15] >> 3) & 1).astype(bool)
+def attributes(records: np.ndarray, point_format: int) -> dict[str, np.ndarray]:
+    """The columns of a cloud, [n] each: echoes, classes, flags; overlap for point formats 6 to 10."""
+    number, total = echoes(records, point_format)
+    flags = records[:, 15] >> (7 if point_format < 6 else 2)
+    found = {"return_number": number, "number_of_returns": total, "classification": classes(records, point_format)}
+    return found | {"withheld": flags & 1} | ({"overlap": (flags >> 1) & 1} if point_format >= 6 else {})
 
 
 def channels(records: np.ndarray) -> int:
@@ -183,10 +170,11 @@ class Writer:
         file: binary, empty.
         header: as the output shall have it, see ``Header.rewritten``.
         recount: bring the counts and the extent in the header up to date with what was written; otherwise they stay.
+        rescale: bring the extent of Z up to date in any case.
     """
 
-    def __init__(self, file: BinaryIO, header: Header, recount: bool) -> None:
-        self.file, self.header, self.recount = file, header, recount
+    def __init__(self, file: BinaryIO, header: Header, recount: bool, rescale: bool = False) -> None:
+        self.file, self.header, self.recount, self.rescale = file, header, recount, rescale
         self.head = bytearray(header.head)
         self.count, self.by_return = 0, np.zeros(16, np.int64)
         self.low, self.high = np.full(3, 2**31, np.int64), np.full(3, -(2**31), np.int64)
@@ -203,9 +191,10 @@ class Writer:
         records = np.ascontiguousarray(records)
         if not len(records):
             return
+        self.count += len(records)
         if self.recount:
-            self.count += len(records)
             self.by_return += np.bincount(echoes(records, self.header.point_format)[0], minlength=16)
+        if self.recount or self.rescale:
             ticks = integers(records)
             self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))
         if self.encoder is not None:
@@ -224,12 +213,17 @@ class Writer:
             self._copy_tail(source, drop)
         if self.recount:
             self._recount()
+        if self.count and (self.recount or self.rescale):
+            scales, offsets = self.header.scales, self.header.offsets
+            extent = np.stack([self.high, self.low], axis=1) * scales[:, None] + offsets[:, None]
+            renewed = extent[0 if self.recount else 2 :].reshape(-1)
+            struct.pack_into(f"<{len(renewed)}d", self.head, 227 - 8 * len(renewed), *renewed)
         self.file.seek(0)
         self.file.write(self.head)
 
     def _copy_tail(self, source: Header, drop: tuple[str, ...]) -> None:
         at = self.file.tell()
-        kept = [r for r in source.evlrs if r.user not in drop]
+        kept = [r for r in source.evlrs if r.key[0] not in drop]
         with source.open() as file:
             if len(kept) == len(source.evlrs):
                 file.seek(source.tail)
@@ -251,7 +245,4 @@ class Writer:
         old = header.minor < 4 or header.point_format < 6  # point formats from 6 have no legacy counts in LAS 1.4
         legacy = [self.count, *self.by_return[1:6]] if old and self.count < 2**32 else [0] * 6
         struct.pack_into("<6I", self.head, 107, *(int(v) for v in legacy))
-        extent = np.zeros((3, 2))
-        if self.count:
-            extent = np.stack([self.high, self.low], axis=1) * header.scales[:, None] + header.offsets[:, None]
-        struct.pack_into("<6d", self.head, 179, *extent.reshape(-1))
+        struct.pack_into("<6d", self.head, 179, *[0.0] * 6)  # of no points

@@ -6,13 +6,14 @@ import dataclasses
 import functools
 import math
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pyproj
 
 from ..core.errors import InputError
-from ..core.units import UNITS, Units, not_metric, sampled
+from ..core.frame import ends
+from ..core.units import UNITS, Reference, Units, not_metric, sampled
 from .disk import Bounds
 from .reading import is_text, kept_text, open_las
 from .storage import Place, place_of
@@ -78,49 +79,34 @@ def describe_file(place: Place, units: Units | None = None) -> Source:
 
     Raises: InputError if it cannot be read, or if its coordinates cannot be lengths, unless ``units`` are given.
     """
-    return _text_source(cast(Path, place), units) if is_text(place) else _las_source(place, units)
-
-
-def _las_source(place: Place, units: Units | None) -> Source:
-    file = open_las(place, tables=False)
-    header, reference = file.header, file.reference
-    low, high = header.extent
-    if header.count and not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
-        extent = f"{low.tolist()} to {high.tolist()}"
-        raise InputError(f"{place}: the extent in its header is damaged: {extent}; write the file anew to correct it")
-    problem = None
+    facts: dict[str, Any]
+    if is_text(place):
+        file, reference = kept_text(cast(Path, place)), Reference()
+        xyz, count = file.xyz[np.isfinite(file.xyz).all(axis=1)], len(file.xyz)
+        extent, some = np.stack(ends(xyz)) if len(xyz) else np.full((2, 3), math.nan), xyz[sampled(len(xyz))]
+        facts = {"format": "text", "identity": file.fingerprint}
+    else:
+        las = open_las(place, tables=False)
+        header, reference, count = las.header, las.reference, las.header.count
+        extent = some = np.stack(header.extent)
+        if count and not (np.isfinite(extent).all() and (extent[0] <= extent[1]).all()):
+            words = f"{extent[0].tolist()} to {extent[1].tolist()}"
+            raise InputError(
+                f"{place}: the extent in its header is damaged: {words}; write the file anew to correct it"
+            )
+        facts = {
+            "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
+            "wkt": None if reference.crs is None else reference.crs.to_wkt(),
+            "point_format": header.point_format,
+            "scales": tuple(header.scales.tolist()),
+            "offsets": tuple(header.offsets.tolist()),
+            "date": header.date,
+            "identity": header.fingerprint,
+        }
     if units is None and reference.problem is not None:
-        problem = f"{reference.problem}, or pass units= if the CRS record is wrong"
-    if units is None and problem is None and header.count:
-        problem = not_metric(np.stack(header.extent), header.count, reference.units is not None)
-    if problem is not None:
+        raise InputError(f"{place}: {reference.problem}, or pass units= if the CRS record is wrong")
+    if units is None and count and (problem := not_metric(some, count, reference.units is not None)):
         raise InputError(f"{place}: {problem}")
-    return dataclasses.replace(
-        _extended(place, header.count, np.stack([low, high])),
-        format="copc" if header.is_copc else "laz" if header.compressed else "las",
-        wkt=None if reference.crs is None else reference.crs.to_wkt(),
-        units=units or reference.units or Units(),
-        point_format=header.point_format,
-        scales=tuple(header.scales.tolist()),
-        offsets=tuple(header.offsets.tolist()),
-        date=header.date,
-        identity=header.fingerprint,
-    )
-
-
-def _text_source(place: Path, units: Units | None) -> Source:
-    file = kept_text(place)
-    xyz = file.xyz[np.isfinite(file.xyz).all(axis=1)]
-    if units is None and (problem := not_metric(xyz[sampled(len(xyz))], len(xyz), False)):
-        raise InputError(f"{place}: {problem}")
-    extent = np.stack([xyz.min(axis=0), xyz.max(axis=0)]) if len(xyz) else np.full((2, 3), math.nan)
-    source = _extended(place, len(file.xyz), extent)
-    return dataclasses.replace(source, units=units or Units(), identity=file.fingerprint)
-
-
-def _extended(place: Place, count: int, extent: np.ndarray) -> Source:
-    """A source of so many points, of the lowest and highest x, y and z, f64[2, 3]."""
-    if not count:
-        return Source(str(place), "text", NO_BOUNDS, 0)
-    (x0, y0, z0), (x1, y1, z1) = extent.tolist()
-    return Source(str(place), "text", (x0, y0, x1, y1), count, (z0, z1))
+    (x0, y0, z0), (x1, y1, z1) = (extent if count else np.full((2, 3), math.nan)).tolist()
+    facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": units or reference.units or Units()}
+    return Source(str(place), count=count, **facts)

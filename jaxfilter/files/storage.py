@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
 import os
 import posixpath
 import shutil
@@ -19,6 +18,8 @@ import urllib.parse
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
+
+import numpy as np
 
 from ..core.errors import InputError, OutputError
 
@@ -32,15 +33,7 @@ _SMALL, _LARGE = 4096, 8 << 20  # bytes read ahead: of headers, and of files tha
 _GAP = 4096  # ranges that are this close are fetched as one
 _MISSING = (404, 410)
 _PASSING = (408, 425, 429, 500, 502, 503, 504)  # HTTP status of failures that may pass
-_LASTING = (
-    FileNotFoundError,
-    PermissionError,
-    IsADirectoryError,
-    NotADirectoryError,
-    NotImplementedError,
-    ImportError,
-    ValueError,
-)
+_LASTING = (PermissionError, IsADirectoryError, NotADirectoryError, NotImplementedError, ImportError, ValueError)
 
 _T = TypeVar("_T")
 
@@ -83,13 +76,8 @@ class Remote:
         return self
 
     def status(self) -> tuple[int, str]:
-        """Bytes, and what changes with the content: the ETag, or else the time of the last change.
-
-        Raises: InputError.
-        """
-        system, path = self._system()
-        system.invalidate_cache()
-        facts = _persistent(self.uri, lambda: system.info(path))
+        """Bytes, and what changes with the content: the ETag, or else the time of the last change. Raises: InputError."""
+        facts = self._ask(lambda system, path: system.info(path))
         if facts.get("type") == "directory":
             raise InputError(f"{self.uri}: is a folder, a file is needed")
         if facts.get("size") is None:
@@ -99,99 +87,93 @@ class Remote:
 
     def open(self, size: int, sequential: bool = False) -> BinaryIO:
         """A file of ``size`` bytes that can be read and sought; ``sequential`` reads far ahead."""
-        return cast(BinaryIO, io.BufferedReader(_Ranges(self, size), _LARGE if sequential else _SMALL))
+        from fsspec.spec import AbstractBufferedFile
+
+        class Ranges(AbstractBufferedFile):  # type: ignore[misc]
+            def _fetch_range(_, start: int, end: int) -> bytes:
+                return self.ranges([start], [end])[0]
+
+        ahead = _LARGE if sequential else _SMALL
+        return cast(BinaryIO, Ranges(None, self.uri, block_size=ahead, cache_type="readahead", size=size))
 
     def ranges(self, starts: Sequence[int], ends: Sequence[int]) -> list[bytes]:
         """The bytes of each range, fetched at the same time. Raises InputError."""
-        system, path = self._system()
 
-        def fetch() -> list[bytes]:
+        def fetch(system: Any, path: str) -> list[bytes]:
             found: list[Any] = system.cat_ranges([path] * len(starts), list(starts), list(ends), on_error="raise")
-            for part, start, end in zip(found, starts, ends, strict=True):
-                if len(part) > end - start:
+            for part, size in zip(found, (end - start for start, end in zip(starts, ends, strict=True)), strict=True):
+                if len(part) > size:
                     raise InputError(
-                        f"{self.uri}: the server sends {len(part)} bytes where {end - start} were asked for: it knows no "
-                        "ranges; copy the file to a local disk"
+                        f"{self.uri}: the server sends {len(part)} bytes where {size} were asked for: it knows no ranges; "
+                        "copy the file to a local disk"
                     )
-                if len(part) < end - start:
-                    raise ConnectionError(f"{len(part)} of {end - start} bytes arrived")
+                if len(part) < size:
+                    raise ConnectionError(f"{len(part)} of {size} bytes arrived")
             return [bytes(part) for part in found]
 
-        return _persistent(self.uri, fetch)
+        return self._ask(fetch)
 
     def listed(self, suffixes: tuple[str, ...]) -> list[str]:
         """URIs of the files in this folder, or that match it as a pattern, that end so (in any case), sorted."""
-        system, path = self._system()
-        is_pattern = any(c in self.uri for c in "*[")
-        find: Callable[[], Any] = (lambda: system.glob(path)) if is_pattern else (lambda: system.ls(path, detail=False))
-        found = [path for path in _persistent(self.uri, find) if path.lower().endswith(suffixes)]
-        return sorted(_persistent(self.uri, lambda: [system.unstrip_protocol(path) for path in found]))
+
+        def find(system: Any, path: str) -> list[str]:
+            found = system.glob(path) if any(c in self.uri for c in "*[") else system.ls(path, detail=False)
+            return sorted(system.unstrip_protocol(one) for one in found if one.lower().endswith(suffixes))
+
+        return self._ask(find)
 
     def held(self) -> list[str]:
         """Names in this folder, sorted; none if there is no such folder. Raises InputError if the store cannot be reached."""
-        if not self.exists():
-            return []
-        system, path = self._system()
-        found = _persistent(self.uri, lambda: system.ls(path, detail=False))
+        found = self._ask(lambda system, path: system.ls(path, detail=False)) if self.exists() else []
         return sorted({name for one in found if (name := posixpath.basename(one.rstrip("/")))})
 
     def remove(self) -> None:
         """Remove the file. Raises InputError."""
-        system, path = self._system()
-        _persistent(self.uri, lambda: system.rm_file(path))
+        self._ask(lambda system, path: system.rm_file(path))
 
     def exists(self) -> bool:
         """Whether there is such a file. Raises InputError if the store cannot be reached."""
-        system, path = self._system()
-        system.invalidate_cache()
-        return _persistent(self.uri, lambda: bool(system.exists(path)))
+        return self._ask(lambda system, path: bool(system.exists(path)))
 
     def put(self, local: Path) -> None:
         """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
-        system, path = self._system()
-        _persistent(
-            self.uri, lambda: system.put_file(str(local), path), "there is no such bucket or folder to write to"
+        self._ask(
+            lambda system, path: system.put_file(str(local), path), "there is no such bucket or folder to write to"
         )
 
-    def _system(self) -> tuple[Any, str]:
+    def _ask(self, act: Callable[[Any, str], _T], missing: str = "no such file") -> _T:
+        """What ``act`` returns for the file system and the path there, tried again after failures that may pass.
+
+        Raises InputError that names the URI; ``missing``: what is said of "not found".
+        """
         import fsspec
 
         try:
-            return fsspec.core.url_to_fs(self.uri)
-        except ImportError as error:
-            text = f"{self.uri}: cannot be reached: {error}; pip install 'jaxfilter[remote]' brings what s3:// and https:// need"
-            raise InputError(text) from error
+            system, path = fsspec.core.url_to_fs(self.uri)
         except Exception as error:  # a store raises what it likes where a URL is not what it expects
-            raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}") from error
-
-
-class _Ranges(io.RawIOBase):
-    """A remote file as a raw stream: each read is one request."""
-
-    def __init__(self, place: Remote, size: int) -> None:
-        self.place, self.size, self.at = place, size, 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self.at
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        self.at = max(0, offset + (0, self.at, self.size)[whence])
-        return self.at
-
-    def readinto(self, buffer: Any) -> int:
-        end = min(self.size, self.at + len(buffer))
-        if end <= self.at:
-            return 0
-        found = self.place.ranges([self.at], [end])[0]
-        buffer[: len(found)] = found
-        self.at += len(found)
-        return len(found)
+            hint = (
+                "; pip install 'jaxfilter[remote]' brings s3:// and https://" if isinstance(error, ImportError) else ""
+            )
+            raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}{hint}") from error
+        system.invalidate_cache()
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                return act(system, path)
+            except InputError:
+                raise
+            except Exception as error:
+                known = error.__cause__  # fsspec calls much "not found" that has another cause
+                cause = known if isinstance(known, Exception) else error
+                status = _status(cause)
+                if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
+                    raise InputError(f"{self.uri}: {missing}") from error
+                reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
+                if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
+                    raise InputError(f"{self.uri}: cannot be reached: {reason}") from error
+                if attempt == ATTEMPTS:
+                    raise InputError(f"{self.uri}: failed {ATTEMPTS} times, the last time with {reason}") from error
+            time.sleep(FIRST_WAIT * 2 ** (attempt - 1))
+        raise AssertionError("unreachable")
 
 
 Place = Path | Remote
@@ -208,34 +190,27 @@ def place_of(what: str | os.PathLike[str] | Remote) -> Place:
     return Path(urllib.parse.unquote(rest)) if scheme in ("file", "local") else Remote(text)
 
 
-def read_ranges(place: Place, file: BinaryIO, starts: Sequence[int], sizes: Sequence[int]) -> list[bytes]:
-    """Ranges of bytes of an open file, in the order asked for. Of remote files, ranges close to each other are fetched
-    together, the others at the same time. Ranges do not overlap and are sorted.
+def read_ranges(place: Place, file: BinaryIO, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """u8: ranges of bytes of an open file, one after the other; ``starts`` and ``sizes`` are i64[k]. Of remote files, ranges
+    close to each other are fetched together, the others at the same time. Ranges do not overlap and are sorted.
 
     Raises: InputError if the file ends before, OSError.
     """
+    found, ends = np.empty(int(sizes.sum()), np.uint8), np.cumsum(sizes)
+    pieces = zip(starts.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
     if not isinstance(place, Remote):
-        found = []
-        for start, size in zip(starts, sizes, strict=True):
+        for start, low, high in pieces:
             file.seek(start)
-            found.append(file.read(size))
-            if len(found[-1]) < size:
+            if file.readinto(found[low:high].data) < high - low:  # type: ignore[attr-defined]
                 raise InputError(f"{place}: the file ends within its points; it is truncated")
         return found
-    firsts: list[int] = []
-    ends: list[int] = []
-    member = []
-    for start, size in zip(starts, sizes, strict=True):
-        if not firsts or not 0 <= start - ends[-1] <= _GAP:
-            firsts.append(start)
-            ends.append(start)
-        member.append(len(firsts) - 1)
-        ends[-1] = start + size
-    parts = place.ranges(firsts, ends)
-    return [
-        parts[k][start - firsts[k] : start - firsts[k] + size]
-        for k, start, size in zip(member, starts, sizes, strict=True)
-    ]
+    apart = np.append(True, starts[1:] - (starts + sizes)[:-1] > _GAP)[: len(starts)]
+    firsts = starts[apart]
+    parts = place.ranges(firsts.tolist(), (starts + sizes)[np.roll(apart, -1)].tolist())
+    for (start, low, high), k in zip(pieces, (np.cumsum(apart) - 1).tolist(), strict=True):
+        at = start - int(firsts[k])
+        found[low:high] = np.frombuffer(parts[k], np.uint8)[at : at + high - low]
+    return found
 
 
 @contextlib.contextmanager
@@ -267,29 +242,6 @@ def check_writable(place: Remote) -> None:
         part.touch()
     with contextlib.suppress(InputError):  # it may be allowed to write, but not to remove
         probe.remove()
-
-
-def _persistent(uri: str, act: Callable[[], _T], missing: str = "no such file") -> _T:
-    """What ``act`` returns, tried again after failures that may pass. Raises InputError that names the URI; ``missing``: what is
-    said of "not found"."""
-    for attempt in range(ATTEMPTS):
-        try:
-            return act()
-        except InputError:
-            raise
-        except Exception as error:
-            known = error.__cause__  # fsspec calls much "not found" that has another cause
-            cause = known if isinstance(known, Exception) else error
-            status = _status(cause)
-            if status in _MISSING or (status is None and isinstance(cause, FileNotFoundError)):
-                raise InputError(f"{uri}: {missing}") from error
-            reason = f"{type(cause).__name__}: {cause}" if str(cause) else type(cause).__name__
-            if isinstance(cause, _LASTING) or (status is not None and status not in _PASSING):
-                raise InputError(f"{uri}: cannot be reached: {reason}") from error
-            if attempt == ATTEMPTS - 1:
-                raise InputError(f"{uri}: failed {ATTEMPTS} times, the last time with {reason}") from error
-        time.sleep(FIRST_WAIT * 2**attempt)
-    raise AssertionError("unreachable")
 
 
 def _status(error: Exception) -> int | None:

@@ -6,6 +6,7 @@ to say, in reading and in rewriting.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import itertools
@@ -49,7 +50,7 @@ _LARGEST = LARGEST | {"withheld": 1, "overlap": 1, "label": 1}
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text file is laid out.
+    """A text file, and how it is laid out.
 
     Attributes:
         delimiter: comma, semicolon, tab, or None for white space.
@@ -61,6 +62,7 @@ class Layout:
         between: what is written between cells: the delimiter, or a tab or blank for white space.
     """
 
+    path: Path
     delimiter: str | None
     columns: dict[str, int]
     width: int
@@ -77,7 +79,7 @@ def layout_of(path: Path) -> Layout:
     """From the first lines. Raises InputError if the columns cannot be told, or if names and columns do not match."""
     lines, first = _head(path)
     before = [i for i, line in enumerate(lines[:first]) if line.strip(_BLANK)]
-    comments = list(itertools.takewhile(lambda i: _is_comment(lines[i]), reversed(before)))
+    comments = list(itertools.takewhile(lambda i: not _holds_data(lines[i]), reversed(before)))
     other = before[: len(before) - len(comments)][-1:]  # the line above
     headers = []  # what may name the columns, and how
     for delimiter, i in itertools.product(_DELIMITERS, other + comments[:_PREAMBLE]):
@@ -87,7 +89,7 @@ def layout_of(path: Path) -> Layout:
         if other and not headers:
             raise InputError(f"{path}: no line holds three numbers; this is not a text file of points")
         delimiter, at, names = next((header for header in headers if header[1] in other), (None, None, _UNNAMED[:3]))
-        return Layout(delimiter, _columns(path, at, names), len(names), at, len(lines), 0, delimiter or " ")
+        return Layout(path, delimiter, _columns(path, at, names), len(names), at, len(lines), 0, delimiter or " ")
     widths = {delimiter: len(_cells(lines[first], delimiter)) for delimiter in _DELIMITERS}
     fitting = [header for header in headers if len(header[2]) == widths[header[0]]]
     if headers:
@@ -98,10 +100,8 @@ def layout_of(path: Path) -> Layout:
         delimiter = next((delimiter for delimiter in (";", ",", None) if widths[delimiter] >= 3), None)
         at, names = None, _UNNAMED[: widths[delimiter]]
         if not 3 <= widths[delimiter] <= 4:
-            raise InputError(
-                f"{path}: {widths[delimiter]} columns without names; x y z and x y z label are understood, others need a "
-                "header line"
-            )
+            found = f"{widths[delimiter]} columns without names"
+            raise InputError(f"{path}: {found}; x y z and x y z label are understood, others need a header line")
     columns = _columns(path, at, names)
     if at is not None and not fitting:
         hint = " (if it is a mere comment, take the names out of it)" if at in comments else ""
@@ -111,11 +111,11 @@ def layout_of(path: Path) -> Layout:
     cells = [row[columns[axis]] for row in rows if len(row) == len(names) for axis in "xyz"]
     decimals = max((len(re.match(rb"[^.]*\.?(\d*)", cell)[1]) for cell in cells), default=0)  # type: ignore[index]
     between = delimiter or ("\t" if b"\t" in lines[first].strip(_BLANK) else " ")
-    return Layout(delimiter, columns, len(names), at, first, decimals, between)
+    return Layout(path, delimiter, columns, len(names), at, first, decimals, between)
 
 
 def read_text(
-    path: Path, layout: Layout, bounds: Bounds | None = None, drop_invalid: bool = True
+    layout: Layout, bounds: Bounds | None = None, drop_invalid: bool = True
 ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Runs of coordinates f64[k, 3] in file units and of attributes, named as a PointCloud's fields.
 
@@ -124,19 +124,17 @@ def read_text(
     Raises: InputError naming the line and column of what cannot be read: lines of another width, cells that are not
     numbers, labels and classes out of range; NaN and infinite coordinates unless ``drop_invalid``.
     """
-    for run in _runs(path, layout):
-        values = run.numbers()
-        xyz = np.column_stack([values[axis] for axis in "xyz"])
-        keep = np.ones(len(xyz), bool) if bounds is None else inside(xyz, bounds)
+    for run in _runs(layout):
+        values, xyz, keep = run.points(bounds)
         if not drop_invalid:
             odd = ~np.isfinite(xyz)
             odd &= (keep | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
             if odd.any():
                 row, axis = np.argwhere(odd)[0]
-                raise InputError(
-                    f"{path}: {run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; remove points with NaN or infinite "
-                    "coordinates, or pass drop_invalid=True to label them non-ground"
+                hint = (
+                    "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
                 )
+                raise InputError(f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
         attributes = {}
         for name in _LARGEST.keys() & values.keys():
             column = values[name][keep]
@@ -144,7 +142,7 @@ def read_text(
             if odd.any():
                 place, value = run.place(np.flatnonzero(keep)[odd.argmax()]), column[odd.argmax()]
                 hint = f"{GROUND} (ground) or {OBJECT} (object)" if name == "label" else f"0 to {_LARGEST[name]}"
-                raise InputError(f"{path}: {place}: {name} {value:g}: whole numbers, {hint}, are needed")
+                raise InputError(f"{place}: {name} {value:g}: whole numbers, {hint}, are needed")
             if name == "label":
                 attributes["reference"] = column == GROUND
             else:
@@ -153,44 +151,41 @@ def read_text(
 
 
 def rewrite_text(
-    path: Path,
     layout: Layout,
     target: BinaryIO,
     bounds: Bounds | None,
-    labels: Callable[[slice], np.ndarray],
+    ground: np.ndarray,
     classes: Callable[[np.ndarray, slice], np.ndarray],
     tally: Tally,
 ) -> None:
     """Write a text file again, with the results in its label column, or else in its class column, or else in a new last
     column of labels. Other cells, comments and ends of lines stay; what separates cells becomes alike in all lines.
 
-    ``labels(rows)`` and ``classes(old, rows)`` give the values for a run of the cloud's points, which ``tally`` counts.
+    ``ground`` is bool[n], and ``classes(old, rows)`` gives the classes of a run of the cloud's points, which ``tally`` counts.
     """
-    target.write(_MARK if _begins_with_mark(path) else b"")
+    with open(layout.path, "rb") as file:
+        target.write(_MARK if file.read(len(_MARK)) == _MARK else b"")
     replaced = [name for name in ("label", "classification") if name in layout.columns]
-    for run in _runs(path, layout):
-        values = run.numbers()
-        xyz = np.column_stack([values[axis] for axis in "xyz"])
-        keep = np.ones(len(xyz), bool) if bounds is None else inside(xyz, bounds)
-        start = tally.points
+    for run in _runs(layout):
+        values, xyz, keep = run.points(bounds)
         tally.add(xyz[keep])
-        rows = slice(start, tally.points)
+        rows = slice(tally.points - int(keep.sum()), tally.points)
         cells = run.texts(keep)
         if "label" in layout.columns or not replaced:
             column = layout.columns.get("label", layout.width)
-            cells[column : column + 1] = [labels(rows).astype(str).tolist()]
+            cells[column : column + 1] = [np.where(ground[rows], GROUND, OBJECT).astype(str).tolist()]
         if "classification" in layout.columns:
             new = classes(values["classification"][keep].astype(np.uint8), rows)
             cells[layout.columns["classification"]] = new.astype(str).tolist()
         lines, at = list(run.lines), np.array(run.at, np.int64)
-        if layout.header is not None and not replaced and 0 <= layout.header - run.start < len(lines):
-            name, ending = _split_ending(lines[layout.header - run.start])
-            lines[layout.header - run.start] = name + layout.between.encode() + b"label" + ending
+        if layout.header is not None and not replaced and 0 <= (i := layout.header - run.start) < len(lines):
+            body = lines[i].rstrip(b"\r\n")
+            lines[i] = body + layout.between.encode() + b"label" + lines[i][len(body) :]
         for i in at[~keep].tolist():
             lines[i] = b""
         texts = map(layout.between.join, zip(*cells, strict=True))
         for i, text in zip(at[keep].tolist(), texts, strict=True):
-            lines[i] = text.encode("utf-8", "surrogateescape") + _split_ending(lines[i])[1]
+            lines[i] = text.encode("utf-8", "surrogateescape") + lines[i][len(lines[i].rstrip(b"\r\n")) :]
         target.writelines(lines)
 
 
@@ -209,7 +204,6 @@ class Lines:
     """Some whole lines of a file, the first of which has the number ``start``, from 0. ``at``: those that hold data, which are
     ``data`` together."""
 
-    path: Path
     layout: Layout
     start: int
     lines: list[bytes]
@@ -217,8 +211,14 @@ class Lines:
     data: bytes
 
     def place(self, row: int) -> str:
-        """The line of a row of the data, for messages."""
-        return f"line {self.start + self.at[row] + 1}"
+        """The file and the line of a row of the data, for messages."""
+        return f"{self.layout.path}: line {self.start + self.at[row] + 1}"
+
+    def points(self, bounds: Bounds | None) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+        """The named columns, f64[k] each; coordinates, f64[k, 3]; which are within bounds, bool[k]. Raises: InputError."""
+        values = self.numbers()
+        xyz = np.column_stack([values[axis] for axis in "xyz"])
+        return values, xyz, np.ones(len(xyz), bool) if bounds is None else inside(xyz, bounds)
 
     def numbers(self) -> dict[str, np.ndarray]:
         """The named columns, f64[k]. Raises InputError with line and name of the first cell that is no number."""
@@ -228,14 +228,11 @@ class Lines:
         self._checked(1)  # a column of the words True and False alone would be numbers to pandas
         if self.data.translate(None, _PLAIN) or self.data.count(b"\r") > self.data.count(b"\r\n"):
             self._checked(len(self.at))
-        try:
-            table = self._table(
-                usecols=[*columns.values(), self.layout.width], dtype=float, na_values=["nan", "NaN", "NAN"]
-            )
+        used = [*columns.values(), self.layout.width]
+        with contextlib.suppress(ValueError):
+            table = self._table(usecols=used, dtype=float, na_values=["nan", "NaN", "NAN"])
             if len(table) == len(self.at) and (table[self.layout.width] == _END).all():
                 return {name: table[column].to_numpy() for name, column in columns.items()}
-        except ValueError:
-            pass
         return self._checked(len(self.at))
 
     def texts(self, keep: np.ndarray) -> list[list[str]]:
@@ -272,41 +269,36 @@ class Lines:
         """:meth:`numbers` of the first lines of data, one by one."""
         layout, values = self.layout, {name: np.empty(count) for name in self.layout.columns}
         for row, number in enumerate(self.at[:count]):
-            line = self.lines[number]
+            line, place = self.lines[number], self.place(row)
             if odd := re.search(rb"[\x00-\x08\x0a-\x1f]", line.rstrip(b"\r\n")):
-                raise InputError(
-                    f"{self.path}: {self.place(row)} holds the control character 0x{odd[0][0]:02x}; remove it"
-                )
+                raise InputError(f"{place} holds the control character 0x{odd[0][0]:02x}; remove it")
             try:
                 cells = _cells(line, layout.delimiter, strict=True)
             except csv.Error as error:
-                raise InputError(
-                    f"{self.path}: {self.place(row)} cannot be split ({error}); take line breaks out of cells, and put quotes "
-                    "around whole cells only, doubled within them"
-                ) from error
+                hint = "take line breaks out of cells, and put quotes around whole cells only, doubled within them"
+                raise InputError(f"{place} cannot be split ({error}); {hint}") from error
             if len(cells) != layout.width:
                 model = layout.first if layout.header is None else layout.header
                 ragged = _ragged(self.start + number, line, len(cells), layout.delimiter)
-                raise InputError(f"{self.path}: line {model + 1} has {layout.width} columns, {ragged}")
-            for name, column in layout.columns.items():
-                if not _NUMBER.fullmatch(cells[column]):
-                    hint = "; write decimals with a point and nothing between thousands"
-                    hint = hint if re.search("[, ]", cells[column]) else ""
-                    raise InputError(f"{self.path}: {self.place(row)}: {name} is {cells[column]!r}, not a number{hint}")
-                values[name][row] = float(cells[column])
+                raise InputError(f"{layout.path}: line {model + 1} has {layout.width} columns, {ragged}")
+            for name, cell in ((name, cells[column]) for name, column in layout.columns.items()):
+                if not _NUMBER.fullmatch(cell):
+                    hint = "; write decimals with a point and nothing between thousands" if {*", "} & {*cell} else ""
+                    raise InputError(f"{place}: {name} is {cell!r}, not a number{hint}")
+                values[name][row] = float(cell)
         return values
 
 
-def _runs(path: Path, layout: Layout) -> Iterator[Lines]:
+def _runs(layout: Layout) -> Iterator[Lines]:
     start = 0
-    with reading_errors(path):
-        for lines in _blocks(path):
+    with reading_errors(layout.path):
+        for lines in _blocks(layout.path):
             data, at = b"".join(lines), cast(Sequence[int], range(len(lines)))
             data += b"" if data.endswith(b"\n") else b"\n"
             if start < layout.first or data[:1] in b"# \t\r\n" or any(mark in data for mark in _ASIDE):
                 at = [i for i, line in enumerate(lines) if start + i >= layout.first and _holds_data(line)]
                 data = b"".join(lines[i].rstrip(b"\r\n") + b"\n" for i in at)
-            yield Lines(path, layout, start, lines, at, data)
+            yield Lines(layout, start, lines, at, data)
             start += len(lines)
 
 
@@ -314,20 +306,13 @@ def _blocks(path: Path) -> Iterator[list[bytes]]:
     """Runs of whole lines with their endings, without the byte order mark."""
     passed = 0
     with open(path, "rb") as file:
-        file.seek(len(_MARK) if _begins_with_mark(path) else 0)
+        file.seek(len(_MARK) if file.read(len(_MARK)) == _MARK else 0)
         while block := file.read(_BLOCK):
             lines = io.BytesIO(block + file.readline(_LONGEST)).readlines()
             passed += len(lines)
             if len(lines[-1]) >= _LONGEST:
-                raise InputError(
-                    f"{path}: line {passed} has more than {_LONGEST} bytes; this is not a text file of points"
-                )
+                raise InputError(f"{path}: line {passed} has more than {_LONGEST} bytes; it is no text of points")
             yield lines
-
-
-def _begins_with_mark(path: Path) -> bool:
-    with open(path, "rb") as file:
-        return file.read(len(_MARK)) == _MARK
 
 
 def _head(path: Path) -> tuple[list[bytes], int | None]:
@@ -349,23 +334,13 @@ def _head(path: Path) -> tuple[list[bytes], int | None]:
     return lines, first
 
 
-def _is_comment(line: bytes) -> bool:
-    return line.lstrip(_BLANK).startswith(b"#")
-
-
 def _holds_data(line: bytes) -> bool:
-    held = line.lstrip(_BLANK)
-    return bool(held) and held[0] != 0x23  # not a comment
+    return line.lstrip(_BLANK)[:1] not in (b"", b"#")  # neither blank nor a comment
 
 
 def _is_point(line: bytes) -> bool:
     """Whether at least three of its columns are numbers, which no line of names has."""
     return sum(_NUMBER.fullmatch(cell) is not None for cell in re.split(r'[\s,;"]+', line.decode("latin-1"))) >= 3
-
-
-def _split_ending(line: bytes) -> tuple[bytes, bytes]:
-    body = line.rstrip(b"\r\n")
-    return body, line[len(body) :]
 
 
 def _ragged(number: int, line: bytes, width: int, delimiter: str | None) -> str:
@@ -394,13 +369,10 @@ def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str
     if delimiter is None:
         text = " ".join(re.split(r"[ \t]+", text.strip(" \t")))
     text = re.sub(f'" +(?={delimiter}|$)', '"', text) if delimiter and strict else text
-    try:
+    with contextlib.nullcontext() if strict else contextlib.suppress(csv.Error):
         row = next(csv.reader([text], delimiter=delimiter or " ", skipinitialspace=True, strict=strict), [])
-    except csv.Error:
-        if strict:
-            raise
-        return []
-    return [cell.strip(" \t") for cell in row]
+        return [cell.strip(" \t") for cell in row]
+    return []
 
 
 def _meaning(name: str) -> str | None:
@@ -413,10 +385,8 @@ def _columns(path: Path, header: int | None, names: list[str]) -> dict[str, int]
     for i, cell in enumerate(names):
         name = _meaning(cell)
         if name in columns and header is not None:
-            raise InputError(
-                f"{path}: line {header + 1}: the columns {names[columns[name]]!r} and {cell!r} both name the "
-                f"{name.replace('_', ' ')}; rename the one that does not count"
-            )
+            both = f"the columns {names[columns[name]]!r} and {cell!r} both name the {name.replace('_', ' ')}"
+            raise InputError(f"{path}: line {header + 1}: {both}; rename the one that does not count")
         if name is not None:
             columns[name] = i
     return columns

@@ -15,13 +15,12 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, warn
 from ..core.reading import Reading
-from . import copc
-from .blocks import Blocks, measured, summed
-from .disk import Bounds, Identity, check_bounds
+from .blocks import Blocks, measured, nodes
+from .disk import Bounds, Identity
 from .handles import Handle
 from .header import Header
-from .reading import LasFile, kept_text, las_cloud, open_las, open_text, text_cloud
-from .records import coordinates, inside, numbered_records, reading_errors
+from .reading import LasFile, kept_text, open_las, open_text
+from .records import coordinates, inside, read_records, reading_errors
 from .sources import Source
 from .storage import Place, Remote
 
@@ -67,16 +66,17 @@ def read_window(
     Returns: Window; a cloud of no points where there are none.
     Raises: InputError naming the file, if it is gone, damaged, or has changed since ``source`` was made.
     """
-    cut, place = None if box is None else check_bounds(box), source.place
-    reading = dataclasses.replace(reading, units=source.units)
+    reading, place = dataclasses.replace(reading, bounds=box, units=source.units), source.place
+    cut = reading.bounds
     if source.format == "text":
-        return _text_window(source, cut, reading)
+        return _text_window(source, reading)
     with reading_errors(place):
         identity = Identity.of(place)
         file = _opened(place, identity)
         _check_identity(source, file.header.fingerprint)
-        whole = cut is None or not source.count or _holds(cut, source.bounds)
-        blocks = _kept(place, file.header, index) if whole else _blocks(place, identity, index)
+        x0, y0, x1, y1 = source.bounds
+        whole = cut is None or not source.count or (cut[0] <= x0 and cut[1] <= y0 and x1 < cut[2] and y1 < cut[3])
+        blocks = blocks_of(place, identity, index, make=not whole)
         if blocks is None:
             file = open_las(place)
     numbers = [np.zeros(0, np.int64)]
@@ -86,10 +86,10 @@ def read_window(
             numbers.append(record)
             yield records
 
-    most = file.header.count  # also of COPC, whose octree is not believed if points lie outside of it
+    most = None  # also of COPC, whose octree is not believed if points lie outside of it
     if blocks is not None and cut is not None and not file.header.is_copc:
         most = int(blocks.meeting(cut).points.sum())
-    cloud = las_cloud(file, reading, chunks(), most, cut)
+    cloud = file.cloud(reading, chunks=chunks(), most=most)
     return Window(cloud, np.concatenate(numbers))
 
 
@@ -111,25 +111,17 @@ def file_cloud(
 
     Raises: InputError if the file has changed since the source was made.
     """
-    place = source.place
+    place, kind, blocks = source.place, "text" if source.format == "text" else "las", None
     with reading_errors(place):
-        identity, blocks = Identity.of(place), None
-        if source.format == "text":
-            kind, now = "text", kept_text(cast(Path, place)).fingerprint
-        else:
-            kind, now = "las", _opened(place, identity).header.fingerprint
-            blocks = _blocks(place, identity, index) if checksum is None else None
-        _check_identity(source, now)
+        identity = Identity.of(place)
+        file = kept_text(cast(Path, place)) if kind == "text" else _opened(place, identity).header
+        _check_identity(source, file.fingerprint)
+        if kind == "las" and checksum is None:
+            blocks = blocks_of(place, identity, index)
     handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
-    return PointCloud(
-        origin=corner,
-        xyz=np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3)),
-        candidate=candidate,
-        crs=source.crs,
-        units=source.units,
-        source=handle,
-    )
+    xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
+    return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)
 
 
 def _check_identity(source: Source, now: str) -> None:
@@ -137,40 +129,27 @@ def _check_identity(source: Source, now: str) -> None:
         raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
 
 
-def _holds(box: Bounds, bounds: Bounds) -> bool:
-    return box[0] <= bounds[0] and box[1] <= bounds[1] and bounds[2] < box[2] and bounds[3] < box[3]
-
-
-def _text_window(source: Source, cut: Bounds | None, reading: Reading) -> Window:
-    file = kept_text(cast(Path, source.place))
+def _text_window(source: Source, reading: Reading) -> Window:
+    file, cut = kept_text(cast(Path, source.place)), reading.bounds
     _check_identity(source, file.fingerprint)
     if not reading.drop_invalid and not np.isfinite(file.xyz).all():
         open_text(file.path, cut, drop_invalid=False)  # which names the line
     rows = np.ones(len(file.xyz), bool) if cut is None else inside(file.xyz, cut)
-    return Window(text_cloud(file.part(rows), reading, cut), np.flatnonzero(rows))
+    return Window(file.part(rows).cloud(reading), np.flatnonzero(rows))
 
 
 def _numbered(header: Header, cut: Bounds | None, blocks: Blocks | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Records inside a cut, u8[k, record_length], and their numbers in the file, i64[k]: out of some runs, or of all the file."""
     if blocks is not None:
-        yield from numbered_records(header, cut, False, blocks)
+        yield from read_records(header, cut, False, blocks)
         return
     ends = np.zeros((0, 2))
-    for chunk, record in numbered_records(header, every_field=False):
+    for chunk, record in read_records(header, every_field=False):
         xy = coordinates(chunk, header, 2)
         ends = np.concatenate([ends, [xy.min(axis=0), xy.max(axis=0)]])
         kept = np.ones(len(chunk), bool) if cut is None else inside(xy, cut)
         yield (chunk, record) if kept.all() else (chunk[kept], record[kept])
     _tell_beyond(header, ends)
-
-
-def blocks_of(source: Source, index: Path | None = None) -> Blocks:
-    """The runs of records of a file and the area that each covers; see :func:`read_window` for ``index``.
-
-    Raises: InputError if the file is damaged.
-    """
-    with reading_errors(source.place):
-        return _blocks(source.place, Identity.of(source.place), index)
 
 
 @functools.lru_cache(_FILES)
@@ -179,30 +158,22 @@ def _opened(place: Place, identity: Identity) -> LasFile:
     return open_las(place, tables=False)
 
 
-def _blocks(place: Place, identity: Identity, index: Path | None) -> Blocks:
+def blocks_of(place: Place, identity: Identity, index: Path | None = None, make: bool = True) -> Blocks | None:
+    """The runs of records of a file, which has this identity now, and the area that each covers; see :func:`read_window` for
+    ``index``. None if they are not known and not to be made. Raises: InputError if the file is damaged."""
     header = _opened(place, identity).header
     if index is None or (header.is_copc and isinstance(place, Remote)):
-        return _unchecked(place, identity)
-    kept = _kept(place, header, index)
-    if kept is None:
-        kept, path = _measured(place), _index_path(place, index)
+        return _unchecked(place, identity) if make else None
+    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
+    path = Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
+    kept = None
+    with contextlib.suppress(OSError):  # there is none yet
+        kept = _loaded(path, Identity.of(path), header.fingerprint)
+    if kept is None and make:
+        kept = _measured(place)
         path.parent.mkdir(parents=True, exist_ok=True)
         kept.save(path, header.fingerprint)
     return kept
-
-
-def _kept(place: Place, header: Header, index: Path | None) -> Blocks | None:
-    """What an index has of a file, if anything."""
-    if index is not None:
-        path = _index_path(place, index)
-        with contextlib.suppress(OSError):  # there is none yet
-            return _loaded(path, Identity.of(path), header.fingerprint)
-    return None
-
-
-def _index_path(place: Place, index: Path) -> Path:
-    name = hashlib.sha256(str(place.absolute()).encode()).hexdigest()[:24]
-    return Path(index) / name[:2] / f"{name[2:]}.npz"  # folders of some thousand files for a million
 
 
 @functools.lru_cache(_FILES)
@@ -217,7 +188,7 @@ def _unchecked(place: Place, identity: Identity) -> Blocks:
     header = _opened(place, identity).header
     if header.is_copc:
         with header.open() as file:
-            return copc.nodes(header, file)
+            return nodes(header, file)
     found = _measured(place)
     return dataclasses.replace(found, checksum=np.full_like(found.checksum, -1))
 
@@ -225,11 +196,9 @@ def _unchecked(place: Place, identity: Identity) -> Blocks:
 def _measured(place: Place) -> Blocks:
     """By a pass over the file; warns of points that its header denies."""
     header = open_las(place).header
-    if header.is_copc:
-        with header.open() as file:
-            return summed(header, file, copc.nodes(header, file))
     found = measured(header)
-    _tell_beyond(header, np.concatenate([found.low, found.high]))
+    if not header.is_copc:
+        _tell_beyond(header, np.concatenate([found.low, found.high]))
     return found
 
 
@@ -237,6 +206,4 @@ def _tell_beyond(header: Header, xy: np.ndarray) -> None:
     """Warn of places f64[k, 2] that the header denies, since surveys are planned by headers."""
     (low, high), slack = header.extent, header.scales[:2]
     if ((xy < low[:2] - slack) | (xy > high[:2] + slack)).any():
-        warn(
-            f"{header.path}: points lie outside the extent that its header states; write the file anew to correct that"
-        )
+        warn(f"{header.path}: points lie outside the extent that its header states; write it anew to correct that")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
-import struct
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -20,7 +19,7 @@ from ..core.result import FilterResult
 from . import records, text
 from .disk import Tally, new_file
 from .handles import Handle
-from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, ExtraDimension, Header, laszip_record, new_header
+from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
 from .records import CHUNK, Writer
 from .storage import Place, Remote, place_of
 
@@ -44,7 +43,6 @@ EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
 LAS_SUFFIXES = (".las", ".laz")
 
 _FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
-_EXTENT_Z = 211  # byte of the header where largest and smallest Z are
 
 
 @dataclasses.dataclass(frozen=True)
@@ -183,19 +181,17 @@ def write_cloud(
         raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
     labels = _Labels(cloud, result, classes, additions)
     source: Handle | None = cloud.source
-    if source is not None:
-        source.check_unchanged()
-        if source.points != len(cloud):
-            raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
-    if kind in text.SUFFIXES and result is None:
-        raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
-    if kind in text.SUFFIXES and (additions.extra or additions.columns or additions.z is not None):
-        names = (*additions.extra, *additions.columns)
-        raise OutputError(f"{path}: text holds labels only; extra={names!r} needs .las or .laz, as heights do")
-    if classes.noise_class is not None and not holds_classes(path, cloud):
-        raise OutputError(
-            f"{path}: this text holds labels only; noise_class={classes.noise_class!r} needs classes, .las or .laz"
-        )
+    if source is not None and source.points != len(cloud):
+        raise InputError(f"{source.path}: {source.points} points were read, but the cloud has {len(cloud)}")
+    if kind in text.SUFFIXES:
+        if result is None:
+            raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
+        named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
+        table = None if source is None or source.kind == "las" else source.layout()
+        if classes.noise_class is not None and (table is None or "classification" not in table.columns):
+            named.append(f"noise_class={classes.noise_class!r}")
+        if named:
+            raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Tally()) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
@@ -205,14 +201,6 @@ def write_cloud(
             with open(temporary, "xb") as file:
                 _write_las(path, file, cloud, labels, tally)
     return path
-
-
-def holds_classes(path: Place, cloud: PointCloud) -> bool:
-    """Whether what :func:`write` makes of a cloud there has classes: text has them if its lines had, and else labels only."""
-    if path.suffix.lower() not in text.SUFFIXES:
-        return True
-    source: Handle | None = cloud.source
-    return source is not None and source.kind == "text" and "classification" in text.layout_of(source.table).columns
 
 
 def class_changes(
@@ -253,28 +241,27 @@ class _Labels:
         names = tuple(additions.extra)
         if found is None and names:
             raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
-        if found is None and classes.noise_class is not None:
-            raise ParameterError(
-                f"noise_class={classes.noise_class!r}: labels alone do not tell outliers; pass the FilterResult"
-            )
-        if found is not None and classes.noise_class is not None:
+        if classes.noise_class is not None:
+            if found is None:
+                raise ParameterError(
+                    f"noise_class={classes.noise_class}: labels alone tell no outliers; pass the FilterResult"
+                )
             self.noise = found.low_noise
         self.extra: dict[str, np.ndarray] = {name: getattr(found, name) for name in names}
         if absent := [name for name, values in self.extra.items() if values is None]:
             raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
         self.extra |= additions.columns
         self.z = None if additions.z is None else additions.z.astype(np.float64)
-        for name, values in {**additions.columns, **({} if self.z is None else {"heights": self.z})}.items():
+        for name, values in [*self.extra.items(), *([] if self.z is None else [("heights", self.z)])]:
             if values.shape != self.ground.shape:
-                raise InputError(
-                    f"{name}: {len(cloud)} finite numbers are needed for this cloud, not {list(values.shape)}"
-                )
+                raise InputError(f"{name}: {len(cloud)} numbers are needed for this cloud, not {list(values.shape)}")
 
     def classes(self, old: np.ndarray, rows: slice) -> np.ndarray:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
         rule, candidate = self.rule, self.candidate[rows]
-        resets = np.full(256, rule.reset == "all" and not rule.only_ground)
-        if rule.reset == "ground" and not rule.only_ground:
+        reset = "none" if rule.only_ground else rule.reset
+        resets = np.full(256, reset == "all")
+        if reset == "ground":
             resets[[0, GROUND_CLASS, rule.ground_class]] = True
         new = np.where(candidate & resets[old], np.uint8(rule.other_class), old)
         new = np.where(candidate & self.ground[rows], np.uint8(rule.ground_class), new)
@@ -282,20 +269,12 @@ class _Labels:
             return new
         return np.where(candidate & self.noise[rows], np.uint8(rule.noise_class), new)
 
-    def texts(self, rows: slice) -> np.ndarray:
-        """Labels as text files have them."""
-        return np.where(self.ground[rows], text.GROUND, text.OBJECT)
-
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
     source: Handle | None = cloud.source
     las = source if source is not None and source.kind == "las" else None
-    if las is not None:
-        header = las.header()
-        chunks = las.records(header, tally)
-    else:
-        header = _fresh_header(path, cloud)
-        chunks = _fresh_records(path, header, cloud, tally)
+    header = _fresh_header(path, cloud) if las is None else las.header()
+    chunks = _fresh_records(path, header, cloud, tally) if las is None else las.records(header, tally)
     number = header.point_format
     largest = max(labels.rule.ground_class, labels.rule.other_class, labels.rule.noise_class or 0)
     if number < 6 and largest > 31:
@@ -304,29 +283,21 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
-    for dimension in existing.values():
-        if dimension.data_type not in _FLOATS:
-            raise OutputError(
-                f"{path}: the input has extra bytes named {dimension.name!r} that are not float32 or float64"
-            )
+    if wrong := [name for name, dimension in existing.items() if dimension.data_type not in _FLOATS]:
+        raise OutputError(f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64")
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    compressor = None
+    compressor, drop = None, ("copc",) if header.is_copc else ()
     if path.suffix.lower() == ".laz":
-        width = header.record_length + 4 * len(added)
-        compressor = laszip_record(number, width - RECORD_LENGTHS[number])
-    drop = ("copc",) if header.is_copc else ()
+        compressor = laszip_record(number, header.record_length + 4 * len(added) - RECORD_LENGTHS[number])
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
-    rewritten = header.rewritten(compressor, added, drop)
-    if labels.z is not None:
-        rewritten = _with_heights(path, rewritten, labels.z)
-    writer = Writer(file, rewritten, las is None or las.bounds is not None)
+    recount = las is None or las.bounds is not None
+    writer = Writer(file, header.rewritten(compressor, added, drop), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
-    start, channels = 0, 0
+    channels = 0
     for chunk in chunks:
-        rows = slice(start, start + len(chunk))
-        start = rows.stop
+        rows = slice(tally.points - len(chunk), tally.points)
         if packed_waves:
             channels |= records.channels(chunk)
             if channels.bit_count() > 1:  # lazrs 0.8 mixes up the wave packets of different channels
@@ -335,9 +306,11 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
                     ".las for input and output"
                 )
         records.set_classes(chunk, number, labels.classes(records.classes(chunk, number), rows))
-        _fill(chunk, existing, labels, rows)
+        for name, dimension in existing.items():
+            values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
+            chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(chunk), -1)
         if labels.z is not None:
-            records.integers(chunk)[:, 2] = _ticks(header, labels.z[rows])
+            records.integers(chunk)[:, 2] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]
         if added:
             columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
@@ -345,36 +318,20 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     writer.finish(None if las is None else header, drop)
 
 
-def _fill(chunk: np.ndarray, existing: dict[str, ExtraDimension], labels: _Labels, rows: slice) -> None:
-    for name, dimension in existing.items():
-        values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
-        chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(values), -1)
-
-
-def _ticks(header: Header, z: np.ndarray) -> np.ndarray:
-    """f64[n]: the integers that stand for Z in units of the file."""
-    return np.rint((z - header.offsets[2]) / header.scales[2])
-
-
-def _with_heights(path: Place, header: Header, z: np.ndarray) -> Header:
-    """The header with the extent of other Z. Raises OutputError if they do not fit into the integers."""
-    if not len(z):
-        return header
-    low, high = _ticks(header, np.array([z.min(), z.max()]))
-    if max(abs(low), abs(high)) >= 2**31:
+def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3)) -> np.ndarray:
+    """f64[k, axes]: the integers that stand for coordinates in units of the file. Raises OutputError if they do not fit."""
+    ticks = np.rint((xyz - header.offsets[axes]) / header.scales[axes])
+    bad = ~(np.abs(ticks) < 2**31)
+    if bad.any():
         raise OutputError(
-            f"{path}: heights do not fit into 32 bits at a scale of {header.scales[2]:g} from {header.offsets[2]:g}; write "
-            "them as extra bytes instead"
+            f"{path}: coordinate {xyz[bad.any(axis=1).argmax()].tolist()} does not fit into 32 bits at a scale of "
+            f"{header.scales[2]:g}; LAS cannot hold this extent (or NaN): remove stray points, or write heights as extra bytes"
         )
-    head = bytearray(header.head)
-    struct.pack_into("<2d", head, _EXTENT_Z, *(np.array([high, low]) * header.scales[2] + header.offsets[2]))
-    return dataclasses.replace(header, head=bytes(head))
+    return ticks
 
 
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
-    decimals = 3
-    if cloud.source is not None:
-        decimals = 4 if text.layout_of(cloud.source.table).decimals > 3 else 3
+    decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
     wkt = None
     if cloud.crs is not None:
         try:
@@ -388,21 +345,11 @@ def _fresh_header(path: Place, cloud: PointCloud) -> Header:
 
 def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally) -> Iterator[np.ndarray]:
     """Records of point format 6 from a cloud without a LAS file. Raises OutputError for coordinates that do not fit."""
-    start = 0
     for xyz, columns in _runs(cloud, tally):
-        rows = slice(start, start + len(xyz))
-        start = rows.stop
+        rows = slice(tally.points - len(xyz), tally.points)
         columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
-        ticks = np.rint((xyz - header.offsets) / header.scales)
-        bad = ~(np.abs(ticks) < 2**31)
-        if bad.any():
-            value = xyz[bad.any(axis=1).argmax()].tolist()
-            raise OutputError(
-                f"{path}: coordinate {value} does not fit into 32 bits at a scale of {header.scales[0]:g}; LAS cannot "
-                "hold this extent (or NaN): remove stray points"
-            )
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
-        chunk[:, :12] = np.ascontiguousarray(ticks, "<i4").view(np.uint8)
+        records.integers(chunk)[:] = _ticks(path, header, xyz)
         one, no = np.ones(len(xyz), np.uint8), np.zeros(len(xyz), np.uint8)
         number, total = (columns.get(name, one) & 15 for name in ("return_number", "number_of_returns"))
         withheld, overlap = (columns.get(name, no).astype(np.uint8) for name in ("withheld", "overlap"))
@@ -413,40 +360,36 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally)
 
 
 def _runs(cloud: PointCloud, tally: Tally) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The coordinates in file units, f64[k, 3], and columns: those of the source file where there is one, else the cloud's."""
+    """The coordinates in file units, f64[k, 3], added to ``tally``, and columns: of the source file, or else of the cloud."""
     source: Handle | None = cloud.source
     if source is not None:
         yield from source.runs(tally)
         return
     for start in range(0, len(cloud), CHUNK):
         rows = slice(start, start + CHUNK)
-        valid = None if cloud.valid is None else cloud.valid[rows]
         xyz = dataclasses.replace(cloud, xyz=cloud.xyz[rows]).coordinates()
-        yield xyz if valid is None else np.where(valid[:, None], xyz, np.nan), {}
+        tally.add(xyz)
+        yield xyz if cloud.valid is None else np.where(cloud.valid[rows, None], xyz, np.nan), {}
 
 
 def _write_text(path: Place, temporary: Path, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
     source: Handle | None = cloud.source
     with open(temporary, "xb") as file:
         if source is not None and source.kind == "text":
-            layout = text.layout_of(source.table)
-            text.rewrite_text(source.table, layout, file, source.bounds, labels.texts, labels.classes, tally)
+            text.rewrite_text(source.layout(), file, source.bounds, labels.ground, labels.classes, tally)
             return
         decimals = 3 if source is None else _decimals(source.header())
         delimiter = "," if path.suffix.lower() == ".csv" else "\t"
         if delimiter == ",":
             file.write(b"x,y,z,label\n")
-        start = 0
         for xyz, _ in _runs(cloud, tally):
-            text.write_table(file, xyz, labels.ground[start : start + len(xyz)], decimals, delimiter)
-            start += len(xyz)
+            text.write_table(file, xyz, labels.ground[tally.points - len(xyz) : tally.points], decimals, delimiter)
 
 
 def _decimals(header: Header) -> int:
     """Decimals that show the coordinates of a file: its scales exactly, 12 at most, and no less than 6 for odd offsets."""
     for decimals in range(12):
-        steps = header.scales * 10.0**decimals
+        steps, lag = header.scales * 10.0**decimals, header.offsets * 10.0**decimals
         if np.allclose(steps, np.rint(steps), rtol=1e-9, atol=0) and (np.rint(steps) > 0).all():
-            lag = header.offsets * 10.0**decimals
             return decimals if np.allclose(lag, np.rint(lag), rtol=1e-12, atol=1e-6) else max(decimals, 6)
     return 12

@@ -41,7 +41,7 @@ __all__ = [
 
 for _name in __all__:
     if _name != "FILTERS":
-        FILTERS.announce(_name, f"{__name__}.{_name.lower()}")
+        FILTERS[_name] = f"{__name__}.{_name.lower()}"
 
 
 def __getattr__(name: str) -> Any:

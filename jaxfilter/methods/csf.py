@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.compilation import bucket
+from ..core.compilation import bucket, jit
 from ..core.errors import InputError
 from ..core.filter import Filter, Labels, lowest_among, passed
 from ..core.grid import grid_over
@@ -20,7 +20,7 @@ from ..core.result import Decision, FilterResult, Progress
 from ..engines.chunks import padded
 from ..engines.cloth.drape import drape, join_slopes
 from ..engines.cloth.surface import fill_along_lines, lowest_below
-from ..engines.grid.cells import inside, padded_shape
+from ..engines.grid.cells import padded_shape
 from ..engines.grid.sampling import corners
 from ..steps.outliers import bar_outliers
 from .papers import bibtex
@@ -160,7 +160,9 @@ class CSF(Filter):
         progress(0.1, "cloth")
         low, carried = lowest_below(xyz, carries, frame, true, shape, self.surface == "nearest")
         top = np.float32(_lowest(points, barred) - np.float32(START))
-        limit = top - np.asarray(fill_along_lines(low, carried, inside(shape, jnp.asarray(true))))[:rows, :columns]
+        exists = np.zeros(shape, bool)
+        exists[:rows, :columns] = True
+        limit = top - np.asarray(fill_along_lines(low, carried, exists))[:rows, :columns]
         cloth = drape(limit, *self._motion(), REST, int(self.iterations), workers)
         height, pinned = cloth.height, cloth.pinned
         if self.smooth:
@@ -207,7 +209,7 @@ def _lowest(points: Points, barred: np.ndarray) -> np.float32:
     return np.float32(np.rint((cloud.whole.lowest - cloud.origin[2]) * cloud.units.z / QUANTUM) * QUANTUM)
 
 
-@jax.jit
+@jit
 def _test(xyz: jax.Array, cloth: jax.Array, frame: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Height of points over the cloth (m) and the slope of the cloth there (degrees), f32[n] each."""
     values, u, v = corners((xyz[:, :2] - frame[None, :2]) / frame[2], extent, cloth.shape[1])

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.params import Preset, filter_params, param, sample_presets, static
@@ -128,7 +127,7 @@ class IPTD(TerrainAngle):
         everywhere = np.int32(sum(cells.lowest.shape))
         surface, _ = fill_from_neighbours(cells.lowest, cells.seen, cells.valid, everywhere)
         opened = opening(surface, self.reach, self.reach, "square", cells.valid)
-        return lowest_of_cells(points, cells, surface - opened <= jnp.float32(self.tolerance), barred)
+        return lowest_of_cells(points, cells, np.subtract(surface, opened) <= np.float32(self.tolerance), barred)
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")

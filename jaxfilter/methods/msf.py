@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import jit
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.cones import cone_erosion, cone_limits
@@ -98,7 +99,7 @@ class MSF(LowOutlierFilter):
             return cells
         return dataclasses.replace(cells, place=lowest_places(points.xyz, cells, barred))
 
-    @jax.jit
+    @jit
     def surface(self, prepared: Cells) -> Surface:
         """The surface eroded with the slope alone, as far as the allowance grows, and the limits for points. Pure.
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.cloud import PointCloud
@@ -20,7 +19,7 @@ from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
-from ..steps.doubt import evidence, probability
+from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
@@ -40,6 +39,8 @@ RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
+TESTED = 60.0
+"""Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
 TILTS = (0.1, 1.0)
@@ -179,10 +180,10 @@ class OST(Filter):
         z = filled_by(triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest)
         progress(0.2, "openings")
         objects, drop, landscape = self.objects(z, cells)
-        in_object, steepness = look_up(points.xyz, cells, jnp.asarray(objects, jnp.float32), drop)
-        is_object = in_object[lowest] > 0.5
-        around = landscape.at(points.xyz)
-        seeds = lowest[~is_object]
+        inside, steepness = look_up(points.xyz, cells, objects.astype(np.float32), drop)
+        in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
+        del cells, z, objects, drop, landscape, inside  # none is needed while the ground grows
+        seeds = lowest[~in_object[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
@@ -190,6 +191,7 @@ class OST(Filter):
         tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
         growth = Growth(HeightRule(height, tilt), vertices=Vertices(sinks=False), kept=("margin", "height", "slope"))
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
+        network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         with GroundTin.start(network, growth, workers=workers) as ground:
             ground.margin.fill(0)
             ground.change(growth.rule, but=low)
@@ -205,15 +207,14 @@ class OST(Filter):
             pruned = prune(
                 ground, scatter, float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
             )
-            ground.finish(np.flatnonzero(~ground.ground))
-            figures = evidence(ground, scatter.of_all(ground.tin), steepness, around, height)
-        doubt = probability(figures, ground.ground)
+            ground.finish(ground.todo)
+            doubt = doubts(ground, scatter.of_all(ground), steepness, around, height)
         progress(1.0, "done")
         labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
-        other = np.where(in_object > 0.5, Decision.SURFACE, Decision.ELEVATION)
-        labels.decision = np.where(labels.ground, Decision.ACCEPTED, other).astype(np.uint8)
+        other = np.where(in_object, np.uint8(Decision.SURFACE), np.uint8(Decision.ELEVATION))
+        labels.decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), other)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
-        labels.info = {"seeds": len(seeds), "objects": int(objects.sum()), "pruned": pruned, "scatter": spread}
+        labels.info = {"seeds": len(seeds), "objects": marked, "pruned": pruned, "scatter": spread}
         return labels
 
     def low(self, points: Points) -> np.ndarray:
@@ -235,7 +236,7 @@ class OST(Filter):
         corner = x - self.cell / 2, y - self.cell / 2
         return lowest_cells(points, self.cell, "OST(cell)", corner=corner, barred=low, least=(1, 1))
 
-    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, jax.Array, Landscape]:
+    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
         on they are marked; and the slope of the landscape (steps 3 to 5).
 
@@ -244,19 +245,20 @@ class OST(Filter):
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
-        steepest = steepest_drops(jnp.asarray(z), cells.valid, reach)
+        steepest = np.asarray(steepest_drops(z, cells.valid, reach))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
         segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
-        objects = np.asarray(steepest > FIRST_SLOPE * self.cell)
+        objects = steepest > np.float32(FIRST_SLOPE * self.cell)
         for _ in range(PASSES):
             landscape = Landscape.of(z, cells, objects, float(self.landscape))
-            around = landscape.in_cells()
-            limit = (self.slope + self.relief * around) * self.cell
-            marked = np.asarray(steepest > limit)
+            around = np.asarray(landscape.in_cells())
+            limit = np.float32(self.relief) * around
+            limit += np.float32(self.slope)
+            limit *= np.float32(self.cell)
+            marked = steepest[inner] > limit[inner]
             objects = np.zeros(z.shape, bool)
-            objects[inner] = marked[inner]
-            objects[inner] |= segments.objects(marked[inner], np.asarray(around)[inner])
-        return objects, steepest / jnp.maximum(limit, 1e-6), landscape
+            objects[inner] = marked | segments.objects(marked, around[inner])
+        return objects, steepest / np.maximum(limit, np.float32(1e-6)), landscape
 
 
 @of_scene.register(OST)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
+from ..core.compilation import bucket, jit
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, ground_each
 from ..core.params import Preset, filter_params, param, static
@@ -144,15 +144,16 @@ class PMF(LowOutlierFilter):
         fits = 2 * radius + 1 <= widest + 1e-6
         return [*radii, radius] if fits or self.last_window == "beyond" or not radii else radii
 
-    def thresholds(self) -> jax.Array:
+    def thresholds(self) -> np.ndarray | jax.Array:
         """f32, metres: the threshold of every window.
 
         >>> jf.PMF(max_window=9.0, slope=0.25).thresholds().tolist()
         [0.5, 1.0, 1.5]
         """
         growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.compare == "points" else 1.0)
-        rise = jnp.float32(self.slope) * np.append(0.0, growth).astype(np.float32)
-        return jnp.minimum(rise + jnp.float32(self.initial_distance), jnp.float32(self.max_distance))
+        fields = self.slope, self.initial_distance, self.max_distance
+        slope, initial, most = (jnp.float32(v) if isinstance(v, jax.Array) else np.float32(v) for v in fields)
+        return (slope * np.append(0.0, growth).astype(np.float32) + initial).clip(max=most)
 
     def halo(self) -> float:
         """Reach of all openings, one after the other, and what the search for low clusters looks at, metres, but at most one and
@@ -179,7 +180,7 @@ class PMF(LowOutlierFilter):
         opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
         return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
 
-    @jax.jit
+    @jit
     def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:
         """The last opening; its limits are the elevations between which points of a cell are ground, f32[rows, columns] each.
 
@@ -204,7 +205,7 @@ class PMF(LowOutlierFilter):
         differentiable but for kinks, in all traced fields; f32[n], 0 to 1. Pure."""
         if self.compare == "points":
             return super()._soft(prepared, xyz, width)
-        (cells, surface), thresholds, xyz = prepared, self.thresholds(), jnp.asarray(xyz)
+        (cells, surface), thresholds, xyz = prepared, jnp.asarray(self.thresholds()), jnp.asarray(xyz)
 
         def look(k: jax.Array, before: jax.Array, opened: jax.Array, passed: jax.Array) -> jax.Array:
             base, drop = cell_values(xyz, (opened, before - opened), cells.frame, cells.extent)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import jit
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, passed
 from ..core.grid import Grid, grid_over
@@ -184,7 +185,7 @@ class PPDF(Filter):
         under = ~barred & under_canopy(xyz, ~barred, grid, self.canopy_height)
 
         progress(0.1, "planes")
-        draws = jax.random.uniform(jax.random.key(0) if key is None else key, (HYPOTHESES, 3), np.float32)
+        draws = _default_draws() if key is None else _draws(key)
         search = PlaneSearch(self.cell, self.min_points, INLIER_DISTANCE, self.division_distance, self.max_slope)
         counted = under if self.seeds == "planes" else np.zeros_like(under)
         planes = progressive_planes(points, counted, draws, search)
@@ -264,9 +265,19 @@ class PPDF(Filter):
         surface = fill_membrane(cells.lowest, cells.seen, cells.valid).z
         rises = np.minimum(np.float32(self.slope * cell) * radii.astype(np.float32), np.float32(self.max_step))
         raised = raised_cells(surface, cells.valid, radii, rises, reach=len(radii))
-        lowest_of = jnp.where(cells.seen, cells.lowest, jnp.inf)
-        on_object, low = look_up(points.xyz, cells, raised.astype(jnp.float32), lowest_of)
+        lowest_of = np.where(cells.seen, cells.lowest, np.float32(np.inf))
+        on_object, low = look_up(points.xyz, cells, np.asarray(raised, np.float32), lowest_of)
         return (on_object > 0) | (points.xyz[:, 2] - low > self.max_step)
+
+
+def _draws(key: jax.Array) -> jax.Array:
+    """f32[:data:`HYPOTHESES`, 3], 0 to 1."""
+    return jax.random.uniform(key, (HYPOTHESES, 3), jnp.float32)
+
+
+@jit
+def _default_draws() -> jax.Array:
+    return _draws(jax.random.key(0))
 
 
 @passed.register(PPDF)

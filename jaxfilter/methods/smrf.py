@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import jit
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
@@ -126,7 +127,7 @@ class SMRF(GridFilter):
         """Steps 1 to 4, for all slopes at once. Pure."""
         return self._open(cells, fill_membrane(cells.lowest, cells.seen, cells.valid).z)
 
-    @jax.jit
+    @jit
     def _open(self, cells: Cells, surface: jax.Array) -> Opened:
         """Steps 2 to 4, of the surface without empty cells."""
         valid, cell = cells.valid, cells.frame[2]
@@ -143,12 +144,12 @@ class SMRF(GridFilter):
 
     def surface(self, prepared: Opened) -> Surface:
         """Step 5, the provisional terrain. Pure."""
-        return self._terrain(prepared, jnp.asarray(self.slope, jnp.float32))
+        return self._terrain(prepared, self.slope)
 
-    def _terrain(self, prepared: Opened, slope: jax.Array) -> Surface:
-        """The terrain at a slope f32[]."""
+    def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
+        """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts = prepared
-        known, objects = _kept(steepest, bare, cells.frame[2], slope)
+        known, objects = _kept(steepest, bare, cells.frame, slope)
         terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
         return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
 
@@ -158,7 +159,7 @@ class SMRF(GridFilter):
         limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
         return np.searchsorted(drops, limits, side="right").tolist()
 
-    @jax.jit
+    @jit
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
         height, slope = surface.at(xyz)
@@ -204,8 +205,8 @@ class Opened(NamedTuple):
     counts: dict[str, jax.Array]
 
 
-@jax.jit
-def _kept(steepest: jax.Array, bare: jax.Array, cell: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
+@jit
+def _kept(steepest: jax.Array, bare: jax.Array, frame: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Cells that the terrain goes through, bool[rows, columns], and the number of objects, net included."""
-    objects = steepest > slope * cell
+    objects = steepest > slope * frame[2]
     return bare & ~objects, objects.sum(dtype=jnp.int32)

@@ -135,7 +135,7 @@ class SPF(OutlierFate, TerrainAngle):
         radii = np.array(self.windows(), np.int32) // 2
         heights = np.array(self.thresholds(), np.float32)
         raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
-        return lowest_of_cells(points, cells, ~raised, barred)
+        return lowest_of_cells(points, cells, np.logical_not(raised), barred)
 
     def outliers(self, points: Points, workers: int | None) -> Outliers:
         """As in the other TIN filters, and the tails of the elevations, and isolated low points of the rest (Sec. 2.1)."""

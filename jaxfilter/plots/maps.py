@@ -20,6 +20,8 @@ GROUND = "#8C6D46"
 MAX_PIXELS = 600
 REACH = 30.0
 """Metres: a picture's surface extends this far into places without points."""
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 7}
+"""How all legends look."""
 _NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
 
 
@@ -112,20 +114,8 @@ def _frame(ax: Any, title: str) -> None:
     low, high = ax.get_xlim()
     power = 10.0 ** math.floor(math.log10((high - low) / 4))
     length = max(f * power for f in (1, 2, 5) if f * power <= (high - low) / 4)
-    ax.add_artist(
-        AnchoredSizeBar(
-            ax.transData,
-            length,
-            f"{length:g} m",
-            "lower right",
-            pad=0.3,
-            borderpad=0.4,
-            sep=3,
-            frameon=True,
-            size_vertical=(high - low) / 250,
-            fontproperties={"size": 7},
-        )
-    )
+    style = {"pad": 0.3, "borderpad": 0.4, "size_vertical": (high - low) / 250, "fontproperties": {"size": 7}}
+    ax.add_artist(AnchoredSizeBar(ax.transData, length, f"{length:g} m", "lower right", **style))
 
 
 def legend_below(ax: Any, handles: list[Any]) -> None:
@@ -133,17 +123,8 @@ def legend_below(ax: Any, handles: list[Any]) -> None:
     from matplotlib.transforms import ScaledTranslation
 
     below_label = ax.transAxes + ScaledTranslation(0.0, -0.42, ax.figure.dpi_scale_trans)
-    ax.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        bbox_transform=below_label,
-        ncols=2,
-        frameon=False,
-        fontsize=7,
-        handlelength=1.2,
-        columnspacing=1.0,
-    )
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": below_label}
+    ax.legend(handles=handles, ncols=2, handlelength=1.2, columnspacing=1.0, **place, **LEGEND)
 
 
 def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, title: str = "") -> Any:
@@ -288,15 +269,8 @@ def profile(
     ax.set_xlabel("distance along the profile (m)")
     ax.set_ylabel("height (m)")
     ax.set_title(title, fontsize=10, loc="left")
-    ax.legend(
-        fontsize=7,
-        frameon=False,
-        markerscale=2,
-        ncols=len(groups),
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        borderaxespad=0.1,
-    )
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+    ax.legend(markerscale=2, ncols=len(groups), **place, **LEGEND)
     return ax
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError
 from ..core.grid import Grid
-from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score
-from .maps import TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
+from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score, word
+from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
 
 if TYPE_CHECKING:
     import xarray
@@ -51,7 +51,7 @@ def sweep_curves(dataset: xarray.Dataset, score: str = "total") -> Any:
         if ax is not panels[ax.get_subplotspec().rowspan.start, 0]:
             ax.set_ylabel("")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=7)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, **LEGEND)
     return figure
 
 
@@ -105,7 +105,7 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
     low, high = _limits([every], score)
     margin = 0.06 * (high - low) or 0.5
     ax.set_ylim(low - margin, high + margin)
-    ax.legend(fontsize=7, frameon=False)
+    ax.legend(**LEGEND)
     return ax
 
 
@@ -270,13 +270,13 @@ class _Places:
         kinds = list(dict.fromkeys(values.tolist()))
         self.x = np.array([kinds.index(value) for value in values.tolist()], np.float64)
         self.kinds = np.arange(len(kinds), dtype=np.float64)
-        self.labels = [_word(value) for value in kinds]
+        self.labels = [word(value) for value in kinds]
         self.edges = np.arange(len(kinds) + 1) - 0.5
         self.ticked = True
 
     def mark(self, axis: Any) -> None:
         """Ticks where the values are, or at round numbers if there are too many of them."""
-        from matplotlib.ticker import NullFormatter, NullLocator
+        from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
         if self.ticked:
             step = math.ceil(len(self.kinds) / (len(self.kinds) if self.named else _TICKS))
@@ -285,15 +285,11 @@ class _Places:
             return
         if self.log:
             (axis.axes.set_xscale if axis.axis_name == "x" else axis.axes.set_yscale)("log")
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter(FormatStrFormatter("%.4g"))
             axis.set_minor_locator(NullLocator())
-            axis.set_minor_formatter(NullFormatter())
-        if len(self.kinds) <= _TICKS or self.log:
-            ticks = self.kinds if len(self.kinds) <= _TICKS else _round_numbers(self.kinds[0], self.kinds[-1])
-            axis.set_ticks(ticks, [f"{tick:.4g}" for tick in ticks])
-
-
-def _word(value: Any) -> str:
-    return "none" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+        if len(self.kinds) <= _TICKS:
+            axis.set_ticks(self.kinds, [f"{tick:.4g}" for tick in self.kinds])
 
 
 def _is_logarithmic(values: np.ndarray) -> bool:
@@ -302,13 +298,6 @@ def _is_logarithmic(values: np.ndarray) -> bool:
     if low <= 0 or high < 4 * low:
         return False
     return abs(math.log(middle / math.sqrt(low * high))) < abs(math.log(middle / ((low + high) / 2)))
-
-
-def _round_numbers(low: float, high: float) -> np.ndarray:
-    """1, 2 and 5 times the powers of ten within the limits."""
-    powers = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    numbers = (powers[:, None] * [1, 2, 5]).ravel()
-    return numbers[(numbers >= low * 0.999) & (numbers <= high * 1.001)]
 
 
 def _check_axes(dataset: xarray.Dataset, *names: str) -> None:

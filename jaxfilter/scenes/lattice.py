@@ -20,24 +20,13 @@ Box = tuple[float, float, float, float]
 """x and y of the lower left, then of the upper right corner, metres in the scene's frame."""
 
 
-class Layer(enum.IntEnum):
-    """The independent sources of randomness of one seed."""
-
-    RELIEF = 0
-    ROUGHNESS = 1
-    SETTLEMENT = 2
-    TERRACES = 3
-    FOREST = 4
-    SHRUBS = 5
-    COURSE = 6
-    QUARTERS = 7
-    PLOTS = 8
-    TREES = 9
-    KERB_EAST = 10
-    KERB_NORTH = 11
-    LOW_CLUSTERS = 12
-    PITS = 13
-    PULSES = 14
+Layer = enum.IntEnum(
+    "Layer",
+    "RELIEF ROUGHNESS SETTLEMENT TERRACES FOREST SHRUBS COURSE QUARTERS PLOTS TREES KERB_EAST KERB_NORTH LOW_CLUSTERS PITS "
+    "PULSES",
+    start=0,
+)
+"""The independent sources of randomness of one seed."""
 
 
 class Nodes(NamedTuple):

@@ -102,6 +102,7 @@ class SceneLayout:
         return self.houses, self.rows, self.blocks, self.towers, self.halls, self.parks
 
 
+_WIDE: dict[str, Any] = {"landform": 128, "hurst": 1.2}
 _STRAY: dict[str, Any] = {"low_clusters": 15.0, "low_outliers": 2e-5, "high_outliers": 1e-5}
 
 LAYOUTS: dict[str, SceneLayout] = {
@@ -109,15 +110,7 @@ LAYOUTS: dict[str, SceneLayout] = {
         relief=1.5, ditches=1.2, settlement=0.15, rows=0.3, halls=0.3, parks=0.1, forest=0.03, **_STRAY
     ),
     "town": SceneLayout(
-        relief=8,
-        hurst=1.2,
-        cutting=6,
-        settlement=0.9,
-        blocks=0.5,
-        halls=0.6,
-        forest=0.3,
-        trees=0.035,
-        **_STRAY,
+        relief=8, hurst=1.2, cutting=6, settlement=0.9, blocks=0.5, halls=0.6, forest=0.3, trees=0.035, **_STRAY
     ),
     "city": SceneLayout(
         relief=4,
@@ -137,17 +130,7 @@ LAYOUTS: dict[str, SceneLayout] = {
         high_outliers=2e-5,
     ),
     "hills": SceneLayout(
-        relief=60,
-        landform=128,
-        hurst=1.2,
-        tilt=0.05,
-        cutting=7,
-        scarp=5,
-        settlement=0.25,
-        halls=0.15,
-        parks=0.2,
-        forest=0.35,
-        **_STRAY,
+        relief=60, **_WIDE, tilt=0.05, cutting=7, scarp=5, settlement=0.25, halls=0.15, parks=0.2, forest=0.35, **_STRAY
     ),
     "mountain": SceneLayout(
         relief=260,
@@ -163,14 +146,7 @@ LAYOUTS: dict[str, SceneLayout] = {
         **_STRAY,
     ),
     "forest": SceneLayout(
-        relief=25,
-        ditches=0.8,
-        forest=0.93,
-        trees=0.1,
-        conifers=0.5,
-        penetration=0.25,
-        low_vegetation=0.3,
-        **_STRAY,
+        relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3, **_STRAY
     ),
     "quarry": SceneLayout(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01, **_STRAY),
     "terraces": SceneLayout(
@@ -205,8 +181,7 @@ LAYOUTS: dict[str, SceneLayout] = {
     ),
     "benchmark": SceneLayout(
         relief=45,
-        landform=128,
-        hurst=1.2,
+        **_WIDE,
         scarp=5,
         river=16,
         embankment=4,

@@ -188,12 +188,9 @@ def make(
     >>> scene.cloud.xyz.shape == (len(scene), 3)
     True
     """
-    if isinstance(layout, str):
-        if layout not in LAYOUTS:
-            raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a SceneLayout")
-        layout = LAYOUTS[layout]
-    elif not isinstance(layout, SceneLayout):
-        raise ParameterError(f"make(layout={layout!r}): must be a SceneLayout or one of {', '.join(LAYOUTS)}")
+    layout = LAYOUTS.get(layout, layout) if isinstance(layout, str) else layout
+    if not isinstance(layout, SceneLayout):
+        raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a SceneLayout")
     width, height = (size, size) if _is_number(size) else _numbers("size", size, 2)
     for name, value, low, high, unit in (
         ("size", width, 1, 100_000, " m"),
@@ -207,10 +204,9 @@ def make(
             raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g}{unit}")
     if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
         raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
-    if pattern not in ("parallel", "zigzag"):
-        raise ParameterError(f"make(pattern={pattern!r}): choose one of 'parallel', 'zigzag'")
-    if rounding not in ROUNDING:
-        raise ParameterError(f"make(rounding={rounding!r}): choose one of {', '.join(map(str, ROUNDING))} m")
+    for name, given, choices in (("pattern", pattern, ("parallel", "zigzag")), ("rounding", rounding, ROUNDING)):
+        if given not in choices:
+            raise ParameterError(f"make({name}={given!r}): choose one of {', '.join(map(repr, choices))}")
     corner = np.rint(np.array(_numbers("origin", origin, 3), np.float64) / rounding) * rounding
 
     terrain = Terrain(layout, int(seed))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket
@@ -73,20 +71,19 @@ def lowest_per_adaptive_cell(
             "extent: use larger cells or fewer levels, or remove stray points far from the rest"
         )
     n = bucket(len(points))
-    device = jnp.asarray(padded(points.xyz, n))
-    part: jax.Array = jnp.asarray(padded(~barred, n))
+    xyz, part = padded(points.xyz, n), padded(~barred, n)
     found, divided, steepest = [], [], 0.0
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
         shape = padded_shape(extent, points.least_shape(cell / 2**level))
         index = cell_index(
-            device,
-            jnp.asarray(corner, jnp.float32),
+            xyz,
+            np.float32(corner),
             np.float32(cell / 2**level),  # halves are exact, so that the levels are nested
             np.array(extent, np.int32),
             shape[1],
         )
-        slopes = cell_slopes(index, device, part, shape[0] * shape[1])
+        slopes = cell_slopes(index, xyz, part, shape[0] * shape[1])
         number, first, mean, least = (np.asarray(v) for v in slopes)
         found.append(np.sort(first[number > 0]).astype(np.int64))
         enough = number >= least_points
@@ -94,7 +91,7 @@ def lowest_per_adaptive_cell(
         if level < levels - 1:
             split = enough & (mean - least > relative_slope)
             divided.append(int(split.sum()))
-            part = part & jnp.asarray(split)[index]
+            part &= split[np.asarray(index)]
     return AdaptiveSeeds(
         rows=np.unique(np.concatenate(found)),
         levels=found,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..core.compilation import bucket
+from ..core.compilation import bucket, jit
 from .planes import Planes, gradient_of
 
 WIDTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
@@ -28,11 +28,11 @@ class CellRows(NamedTuple):
         points: i32[cells], points per cell; 0 for padding.
     """
 
-    xyz: jax.Array
-    mask: jax.Array
-    cell: jax.Array
-    row: jax.Array
-    points: jax.Array
+    xyz: np.ndarray | jax.Array
+    mask: np.ndarray | jax.Array
+    cell: np.ndarray | jax.Array
+    row: np.ndarray | jax.Array
+    points: np.ndarray | jax.Array
 
 
 class Consensus(NamedTuple):
@@ -85,10 +85,10 @@ def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> CellRows:
     rows_cell = np.full(size, size - 1, np.int32)
     first_row, points = np.zeros(size, np.int32), np.zeros(size, np.int32)
     rows_cell[: len(cell)], first_row[: len(row)], points[: len(count)] = cell, row, count
-    return CellRows(*map(jnp.asarray, (local, mask, rows_cell, first_row, points)))
+    return CellRows(local, mask, rows_cell, first_row, points)
 
 
-@jax.jit
+@jit
 def consensus_planes(
     cells: CellRows,
     draws: jax.Array,
@@ -118,7 +118,7 @@ def consensus_planes(
         return jnp.einsum("rwi,ri->rw", xyz - centre[cell][:, None], normal[cell], precision="highest")
 
     def near_plane(centre: jax.Array, normal: jax.Array) -> jax.Array:
-        return mask & (jnp.abs(residuals(centre, normal)) <= distance)
+        return jnp.logical_and(mask, jnp.abs(residuals(centre, normal)) <= distance)
 
     def hypothesis(best: _Best, draw: jax.Array) -> tuple[_Best, None]:
         pick = jnp.minimum((draw[None] * points[:, None].astype(draw.dtype)).astype(jnp.int32), points[:, None] - 1)

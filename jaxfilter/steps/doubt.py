@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
+from ..core.compilation import bucket, jit
 from ..engines.chunks import in_chunks
 from ..engines.tin.ground import GroundTin
 from .doubt_model import MODEL
@@ -16,31 +16,24 @@ FEATURES = (
     "height", "near", "below", "drop", "flip", "residual", "roughness", "facet", "landscape",
 )  # fmt: skip
 """What :func:`evidence` says of each point, in this order."""
-_ROWS = 2**18
-"""Points that are looked at at a time."""
+_ROWS = 2**14
+"""Points that are looked at at a time: what is made of them stays in the cache."""
 
 
-def evidence(
+def doubts(
     ground: GroundTin, scatter: Scatter, drop: np.ndarray, landscape: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """f32[m, 9]: figures without a unit that tell certain labels from doubtful ones. Lengths are in tolerances.
-
-    ``height``: of the point over the triangulation of the ground, log(1 + |h|), at most 4. ``near``: 1 where that is one
-    tolerance, less where it is more or fewer. ``below``: log(1 + h) of points below it, at most 3. ``drop``: logarithm of
-    the steepest drop of the cell in terms of its limit, -3 to 2. ``flip``: 1 where the cell is at the limit, 0 from a factor
-    of e on. ``residual``: of a vertex above the plane of its neighbours, log(1 + e). ``roughness``: log(1 + root mean
-    square) of these around the point. ``facet``: slope of its facet, at most 1.5. ``landscape``: square root of its slope,
-    at most 1.
+    """f32[m]: how likely the labels of points are to be wrong.
 
     Args:
         ground: the points m, and the final triangulation, pruned and finished; scatter: of all of them.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
         landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
     """
-    given = ground.height, ground.slope, *scatter, drop, landscape
-    size = bucket(min(len(drop), _ROWS))
+    given = ground.ground, ground.height, ground.slope, *scatter, drop, landscape
+    size, least = bucket(min(len(drop), _ROWS)), max(tolerance, 0.01)
     found: np.ndarray = in_chunks(
-        lambda *columns: _figures(*columns, max(tolerance, 0.01)),
+        lambda labels, *columns: probability(np.asarray(evidence(*columns, least)), labels),
         lambda rows: tuple(column[rows] for column in given),
         len(drop),
         (size, size),
@@ -48,8 +41,8 @@ def evidence(
     return found
 
 
-@jax.jit
-def _figures(
+@jit
+def evidence(
     height: jax.Array,
     slope: jax.Array,
     residual: jax.Array,
@@ -58,7 +51,18 @@ def _figures(
     landscape: jax.Array,
     tolerance: jax.Array,
 ) -> jax.Array:
-    """f32[n, 9]: the figures of :func:`evidence`, of f32[n] each; what is not a number is zero."""
+    """f32[n, 9]: figures without a unit that tell certain labels from doubtful ones. Lengths are in tolerances.
+
+    ``height``: of the point over the triangulation of the ground, log(1 + |h|), at most 4. ``near``: 1 where that is one
+    tolerance, less where it is more or fewer. ``below``: log(1 + h) of points below it, at most 3. ``drop``: logarithm of
+    the steepest drop of the cell in terms of its limit, -3 to 2. ``flip``: 1 where the cell is at the limit, 0 from a factor
+    of e on. ``residual``: of a vertex above the plane of its neighbours, log(1 + e). ``roughness``: log(1 + root mean
+    square) of these around the point. ``facet``: slope of its facet, at most 1.5. ``landscape``: square root of its slope,
+    at most 1.
+
+    Args: f32[n] each, and f32, as for :func:`doubts`; ``height`` in metres and ``slope`` in degrees over the triangulation,
+    ``residual`` and ``roughness`` as in :class:`jaxfilter.steps.pruning.Scatter`. What is not a number is zero.
+    """
     h = height / tolerance
     size = jnp.abs(h)
     steepness = jnp.clip(jnp.log(jnp.maximum(drop, 1e-3)), -3, 2)
@@ -81,10 +85,5 @@ def probability(evidence: np.ndarray, ground: np.ndarray) -> np.ndarray:
 
     At most one half: of two labels the method takes the more likely one.
     """
-    out = np.empty(len(ground), np.float32)
-    for start in range(0, len(out), _ROWS):
-        rows = slice(start, start + _ROWS)
-        other, own = (evidence[rows] @ MODEL[:, 1:].T + MODEL[:, 0]).T
-        total = np.where(ground[rows], own, other)
-        out[rows] = np.minimum(1 / (1 + np.exp(-total)), 0.5)
-    return out
+    other, own = (evidence @ MODEL[:, 1:].T + MODEL[:, 0]).T
+    return np.minimum(1 / (1 + np.exp(-np.where(ground, own, other))), 0.5).astype(np.float32)

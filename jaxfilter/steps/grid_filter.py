@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import in_turn
+from ..core.compilation import in_turn, jit
 from ..core.filter import Filter, Labels, alike, ground_each, values_but
 from ..core.params import static
 from ..core.points import Points
@@ -46,7 +46,7 @@ class Surface(NamedTuple):
     @classmethod
     def over(cls, cells: Cells, z: jax.Array, limits: Any = None, counts: dict[str, Any] | None = None) -> Surface:
         """Elevations of cells, f32[rows, columns], with their slopes."""
-        return cls(z, steepness(z, cells.extent, cells.frame[2]), cells.extent, cells.frame, limits, counts or {})
+        return cls(z, _slopes(z, cells.extent, cells.frame), cells.extent, cells.frame, limits, counts or {})
 
     def at(self, xyz: jax.Array | np.ndarray) -> tuple[jax.Array, jax.Array]:
         """Height of points f32[n, 3] above the surface, metres, and its slope, rise over run; bilinear between cell centres."""
@@ -263,7 +263,12 @@ def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
     return np.maximum(above, below) <= 0
 
 
-@jax.jit
+@jit
+def _slopes(z: jax.Array, extent: jax.Array, frame: jax.Array) -> jax.Array:
+    return steepness(z, extent, frame[2])
+
+
+@jit
 def _between(surface: Surface, xyz: jax.Array) -> Heights:
     """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]

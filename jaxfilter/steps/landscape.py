@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..core.compilation import jit
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.sampling import bilinear
 from .surfaces import Cells, hold_against, steepness
@@ -40,8 +41,8 @@ class Landscape:
         cell = float(cells.frame[2])
         block = max(1, round(_BLOCK / cell))
         reach = min(math.ceil(3 * sigma / (block * cell)), -(-max(z.shape) // block))  # nothing lies beyond the array
-        known = cells.seen & cells.valid & ~jnp.asarray(objects)
-        slope = _slope(jnp.asarray(z), known, cells.extent, np.float32(cell), np.float32(sigma), block, reach)
+        known = cells.seen, cells.valid, objects
+        slope = _slope(z, known, cells.extent, np.float32(cell), np.float32(sigma), block, reach)
         return cls(slope, cells, block)
 
     def in_cells(self) -> jax.Array:
@@ -58,11 +59,20 @@ class Landscape:
         return hold_against(xyz, sampled)[0]
 
 
-@functools.partial(jax.jit, static_argnames=("block", "reach"))
+@functools.partial(jit, static_argnames=("block", "reach"))
 def _slope(
-    z: jax.Array, known: jax.Array, extent: jax.Array, cell: jax.Array, sigma: jax.Array, block: int, reach: int
+    z: jax.Array,
+    masks: tuple[jax.Array, jax.Array, jax.Array],
+    extent: jax.Array,
+    cell: jax.Array,
+    sigma: jax.Array,
+    block: int,
+    reach: int,
 ) -> jax.Array:
-    """Slopes of the means of the ``known`` cells of blocks, averaged over up to ``reach`` blocks."""
+    """Slopes of the means of blocks, averaged over up to ``reach`` of them; ``masks``: cells with points, cells that exist, and
+    objects."""
+    seen, valid_cells, objects = masks
+    known = seen & valid_cells & ~objects
     shape = tuple(-(-n // block) for n in z.shape)
 
     def sums(a: jax.Array) -> jax.Array:
@@ -86,14 +96,24 @@ def _slope(
     return averaged(slope) / jnp.maximum(averaged(jnp.ones(shape, jnp.float32)), 1e-6)
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "block"))
+@functools.partial(jit, static_argnames=("shape", "block"))
 def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block: int) -> jax.Array:
-    row, column = (jax.lax.broadcasted_iota(jnp.float32, shape, axis).reshape(-1) for axis in range(2))
-    at = (jnp.stack([column, row], axis=1) + 0.5) / block - 0.5
-    return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope).reshape(shape)
+    """As :func:`bilinear` at the centres of cells, which form rows and columns: along these first, then across."""
+    blocks = -(-jnp.asarray(extent) // block)
+
+    def between(axis: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+        last = blocks[axis] - 1
+        at = (jnp.arange(shape[axis], dtype=slope.dtype) + 0.5) / block - 0.5
+        at = jnp.clip(at, 0, last.astype(at.dtype))
+        low = jnp.minimum(jnp.floor(at).astype(jnp.int32), jnp.maximum(last - 1, 0))
+        return low, jnp.minimum(low + 1, last), at - low.astype(at.dtype)
+
+    (west, east, u), (south, north, v) = between(1), between(0)
+    lines = u[None] * slope[:, east] + (1 - u[None]) * slope[:, west]
+    return (1 - v[:, None]) * lines[south] + v[:, None] * lines[north]
 
 
-@jax.jit
+@jit
 def _at_points(slope: jax.Array, xyz: jax.Array, extent: jax.Array, frame: jax.Array, block: jax.Array) -> jax.Array:
     at = (xyz[:, :2] - frame[None, :2]) / (frame[2] * jnp.asarray(block, frame.dtype)) - 0.5
     return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope)

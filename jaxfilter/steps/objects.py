@@ -32,7 +32,7 @@ class Segments:
     """Segments of a surface, and how far it falls at their borders.
 
     Attributes:
-        segment: i32[rows, columns], the first cell of the segment that each cell is in.
+        segment: i32[rows, columns], the segment that each cell is in, 0 for those in none that is large enough; count: of these.
         fall: f32[rows, columns], metres to the lowest elevation within two rows and columns.
     """
 
@@ -45,7 +45,7 @@ class Segments:
         wide = np.full(padded_shape(z.shape), np.inf, np.float32)
         wide[inner] = z
         self.fall = z - np.asarray(erosion(wide, 2, 2, "square"))[inner]
-        self.segment = segments(z, np.float32(roofs.step))
+        self.segment, self.count = segments(z, np.float32(roofs.step), roofs.area / cell**2)
 
     def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.
@@ -56,8 +56,8 @@ class Segments:
         """
         from ..engines.grid.shapes import census
 
-        roofs = self.roofs
-        falls = self.fall > np.float32(roofs.drop) + 2 * np.float32(self.cell) * slope
-        cells, inside, border, falling = census(self.segment, marked, falls)
+        roofs, run = self.roofs, 2 * np.float32(self.cell)
+        given = marked, self.fall, slope, np.float32(roofs.drop), run
+        cells, inside, border, falling = census(self.segment, self.count, *given)
         whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
-        return (whole & (cells * self.cell**2 >= roofs.area))[self.segment]
+        return (whole & (cells > 0))[self.segment]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import ParameterError
@@ -318,6 +317,6 @@ def ring_low(xyz: np.ndarray, cells: Cells, depth: float, reach: int) -> np.ndar
     The ring is a square one, more than ``reach`` and at most two further cells away: lone low points are found, and clusters
     of them up to that size. ``cells``: the lowest elevations, of all points.
     """
-    ring = ring_minimum(jnp.where(cells.seen, cells.lowest, jnp.inf), reach, reach + 2)
+    ring = ring_minimum(np.where(cells.seen, cells.lowest, np.float32(np.inf)), reach, reach + 2)
     around = look_up(xyz, cells, ring)[0]
     return np.isfinite(around) & (xyz[:, 2] < around - np.float32(depth))

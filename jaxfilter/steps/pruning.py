@@ -32,16 +32,17 @@ class Scatter(NamedTuple):
         out, nodes = cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)), np.flatnonzero(tin.vertex)
         tables = tin.triangles, tin.neighbours, tin.where
         parts = np.array_split(nodes, len(nodes) // _AT_ONCE + tin.workers)
-        list(tin.pool.map(lambda part: residuals(tin.xyz, *tables, part, tin.vertex, out.residual), parts))
-        list(tin.pool.map(lambda part: roughness(*tables, part, tin.vertex, *out), parts))
+        list(tin.pool.map(lambda part: residuals(tin.xyz, *tables, part, out.residual), parts))
+        list(tin.pool.map(lambda part: roughness(*tables, part, *out), parts))
         return out
 
-    def of_all(self, tin: Tin) -> Scatter:
+    def of_all(self, ground: GroundTin) -> Scatter:
         """Over the triangulation as it is: points that are no vertex have no residual, and the mean roughness at the corners of
         their facet."""
-        around = self.roughness.copy()
+        around, tin = self.roughness.copy(), ground.tin
+        tin.locate(np.flatnonzero(ground.ground & ~tin.vertex))  # the others are up to date
+        ground.locate_outside()
         rows = np.flatnonzero(~tin.vertex)
-        tin.locate(rows)
         around[rows] = around[tin.corners(tin.where[rows])].mean(axis=1)
         return Scatter(np.where(tin.vertex, self.residual, 0), around)
 
@@ -63,6 +64,6 @@ def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float) -> in
     inner[ghosts[ghosts >= 0]] = False
     over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
     drop = nodes[inner[nodes] & (over[nodes] > 0)]
-    ground.ground[drop], ground.margin[drop] = False, over[drop]
-    tin.remove(drop)
+    ground.margin[drop] = over[drop]
+    ground.drop(drop)
     return len(drop)

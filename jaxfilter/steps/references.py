@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from ..core.compilation import jit
 from ..core.grid import Grid, grid_over
 from ..engines.chunks import in_chunks
 from ..engines.ground import GroundNodes
@@ -176,7 +177,7 @@ class GroundReferences(GroundNodes):
 
     def _add(self, references: np.ndarray) -> None:
         changed = self.around.add(references, self.workers)
-        self.rest, self.todo, self._row = self.around.query, self.around.query[changed], self.around.row[changed]
+        self.left, self.todo, self._row = len(changed), self.around.query[changed], self.around.row[changed]
 
     def test(self) -> np.ndarray:
         self.compared.update(self.around.xyz, self.todo, self._row)
@@ -208,7 +209,7 @@ def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[n
     return found[:, 0], found[:, 1], found[:, 2]
 
 
-@jax.jit
+@jit
 def _plane_below(reference: jax.Array, known: jax.Array) -> jax.Array:
     """f32[q, 3]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin."""
     planes = fit_planes(reference, known)

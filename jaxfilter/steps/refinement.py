@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..core.compilation import jit
 from ..engines.grid.cells import block_counts, block_minima
 
 MAX_SLOPE = 63.0
@@ -32,7 +33,7 @@ class CellSlopes(NamedTuple):
     least: jax.Array
 
 
-@functools.partial(jax.jit, static_argnames="cells")
+@functools.partial(jit, static_argnames="cells")
 def cell_slopes(index: jax.Array, xyz: jax.Array, counted: jax.Array, cells: int) -> CellSlopes:
     """Slopes per cell (Zheng et al. 2024, eq. 5).
 

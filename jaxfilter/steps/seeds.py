@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import InputError
@@ -67,13 +65,13 @@ def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray
     return np.sort(rows[lowest[np.unique(cell[lowest], return_index=True)[1]]])
 
 
-def lowest_of_cells(points: Points, cells: Cells, chosen: jax.Array, barred: np.ndarray) -> np.ndarray:
+def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np.ndarray) -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of the ``chosen`` cells, bool[rows, columns].
 
     ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the
     first in canonical order is taken.
     """
-    chosen = jnp.where(chosen & cells.seen, cells.lowest, -jnp.inf)
+    chosen = np.where(np.logical_and(chosen, cells.seen), cells.lowest, np.float32(-np.inf))
     (low,) = look_up(points.xyz, cells, chosen)
     rows = np.flatnonzero(~barred & (points.xyz[:, 2] == low))
     at = places_in(points.xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), chosen.shape[1])

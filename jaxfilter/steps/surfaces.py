@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket
+from ..core.compilation import bucket, jit
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
@@ -138,12 +138,12 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
     return list(in_chunks(test, lambda rows: (xyz[rows],), len(xyz), (size, size), _IN_FLIGHT))
 
 
-def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array) -> list[np.ndarray]:
+def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) -> list[np.ndarray]:
     """f32[n] each: the value of every surface, f32[rows, columns], in the cells of points f32[n, 3]."""
     return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@functools.partial(jit, static_argnames=("reach", "element"))
 def steepest_drops(z: jax.Array, valid: jax.Array, reach: int, element: str = "disk") -> jax.Array:
     """Metres per cell of radius that progressive openings with radii of 1, 2, ... ``reach`` cells lower each cell by, at most.
 
@@ -157,7 +157,7 @@ def steepest_drops(z: jax.Array, valid: jax.Array, reach: int, element: str = "d
     return progressive_opening(z, valid, radii, steeper, none, reach=reach, element=element)[1]
 
 
-@jax.jit
+@jit
 def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
 
@@ -171,16 +171,16 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     return jnp.hypot(difference(0), difference(1))
 
 
-@jax.jit
+@jit
 def _occupied(lowest: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Minima with zeros in empty cells, the cells with points, the cells that exist; [rows, columns] each."""
     (rows, columns), seen = lowest.shape, lowest < jnp.inf
     return jnp.where(seen, lowest, 0), seen, inside((rows, columns), extent)
 
 
-@jax.jit
+@jit
 def cell_values(
-    xyz: jax.Array, surfaces: tuple[jax.Array, ...], frame: jax.Array, extent: jax.Array
+    xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], frame: jax.Array, extent: jax.Array
 ) -> tuple[jax.Array, ...]:
     """f32[n] for every surface, f32[rows, columns]: its value in the cells of points f32[n, >=2]; see :class:`Cells`."""
     at = cell_index(xyz, frame[:2], frame[2], extent, surfaces[0].shape[1])

@@ -126,13 +126,18 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
     if network.sheet[-1] > 0:  # accepting sheets last, so that they prevail
         order = order[np.argsort(out.ground[order], kind="stable")]
     row = network.row[order]
+    one_sheet = network.sheet[-1] == 0 and len(order) == len(points)  # the first nodes are the points
 
     def of_points(values: np.ndarray) -> np.ndarray:
+        if one_sheet:
+            return values[: len(points)]
         spread = np.zeros(len(points), values.dtype)
         spread[row] = values[order]
         return spread
 
     def in_any_sheet(nodes: np.ndarray) -> np.ndarray:
+        if one_sheet:
+            return nodes[: len(points)]
         spread = np.zeros(len(points), bool)
         spread[row[nodes[order]]] = True
         return spread

@@ -11,7 +11,6 @@ import os
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from multiprocessing.connection import Connection, wait
@@ -278,11 +277,9 @@ def _serve(connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     os.environ.setdefault("RAYON_NUM_THREADS", "1")  # of the LAZ codec: one processor a worker
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    from ..core.compilation import use_persistent_cache
+    from ..core.compilation import keep_compilations
 
-    with warnings.catch_warnings():  # what is wrong with the cache, the parent has said
-        warnings.simplefilter("ignore")
-        use_persistent_cache()
+    keep_compilations()
     while True:
         try:
             function, arguments = connection.recv()

@@ -71,9 +71,9 @@ class RunOptions:
 
 def check_memory(options: RunOptions, plan: Plan) -> None:
     """Raises: ParameterError if the memory does not suffice for one worker."""
-    if options.memory is not None and options.memory < _need(plan):
+    if options.memory is not None and options.memory < need(plan):
         raise ParameterError(
-            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {_need(plan):.3g}: pass memory= with "
+            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
             "more, or tile= with less"
         )
 
@@ -91,13 +91,13 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
         return Cluster(options.client)
     room = options.memory or _SHARE * free_memory()
     workers = options.workers
-    count = min(processors(), max(1, int(room // _need(plan)))) if workers is None else workers
+    count = min(processors(), max(1, int(room // need(plan)))) if workers is None else workers
     if count > 1 and len(plan) > 1:
         return Pool(count)
     return Here(Local(workers, progress))
 
 
-def _need(plan: Plan) -> float:
+def need(plan: Plan) -> float:
     """Bytes of a worker."""
     return _BASE + _PER_POINT * float(plan.points.max(initial=0.0))
 

@@ -107,6 +107,10 @@ class Plan:
         more = 2 * (self.halo + self.lattice)
         return self.width + more * bool(many[0]), self.height + more * bool(many[1])
 
+    def times_read(self, count: int) -> float:
+        """How many times each of ``count`` points is read, halos included; 1 without any."""
+        return float(self.points.sum()) / count if count else 1.0
+
     def digest(self) -> str:
         """Tells this plan from others."""
         numbers = (self.origin, self.width, self.height, self.halo, self.lattice, len(self))

@@ -13,7 +13,6 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from ..core.compilation import cache_warning
 from ..core.errors import JaxfilterWarning
 from ..files.disk import new_file
 from ..files.storage import Place
@@ -183,6 +182,7 @@ class Standing:
         points: of the cores done in this process; read: the same with halos; seconds: since it began.
         files, files_done: all, and those written.
         left: seconds, by the tiles done so far; NaN before the first.
+        times_read: how many times each point is read, halos included, by the plan.
     """
 
     step: str
@@ -195,6 +195,7 @@ class Standing:
     seconds: float = 0.0
     left: float = math.nan
     share: float = 0.0
+    times_read: float = 1.0
 
     @property
     def rate(self) -> float:
@@ -209,8 +210,5 @@ def collected_warnings() -> Iterator[list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", JaxfilterWarning)
-        warnings.filterwarnings("always", "Error .* persistent compilation cache entry")
         yield remarks
-        texts = [str(w.message) for w in caught]
-        others = [text for text in texts if not cache_warning(text)]  # where it is one, it warns in its turn
-        remarks += dict.fromkeys(others + [str(w.message) for w in caught[len(texts) :]])
+        remarks += dict.fromkeys(str(w.message) for w in caught)

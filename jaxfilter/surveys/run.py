@@ -48,7 +48,8 @@ class Run:
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
-        self._standing = Standing("tiles", len(plan), 0, len(self._missing) if product.writes_files else 0)
+        files, times = len(self._missing) if product.writes_files else 0, plan.times_read(self.collection.count)
+        self._standing = Standing("tiles", len(plan), 0, files, times_read=times)
         self.report = product.REPORT(tiles=len(plan), cores=plan.cores(), state=np.full(len(plan), np.nan))
 
     def __call__(self) -> None:

@@ -81,7 +81,8 @@ class GroundNeeded(Product):
             summary.seconds["read"] += (read := time.perf_counter()) - start
             result = None
             if self.filter is not None:
-                result = self.filter(around.cloud, workers=local.threads, progress=local.progress)
+                cloud = dataclasses.replace(around.cloud, core=near)
+                result = self.filter(cloud, workers=local.threads, progress=local.progress)
                 summary.seconds["filter"] += time.perf_counter() - read
             ground = self._classified(around.cloud, tile) if result is None else result.ground
             yield Surroundings(around, wide, halo, ground, near, result)

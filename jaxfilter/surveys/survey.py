@@ -34,6 +34,10 @@ FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SM
 """What to do where no point is ground."""
 
 
+_TOO_OFTEN = 3.0
+"""Times that tiles of a given size may read every point without a warning; the plan's own read up to 2.3 times as many."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Cut:
     """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
@@ -129,6 +133,12 @@ class Survey:
             reach=cut.reach,
         )
         check_memory(options, plan)
+        times = plan.times_read(files.count)
+        if options.tile is not None and times > _TOO_OFTEN:
+            warn(
+                f"tile={options.tile:g}: every point is read {times:.1f} times, since {cut.halo:g} m around each tile are read "
+                "as well: pass tile= with more, or leave it out"
+            )
         return plan
 
     def _filter(self) -> tuple[Filter | None, Whole | None]:

@@ -99,7 +99,7 @@ class TileReader:
         around = kept[1] if kept is not None and kept[0] == key else self._read(tile)
         if keep:
             _KEPT.append((key, around))
-        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole))
+        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole, core=tile.core))
 
     def _read(self, tile: Tile) -> Around:
         clouds, files, records, cores = [], [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]

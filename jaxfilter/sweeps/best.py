@@ -85,7 +85,9 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
         check_score(dataset, score)
     names, shape = axes_of(dataset), dataset[score].isel({"cloud": 0}, missing_dims="ignore").shape
     columns: dict[str, Any] = {}
-    for name, place in zip(names, _places(dataset, names, shape), strict=True):
+    every = np.arange(int(np.prod(shape)))
+    places = np.unravel_index(every, shape) if is_grid(dataset) else [every] * len(names)
+    for name, place in zip(names, places, strict=True):
         columns[name] = dataset[name].values[place]
     for name in (*SCORES, "expected", "ground"):
         if name in dataset:
@@ -94,13 +96,7 @@ def best_sets(dataset: xarray.Dataset, score: str = "total", count: int | None =
     if "cloud" in dataset[score].dims:
         for number, cloud in enumerate(dataset["cloud"].values):
             columns[f"{score}_{cloud}"] = dataset[score].isel(cloud=number).values.ravel()
-    frame = pd.DataFrame(columns, index=pd.RangeIndex(int(np.prod(shape)), name="set"))
+    frame = pd.DataFrame(columns, index=pd.RangeIndex(len(every), name="set"))
     decides = dataset.attrs["score"] if score == "expected" else score
     sorted_ = frame.sort_values(score, ascending=decides not in LARGER_IS_BETTER, kind="stable", na_position="last")
     return sorted_ if count is None else sorted_.head(count)
-
-
-def _places(dataset: xarray.Dataset, names: tuple[str, ...], shape: tuple[int, ...]) -> list[np.ndarray]:
-    """For each axis, where each set has its value."""
-    number = np.arange(int(np.prod(shape)))
-    return list(np.unravel_index(number, shape)) if is_grid(dataset) else [number] * len(names)

@@ -63,7 +63,9 @@ class Comparison:
         >>> compared.by_method("kappa").columns.tolist()
         ['SMRF', 'MSF']
         """
-        wide = self.table.pivot(index="cloud", columns="method", values=self._known(score))
+        if score not in (known := (*SCORES, *_TIMES)):
+            raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
+        wide = self.table.pivot(index="cloud", columns="method", values=score)
         return wide.loc[list(dict.fromkeys(self.table["cloud"])), list(dict.fromkeys(self.table["method"]))]
 
     def significance(self, score: str = "total", against: str | None = None) -> pandas.DataFrame:
@@ -115,12 +117,6 @@ class Comparison:
     def _columns(self) -> list[Column]:
         """Scores only where there are any."""
         return [one for one in _COLUMNS if one[0] not in SCORES or self.table[one[0]].notna().any()]
-
-    def _known(self, score: str) -> str:
-        known = (*SCORES, *_TIMES)
-        if score not in known:
-            raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
-        return score
 
     def __str__(self) -> str:
         return self._shown().to_string(index=False, float_format="%.3f")
@@ -179,15 +175,12 @@ def timed(
     filter_: Filter, cloud: PointCloud, repeats: int, workers: int | None = None
 ) -> tuple[FilterResult, float, float]:
     """The result, the seconds of a first call, and the median seconds of ``repeats`` calls after it; without any, the first."""
-    start = time.perf_counter()
-    result = filter_(cloud, workers=workers)
-    first = time.perf_counter() - start
     seconds = []
-    for _ in range(repeats):
+    for _ in range(repeats + 1):
         start = time.perf_counter()
         result = filter_(cloud, workers=workers)
         seconds.append(time.perf_counter() - start)
-    return result, first, statistics.median(seconds) if seconds else first
+    return result, seconds[0], statistics.median(seconds[1:] or seconds)
 
 
 def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:

@@ -117,15 +117,10 @@ def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:
     """
     method = filter_ if isinstance(filter_, type) else type(filter_)
     listed = SEARCHED.get(method.__name__.lower())
-    out: dict[str, Range] = {}
-    for field in declared(method):
-        if listed is not None and field.name in listed:
-            out[field.name] = RANGES[field.name]
-        elif listed is None and not field.metadata["static"]:
-            found = RANGES.get(field.name) or around(field)
-            if found is not None:
-                out[field.name] = found
-    return out
+    if listed is not None:
+        return {field.name: RANGES[field.name] for field in declared(method) if field.name in listed}
+    found = {f.name: RANGES.get(f.name) or around(f) for f in declared(method) if not f.metadata["static"]}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def around(field: dataclasses.Field[Any]) -> Range | None:

@@ -100,11 +100,8 @@ class Linear:
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
         """f64[q]: the heights at f64[q, 2]."""
-        nodes, outside = self._corners(at)
-        corner, level = np.take(self._xy, nodes, axis=0), self._z[nodes]
-        (x1, y1), (x2, y2), (x, y) = (
-            d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], at - corner[:, 0])
-        )
+        nodes, outside, first, (x1, y1), (x2, y2) = self._triangles(at)
+        level, (x, y) = self._z[nodes], (at - first).T
         area = x1 * y2 - x2 * y1
         second, third = (x * y2 - x2 * y) / area, (x1 * y - x * y1) / area
         out = level[:, 0] + second * (level[:, 1] - level[:, 0]) + third * (level[:, 2] - level[:, 0])
@@ -114,17 +111,16 @@ class Linear:
     def circles(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Centres f64[q, 2] and radii f64[q] of the circles through the corners of the triangles at f64[q, 2]: further ground
         points change heights only from inside of these. Infinite radii outside the convex hull."""
-        nodes, outside = self._corners(at)
-        corner = np.take(self._xy, nodes, axis=0)
-        (x1, y1), (x2, y2) = (d.T for d in (corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+        _, outside, first, (x1, y1), (x2, y2) = self._triangles(at)
         one, two, area = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2, 2 * (x1 * y2 - x2 * y1)
         middle = np.column_stack([(y2 * one - y1 * two) / area, (x1 * two - x2 * one) / area])
         radius = np.hypot(middle[:, 0], middle[:, 1])
         radius[outside] = np.inf
-        return middle + corner[:, 0], radius
+        return middle + first, radius
 
-    def _corners(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """i64[q, 3], the corners of the triangles at f64[q, 2], and the numbers of positions outside the hull."""
+    def _triangles(self, at: np.ndarray) -> tuple[np.ndarray, ...]:
+        """i64[q, 3], the corners of the triangles at f64[q, 2]; the numbers of positions outside the hull; f64[q, 2], the first
+        corners, and f64[2, q] from these to the second and to the third."""
         start = np.searchsorted(self._code, morton(np.maximum(at, 0.0)))
         with ThreadPoolExecutor(self._threads) as self._tin.pool:
             near = self._order[np.minimum(start, len(self._xy) - 1)]
@@ -132,7 +128,8 @@ class Linear:
             beyond = np.flatnonzero(tri < 0)
             tri[beyond] = -1 - tri[beyond]
             nodes = self._tin.corners(tri)
-        return nodes, beyond[~self._inside(at[beyond])]
+        first, second, third = np.take(self._xy, nodes.T, axis=0)
+        return nodes, beyond[~self._inside(at[beyond])], first, (second - first).T, (third - first).T
 
 
 def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:
@@ -193,12 +190,7 @@ def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return lambda at: mesh.find_simplex(at - middle, tol=1e-9) >= 0
 
 
-def nearest_point(xyz: np.ndarray, workers: int | None = None) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def nearest_point(xyz: np.ndarray, workers: int | None = None) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """A function from positions f64[q, 2] to the distance f64[q] and the index i64[q] of the nearest point."""
     tree = tree_of(xyz[:, :2])
-
-    def ask(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        distance, index = nearest(tree, at, 1, np.inf, workers)
-        return distance[:, 0], index[:, 0]
-
-    return ask
+    return lambda at: tuple(found[:, 0] for found in nearest(tree, at, 1, np.inf, workers))

@@ -258,10 +258,9 @@ def dtm_rmse(
     difference = (model.astype(np.float64) - truth) * cloud.units.z
     both = np.isfinite(difference)
     missing = int((np.isfinite(model) != np.isfinite(truth)).sum())
-    if not both.any():
-        return HeightErrors(math.nan, math.nan, math.nan, 0, missing)
-    d = difference[both]
-    return HeightErrors(math.sqrt(np.mean(d * d)), float(d.mean()), float(np.abs(d).max()), len(d), missing)
+    d = difference[both] if both.any() else np.full(1, np.nan)
+    figures = math.sqrt(np.mean(d * d)), float(d.mean()), float(np.abs(d).max())
+    return HeightErrors(*figures, int(both.sum()), missing)
 
 
 def _lowest(xyz: np.ndarray) -> np.ndarray:

@@ -98,9 +98,8 @@ class Raster:
         if "crs_wkt" in grid:
             grid["spatial_ref"] = grid["crs_wkt"]  # the name of GDAL
         grid["GeoTransform"] = " ".join(repr(float(v)) for v in (c, a, b, f, d, e))
-        axes = (
-            {} if self.crs is None else {axis["axis"].lower(): axis for axis in self.crs.cs_to_cf() if "axis" in axis}
-        )
+        stated = [] if self.crs is None else self.crs.cs_to_cf()
+        axes = {axis["axis"].lower(): axis for axis in stated if "axis" in axis}
         x, y = self.centres()
         out = xarray.DataArray(
             self.values,
@@ -123,9 +122,10 @@ class Raster:
         >>> jf.dtm(cloud, result, cell=5.0).write("dtm.tif").name
         'dtm.tif'
         """
+        import rasterio
+
         path = place_of(path)
         check_target(path)
-        rasterio = _rasterio()
         profile = _profile(self.values.shape, self.transform, self.crs)
         profile |= {"nodata": self.nodata, "compress": "deflate", "predictor": 3}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
@@ -147,8 +147,8 @@ class Raster:
         True
         """
         import pyproj
+        import rasterio
 
-        rasterio = _rasterio()
         try:
             with rasterio.open(path) as file:
                 values = file.read(1, masked=True).astype(np.float32).filled(np.nan)
@@ -179,7 +179,8 @@ class RasterGrid:
 
         Raises: ParameterError for a cell that has no size, InputError if more cells would be needed.
         """
-        check_cell(cell)
+        if not 0 < cell < math.inf:
+            raise ParameterError(f"cell={cell!r} must be a positive number")
         slack = min(QUANTUM / metre / cell, 0.5)  # coordinates are known to a quantum: an edge needs no further cell
         left, bottom = (math.floor(v / cell + slack) for v in bounds[:2])
         right, top = (math.ceil(v / cell - slack) for v in bounds[2:])
@@ -235,7 +236,7 @@ def write_mosaic(
 
     Raises: OutputError (exists and not ``overwrite``, disk; the file is read back).
     """
-    rasterio = _rasterio()
+    import rasterio
     from rasterio.shutil import copy
     from rasterio.windows import Window
 
@@ -265,12 +266,6 @@ def write_mosaic(
     return path
 
 
-def check_cell(cell: float) -> None:
-    """Raises ParameterError if a cell of this side has no size."""
-    if not 0 < cell < math.inf:
-        raise ParameterError(f"cell={cell!r} must be a positive number")
-
-
 def check_target(path: Place) -> None:
     """Raises OutputError if the name is not that of a GeoTIFF."""
     if path.suffix.lower() not in SUFFIXES:
@@ -279,19 +274,10 @@ def check_target(path: Place) -> None:
 
 def _profile(shape: tuple[int, ...], transform: tuple[float, ...], crs: Any) -> dict[str, Any]:
     """How GeoTIFF files are made."""
-    rasterio = _rasterio()
+    import rasterio
+
     return {
         "driver": "GTiff", "dtype": "float32", "count": 1, "height": shape[0], "width": shape[1],
         "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
         "nodata": NODATA, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
     }  # fmt: skip
-
-
-def _rasterio() -> Any:
-    """The library, which takes a while to import."""
-    import rasterio
-    import rasterio.crs
-    import rasterio.errors
-    import rasterio.io
-
-    return rasterio

@@ -23,6 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ...core.compilation import jit
+
 T = TypeVar("T")
 _ROWS_AT_ONCE = 2
 _RIM_AT_ONCE = 4
@@ -222,7 +224,7 @@ def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> ja
     return lax.fori_loop(starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE, rim, out)
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@functools.partial(jit, static_argnames=("reach", "element"))
 def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Lowest value under a flat structuring element centred on every cell.
 
@@ -244,7 +246,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
     return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@functools.partial(jit, static_argnames=("reach", "element"))
 def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`.
 
@@ -256,7 +258,7 @@ def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "
     return -erosion(-z, radius, reach, element)
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@functools.partial(jit, static_argnames=("reach", "element"))
 def opening(
     z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk", valid: jax.Array | None = None
 ) -> jax.Array:
@@ -331,7 +333,7 @@ def progressive_opening(
     return _ordered(last, z.dtype), found
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@functools.partial(jit, static_argnames=("reach", "element"))
 def raised_cells(
     z: jax.Array, valid: jax.Array, radii: jax.Array, heights: jax.Array, *, reach: int, element: str = "disk"
 ) -> jax.Array:
@@ -348,7 +350,7 @@ def raised_cells(
     return progressive_opening(z, valid, radii, look, none, reach=reach, element=element)[1]
 
 
-@functools.partial(jax.jit, static_argnames=("inner", "outer"))
+@functools.partial(jit, static_argnames=("inner", "outer"))
 def ring_minimum(z: jax.Array, inner: int, outer: int) -> jax.Array:
     """Lowest value of a square ring around every cell: more than ``inner`` and at most ``outer`` rows or columns away.
 

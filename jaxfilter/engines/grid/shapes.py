@@ -39,11 +39,12 @@ def draw(x, y, triangles, z, low, longest, out, known):
         za, zb, zc = (low[a], low[b], low[c]) if wide else (z[a], z[b], z[c])
         for row in range(max(0, int(np.ceil(south))), min(rows - 1, int(np.floor(north))) + 1):
             for column in range(max(0, int(np.ceil(west))), min(columns - 1, int(np.floor(east))) + 1):
-                if known[row, column] and not drawn[row, column]:
-                    continue
                 px, py = column - ax, row - ay
-                s, r = (px * vy - vx * py) / area, (ux * py - px * uy) / area
-                if s >= 0 and r >= 0 and s + r <= 1:
+                s, r = px * vy - vx * py, ux * py - px * uy
+                if s < 0 or r < 0 or (known[row, column] and not drawn[row, column]):
+                    continue
+                s, r = s / area, r / area
+                if s + r <= 1:
                     level = np.float32(za + s * (zb - za) + r * (zc - za))
                     if not drawn[row, column] or level < out[row, column]:
                         out[row, column] = level
@@ -59,9 +60,10 @@ def _root(parent, cell):
 
 
 @compiled
-def segments(z, step):
+def segments(z, step, least):
     """i32[rows, columns]: the 4-connected segments of cells whose elevations differ by less than ``step`` from one to the
-    next, each named by its first cell, row by row. ``z``: f32[rows, columns]."""
+    next; and how many have ``least`` cells or more. These are counted from 1 in the order of their first cells, row by row;
+    cells of the others are 0. ``z``: f32[rows, columns]."""
     rows, columns = z.shape
     parent = np.arange(rows * columns, dtype=np.int32)
     for row in range(rows):
@@ -77,31 +79,44 @@ def segments(z, step):
                 if abs(z[row, column] - level) < step:
                     a, b = _root(parent, cell), _root(parent, other)
                     parent[max(a, b)] = min(a, b)
+    size, count = np.zeros(rows * columns, np.int32), 0
     for cell in range(rows * columns):
-        parent[cell] = parent[parent[cell]]
-    return parent.reshape(rows, columns)
+        parent[cell] = first = parent[parent[cell]]
+        size[first] += 1
+    for cell in range(rows * columns):
+        first = parent[cell]
+        if first == cell:
+            count += 1 if size[cell] >= least else 0
+            size[cell] = count if size[cell] >= least else 0
+        parent[cell] = size[first]
+    return parent.reshape(rows, columns), count
 
 
 @compiled
-def census(segment, marked, falls):
-    """i32[3, cells]: for each segment, at the place of its first cell, the numbers of its cells, of those that are
-    ``marked``, and of the cells on its border with others; i32[cells]: of the latter, those where the surface ``falls``.
+def census(segment, count, marked, fall, slope, drop, run):
+    """i32[4, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
+    others, and of the latter where the surface falls; zero for the cells that are in none.
 
-    Args: segment: i32[rows, columns] from :func:`segments`; marked, falls: bool[rows, columns].
+    Args:
+        segment: i32[rows, columns], and how many there are, from :func:`segments`; marked: bool[rows, columns].
+        fall, slope: f32[rows, columns], metres, and rise over run. The surface falls by more than f32 ``drop``, metres, and the
+            slope times f32 ``run``, metres.
     """
     rows, columns = segment.shape
-    count = np.zeros((4, rows * columns), np.int32)
+    found = np.zeros((4, count + 1), np.int32)
     for row in range(rows):
         for column in range(columns):
             name = segment[row, column]
-            count[0, name] += 1
-            count[1, name] += marked[row, column]
+            if name == 0:
+                continue
+            found[0, name] += 1
+            found[1, name] += marked[row, column]
             if (
                 (column > 0 and segment[row, column - 1] != name)
                 or (column + 1 < columns and segment[row, column + 1] != name)
                 or (row > 0 and segment[row - 1, column] != name)
                 or (row + 1 < rows and segment[row + 1, column] != name)
             ):
-                count[2, name] += 1
-                count[3, name] += falls[row, column]
-    return count
+                found[2, name] += 1
+                found[3, name] += fall[row, column] > drop + run * slope[row, column]
+    return found

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ...core.compilation import jit
 from ...core.result import Decision
 
 _FLAT_AREA = (
@@ -33,6 +34,7 @@ class FacetScore(NamedTuple):
     angle: jax.Array  # theta: signed
     elevation: jax.Array  # v: over the highest vertex
     slope: jax.Array  # of the facet, 0..90
+    level: jax.Array  # cosine of the slope, which takes a third of the time; 0 without a plane
     planar: jax.Array  # bool: the facet has a plane that is not vertical
 
 
@@ -135,6 +137,7 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
         angle=jnp.degrees(jnp.arcsin(jnp.clip(sine, -1.0, 1.0))),
         elevation=_least([-a[2], -b[2], -c[2]]),
         slope=jnp.degrees(jnp.arctan2(jnp.hypot(n[0], n[1]), n[2])),
+        level=jnp.where(planar, n[2], 0.0),
         planar=planar,
     )
 
@@ -149,7 +152,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
-@functools.partial(jax.jit, static_argnames="names")
+@functools.partial(jit, static_argnames="names")
 def judge(
     rule: Any,
     two_sided: jax.Array,
@@ -166,8 +169,8 @@ def judge(
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
     Returns: arrays [N] by name: ``accepted`` bool, ``decision`` (:class:`jaxfilter.Decision`), ``margin`` in the unit of the
-        deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees; ``planar``
-        bool, False for facets without a plane and for vertical ones.
+        deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees, ``level`` its
+        cosine; ``planar`` bool, False for facets without a plane and for vertical ones.
 
     >>> from jaxfilter.engines.tin import facets
     >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
@@ -182,7 +185,7 @@ def judge(
     return {name: found[name] for name in names}
 
 
-@jax.jit
+@jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 

@@ -24,8 +24,8 @@ from .facets import judge, mirrored
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
-_BATCHES = 1024, 8192
-"""Sizes of kernel calls."""
+_BATCHES = 8192, 8192
+"""Sizes of kernel calls: a second one takes longer to trace than it saves."""
 _SAMPLE = 65536
 """At most about so many quantities decide adaptive thresholds."""
 _DEVIATION = ("distance", "angle")
@@ -37,7 +37,7 @@ class GroundTin(GroundNodes):
     Attributes:
         ground: bool[k], nodes that are ground so far; tin: the triangulation of those that are vertices.
         rule: the thresholds that apply now; choice: which of the ground nodes become vertices.
-        angle, elevation, margin: f32[k], and decision: u8[k], of the last test of each node.
+        angle, elevation, margin: f32[k], and decision: u8[k], of the last test of each node, as far as they are kept.
         height, slope: f32[k], metres and degrees, of that test, or over the surface as it is after :meth:`finish`.
         image_in: i32[k], the triangle that the mirror image of a node was tested in, or -1.
     """
@@ -60,38 +60,54 @@ class GroundTin(GroundNodes):
             ground = cls(network, growth)
             if tin is None:
                 vertices = np.sort(np.concatenate([ground.choice.seeds, network.virtual]))
-                tin = Tin(network.xyz.copy(), network.sheet, vertices, pool, threads)
+                xyz = network.xyz.copy() if growth.moves else network.xyz
+                tin = Tin(xyz, network.sheet, vertices, pool, threads)
             ground.tin, tin.pool, tin.workers = tin, pool, threads
+            if len(network.virtual) == 0:
+                beyond = tin.triangles[tin.where[ground.todo]].min(axis=1) < 0
+                ground._outside, ground._loose = ground.todo[beyond], ground.todo[~beyond]
             ground._border_follows()
             ground._adapt(of_ground=False)
             yield ground
 
     def __init__(self, network: Network, growth: Growth) -> None:
         waiting = network.open & ~network.seed
-        super().__init__(network.seed.copy(), np.flatnonzero(waiting & ~network.late), _single(growth.rule))
+        self._open = waiting & ~network.late
+        super().__init__(network.seed.copy(), np.flatnonzero(self._open), _single(growth.rule))
         choice = LowestPerCell if growth.vertices.grids else Spaced
         self.net, self.growth, self.choice = network, growth, choice(network, growth.vertices)
         k = len(network.xyz)
-        self.angle, self.elevation, self.margin = (np.full(k, np.nan, np.float32) for _ in range(3))
+        known = (k if name in growth.kept else 0 for name in ("angle", "elevation", "margin"))
+        self.angle, self.elevation, self.margin = (np.full(count, np.nan, np.float32) for count in known)
         self.height, self.slope = (np.zeros(k, np.float32) for _ in range(2))
-        untested = np.where(network.open, Decision.ANGLE, Decision.SET_ASIDE)
-        self.decision = np.where(network.seed, Decision.SEED, untested).astype(np.uint8)
+        untested = np.where(network.open, np.uint8(Decision.ANGLE), np.uint8(Decision.SET_ASIDE))
+        self.decision = np.where(network.seed, np.uint8(Decision.SEED), untested)
         self.image_in = np.full(k, -1, np.int32)
         self._suspects = np.flatnonzero(waiting & network.late)
-        self._put_off = self.todo[:0]
-        # Without border nodes around them points lie outside the hull, where the way there decides which facet is in sight:
-        # all points are located and tested in each step.
-        self._outside = len(network.virtual) == 0
+        self._put_off = self._imaged = self._outside = self.todo[:0]
+        self._loose = self.todo
         self._stage = self._within = 0
+
+    @property
+    def rest(self) -> np.ndarray:
+        """i64, nodes that may still become ground."""
+        return np.flatnonzero(self._open & ~self.ground)
 
     def change(self, rule: Any, but: np.ndarray | None = None) -> None:
         """Go on with another rule: all that may still become ground are tested by it, without those in ``but``, bool[k]."""
         self.rule = _single(rule)
-        self.todo = self.rest if but is None else self.rest[~but[self.rest]]
+        rest = self.rest
+        self.todo = rest if but is None else rest[~but[rest]]
+
+    def locate_outside(self) -> None:
+        """Locate nodes outside the hull anew: the way there, from the node before, decides which facet is in sight."""
+        if len(self._outside):
+            rest = self.rest
+            rows = np.searchsorted(rest, self._outside)
+            self.tin.locate(rest[np.union1d(np.maximum(rows - 1, 0), rows)])
 
     def test(self) -> np.ndarray:
-        if self._outside:
-            self.tin.locate(self.todo)
+        self.locate_outside()
         verdict = self._test(self.todo)
         passes = verdict["accepted"]
         accepted = self.todo[passes]
@@ -115,16 +131,21 @@ class GroundTin(GroundNodes):
             found |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
         if isinstance(choice, LowestPerCell):
             found |= {"cell": choice.cell, "stage": self._stage, "enough": not few}
-        self.rest, self._within = self.rest[~self.ground[self.rest]], self._within + 1
+        self.left, self._within = self.left - len(accepted), self._within + 1
         loosened = self._adapt(of_ground=False)
-        if self._outside and len(accepted):
-            self.todo = self.rest
-        else:
-            self.todo = self.rest[self._again() | loosened]
+        self._again(loosened)
         ends = few if policy.rounds is None else self._within >= policy.rounds[self._stage]
         while (ends or len(self.todo) == 0) and self._next_stage(loosened):
             ends = False
         return found
+
+    def drop(self, nodes: np.ndarray) -> None:
+        """Make vertices, i64, not on the hull, ordinary nodes that are no ground: they are to be tested, with those around."""
+        self.ground[nodes], self._open[nodes], self.left = False, True, self.left + len(nodes)
+        self._loose, self._put_off = _together(self._loose, nodes), self.todo
+        self.tin.now += 1
+        self.tin.remove(nodes)
+        self._again()
 
     def _next_stage(self, loosened: bool) -> bool:
         """Go on to the next grid of vertices, and at last to the suspected low outliers; False if there is none of these."""
@@ -132,19 +153,32 @@ class GroundTin(GroundNodes):
         if self.choice.finer:
             self.choice.refine(self.ground, self.tin)
             loosened |= self._adapt(of_ground=True)
-            self.todo = self.rest[self._again() | loosened]
+            self._again(loosened)
             return True
         self.todo, self._suspects = self._suspects, self._suspects[:0]
-        self.rest = np.sort(np.concatenate([self.rest, self.todo]), kind="stable")  # merges what is sorted
+        self._open[self.todo], self.left = True, self.left + len(self.todo)
+        self._loose = _together(self._loose, self.todo)
         self.tin.locate(self.todo)
         return len(self.todo) > 0
 
-    def _again(self) -> np.ndarray:
-        """bool[.]: nodes to test again: their facet, or that of their mirror image, has changed, or they were put off."""
-        again = self.tin.changed(self.rest, self.image_in)
-        self.tin.locate(self.rest[again])
-        again[np.searchsorted(self.rest, self._put_off)] = True
-        return again
+    def _again(self, every: bool = False) -> None:
+        """Test nodes again of which the facet, or that of their mirror image, has changed, or that were put off, or all.
+
+        Where anything has changed, what lies outside the hull is tested, too.
+        """
+        tin, lists = self.tin, (self._loose, self._outside, self._imaged)
+        loose, self._outside, imaged = (nodes[~self.ground[nodes]] for nodes in lists)
+        changed = tin.changed(loose)
+        self._loose = changed[~self.ground[changed]]
+        tin.locate(self._loose)
+        if every:
+            self.todo = self.rest
+            return
+        self._imaged = imaged = imaged[self.image_in[imaged] >= 0]
+        further = [self._put_off, imaged[tin.stamp[self.image_in[imaged]] == tin.now]]
+        if len(self._loose) or (tin.stamp[tin.where[self._outside]] == tin.now).any():
+            further.append(self._outside)
+        self.todo = _together(self._loose, np.concatenate(further))
 
     def _border_follows(self) -> None:
         """Border nodes take the elevation of the vertex nearest to them that is none."""
@@ -171,7 +205,7 @@ class GroundTin(GroundNodes):
         """Quantities of the ground points that are no vertices, in their facets."""
         nodes = np.flatnonzero(self.ground & ~self.tin.vertex)
         self.tin.locate(nodes)
-        return self._judge(nodes, self.tin.corners(self.tin.where[nodes]), _DEVIATION)
+        return self._judge(nodes, self.tin.where[nodes], _DEVIATION)
 
     def _over_neighbours(self) -> dict[str, np.ndarray]:
         """Quantities of vertices over the facets across the edge from them; simulated ones left out."""
@@ -196,8 +230,8 @@ class GroundTin(GroundNodes):
             "accepted",
             *(self.growth.kept or SCORES),
         )  # without any the same program runs, since others round differently
-        further = ("slope",) * (mirror is not None) + ("height",) * self.growth.one_per_facet
-        verdict = self._judge(nodes, self.tin.corners(facet), (*tested, *further))
+        further = ("level",) * (mirror is not None) + ("height",) * self.growth.one_per_facet
+        verdict = self._judge(nodes, facet, (*tested, *further))
         if mirror is not None:
             self._mirror(mirror, nodes, facet, verdict, tested)
         for name in self.growth.kept:
@@ -217,10 +251,12 @@ class GroundTin(GroundNodes):
         Outside the hull nothing changes. A second test that cannot change the outcome is left out.
         """
         self.image_in[nodes] = -1
-        of_use = verdict["slope"] > mirror.slope
+        of_use = verdict["level"] < np.cos(np.radians(mirror.slope)) + 1e-4  # which angle it is takes longer
         if mirror.nearest:
             of_use &= ~verdict["accepted"]
         steep = np.flatnonzero(of_use)
+        if len(steep):
+            steep = steep[self._judge(nodes[steep], facet[steep], ("slope",))["slope"] > mirror.slope]
         if len(steep) == 0:
             return
         corner = self.tin.corners(facet[steep])
@@ -236,15 +272,16 @@ class GroundTin(GroundNodes):
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
         self.image_in[nodes[steep]] = there
-        second = self._judge(nodes[steep], self.tin.corners(there), tested, image)
+        self._imaged = _together(self._imaged, nodes[steep])
+        second = self._judge(nodes[steep], there, tested, image)
         replace = second["accepted"] | (not mirror.nearest)
         for name in tested:
             verdict[name][steep[replace]] = second[name][replace]
 
     def _judge(
-        self, nodes: np.ndarray, corner: np.ndarray, names: tuple[str, ...], xyz: np.ndarray | None = None
+        self, nodes: np.ndarray, facet: np.ndarray, names: tuple[str, ...], xyz: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
-        """Test nodes, or ``xyz`` f32[n, 3] in their place, over facets with the nodes i32[n, 3] at their corners.
+        """Test nodes, or ``xyz`` f32[n, 3] in their place, over facets, i32[n], or those with the nodes i32[n, 3] as corners.
 
         ``names``: of :data:`jaxfilter.engines.tin.facets.QUANTITIES`, those to return.
         """
@@ -253,7 +290,8 @@ class GroundTin(GroundNodes):
         def given(rows: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[rows], axis=0) if xyz is None else xyz[rows]
             limits = (limit[nodes[rows]] for limit in own.values())
-            return *limits, self.net.late[nodes[rows]], here, np.take(self.tin.xyz, corner[rows], axis=0)
+            corner = facet[rows] if facet.ndim > 1 else self.tin.corners(facet[rows])
+            return *limits, self.net.late[nodes[rows]], here, np.take(self.tin.xyz, corner, axis=0)
 
         def tested(*arrays: np.ndarray) -> dict[str, Any]:
             rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
@@ -263,13 +301,24 @@ class GroundTin(GroundNodes):
         return found
 
     def finish(self, nodes: np.ndarray | None = None) -> None:
-        """Heights and slopes of nodes, i64, over the surface as it is; None = of all points."""
-        tin, nodes = self.tin, np.flatnonzero(self.net.real) if nodes is None else nodes
-        tin.locate(nodes)
-        final = self._judge(nodes, tin.corners(tin.where[nodes]), ("height", "slope"))
+        """Heights and slopes of nodes of ``todo``, i64, over the surface as it is; None = of all points."""
+        tin = self.tin
+        if nodes is None:
+            nodes = np.flatnonzero(self.net.real)
+            tin.locate(nodes)
+        self.locate_outside()
+        final = self._judge(nodes, tin.where[nodes], ("height", "slope"))
         self.height[nodes], self.slope[nodes] = final["height"], final["slope"]
         vertices = nodes[tin.vertex[nodes]]
         self.height[vertices] = self.net.xyz[vertices, 2] - tin.xyz[vertices, 2]
+
+
+def _together(some: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """i64, ascending: nodes that are in one or in both."""
+    if len(others) == 0:
+        return some
+    nodes = np.sort(np.append(some, others), kind="stable")  # merges what is sorted
+    return nodes[np.append(True, nodes[1:] != nodes[:-1])]
 
 
 def _single(rule: Any) -> Any:

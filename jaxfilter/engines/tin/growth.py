@@ -147,6 +147,11 @@ class Growth:
     one_per_facet: bool = False
     kept: tuple[str, ...] = SCORES
 
+    @property
+    def moves(self) -> bool:
+        """Whether vertices move up or down."""
+        return self.border_follows or self.vertices.sinks
+
 
 def lowest_of_each(xyz: np.ndarray, rows: np.ndarray, sheet: np.ndarray | None = None) -> np.ndarray:
     """i64: of rows, ascending, the first at each position of points f32[m, 3] in canonical order, which is the lowest.

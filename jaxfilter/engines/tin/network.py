@@ -88,23 +88,29 @@ def _joined(
     """Sheets, each of points i64[n], ascending, of which some are open, bool[n], and of border nodes f32[b, 3]."""
     xyz, row, opened = [], [], []
     for own, is_open, ring in sheets:
-        xyz += [points.xyz[own], ring]
+        xyz += [points.xyz[own] if len(own) < len(points) else points.xyz, ring]
         row += [own, np.full(len(ring), -1)]
         opened += [is_open, np.zeros(len(ring), bool)]
-    point = np.concatenate(row)
+    point = _chain(row)
     is_seed = np.zeros(len(points) + 1, bool)
     is_seed[seeds] = is_seed[-1] = True  # the last is for border nodes, whose row is -1
     closed = np.append(outliers.barred & outliers.removed, False)
     return Network(
         points=points,
-        xyz=np.concatenate(xyz),
+        xyz=_chain(xyz),
         sheet=np.repeat(np.arange(len(sheets), dtype=np.int32), [len(own) + len(ring) for own, _, ring in sheets]),
         row=point,
         seed=is_seed[point],
-        open=np.concatenate(opened) & ~closed[point],
+        open=_chain(opened) & ~closed[point],
         late=np.append(outliers.late, False)[point],
         outliers=outliers,
     )
+
+
+def _chain(parts: list[np.ndarray]) -> np.ndarray:
+    """The rows of all parts; where they are those of one part, it is not copied."""
+    filled = [part for part in parts if len(part) > 0]
+    return filled[0] if len(filled) == 1 else np.concatenate(parts)
 
 
 def block_networks(

@@ -15,6 +15,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 import numpy as np
 
 from ...core.cloud import QUANTUM
+from ...core.points import pieces
 
 CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
@@ -32,12 +33,15 @@ _BESIDE = np.array([[1, 2, 3], [3, 2, 0], [1, 3, 0], [2, 1, 0]])
 def lattice(xy: np.ndarray) -> np.ndarray:
     """i32[n, 2]: positions [n, >=2] in local metres, in steps of the quantum of the coordinates. Raises: ValueError for those
     that are too far from zero to be counted so."""
+    steps = np.empty((len(xy), 2), np.int32)
     with np.errstate(invalid="raise"):
         try:
-            return np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int32)
+            for part in pieces(len(xy)):
+                steps[part] = np.rint(xy[part, :2].astype(np.float64) / QUANTUM)
         except FloatingPointError as error:
             far = f"{2**31 * QUANTUM / 1000:.0f} km from the corner of the cloud"
             raise ValueError(f"positions more than {far}: move them nearer") from error
+    return steps
 
 
 class Tin:
@@ -74,16 +78,15 @@ class Tin:
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
         self.now, self._together = 0, 1
+        self._watched = np.zeros(0, np.int32), np.zeros(0, np.int32)  # see walks.changed
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
         begin = np.array([self._one(part) for part in of_sheet])
-        used, most = 4 * len(begin), 2 * len(xyz)  # with ghosts, k vertices have 2 k - 2 triangles
-        self._first, self._hull = np.arange(0, used, 4), np.full(len(begin), 3)
-        self.triangles = np.full((most, 3), walks.DEAD, np.int32)
-        self.neighbours, self.stamp = np.empty((most, 3), np.int32), np.zeros(most, np.int32)
-        self._unused = np.arange(used, most, dtype=np.int32)
-        self.triangles[:used] = np.insert(begin, 3, walks.NOWHERE, axis=1)[:, _CORNERS].reshape(-1, 3)
-        self.neighbours[:used] = (self._first[:, None, None] + _BESIDE).reshape(-1, 3)
+        self._first, self._hull = np.arange(0, 4 * len(begin), 4), np.full(len(begin), 3)
+        corners = np.insert(begin, 3, walks.NOWHERE, axis=1)[:, _CORNERS]
+        self.triangles = corners.reshape(-1, 3).astype(np.int32)
+        self.neighbours = (self._first[:, None, None] + _BESIDE).reshape(-1, 3).astype(np.int32)
+        self.stamp, self._unused = np.zeros(len(self.triangles), np.int32), np.zeros(0, np.int32)
         self.where[begin] = self._first[:, None]
         self.vertex[begin] = True
         rest = vertices[~self.vertex[vertices]]
@@ -132,6 +135,13 @@ class Tin:
 
     def _fresh(self, count: int) -> np.ndarray:
         """i32[count, 2]: numbers for new triangles."""
+        used = len(self.triangles)
+        if 2 * count > len(self._unused):
+            more = max(2 * count - len(self._unused), used // 2)
+            self._unused = np.append(self._unused, np.arange(used, used + more, dtype=np.int32))
+            self.triangles = np.append(self.triangles, np.full((more, 3), self._walks.DEAD, np.int32), axis=0)
+            self.neighbours = np.append(self.neighbours, np.empty((more, 3), np.int32), axis=0)
+            self.stamp = np.append(self.stamp, np.zeros(more, np.int32))
         fresh, self._unused = self._unused[: 2 * count], self._unused[2 * count :]
         return fresh.reshape(-1, 2)
 
@@ -220,11 +230,17 @@ class Tin:
         self._walks.nearest(self.xy, self.triangles, self.neighbours, self.where, counts, vertices, out)
         return out
 
-    def changed(self, nodes: np.ndarray, image: np.ndarray) -> np.ndarray:
-        """bool[n]: nodes, i64, of which the triangle, or that of their image (i32[k], -1 = none), has changed now."""
-        out, tables = np.empty(len(nodes), bool), (self.where, self.stamp)
-        self._spread(len(nodes), lambda part: self._walks.changed(*tables, nodes[part], image, self.now, out[part]))
-        return out
+    def changed(self, nodes: np.ndarray) -> np.ndarray:
+        """i64, ascending: those watched whose triangle has changed now, which are watched no longer.
+
+        ``nodes``: i64, located nodes that are watched, too. Nobody looks at the others as long as their triangles stay.
+        """
+        (first, following), loose = self._watched, self._walks.LOOSE
+        following = following if len(following) else np.full(len(self.xyz), loose, np.int32)
+        first = np.append(first, np.full(len(self.triangles) - len(first), self._walks.NOWHERE, np.int32))
+        out, self._watched = np.empty(len(self.xyz), np.int32), (first, following)
+        count = self._walks.changed(self.where, self.stamp, nodes, self.now, first, following, out)
+        return np.sort(out[:count]).astype(np.int64)
 
     def touch(self, vertices: np.ndarray) -> None:
         """The triangles at vertices count as changed."""
@@ -244,7 +260,7 @@ class Tin:
         rows = np.flatnonzero((self.triangles >= 0).all(axis=1))
         corner = self.corners(rows)
         turn = ((self.triangles[rows] == corner[:, :1]).argmax(axis=1)[:, None] + np.arange(3)) % 3
-        order = np.lexsort(corner.T[::-1])
+        order = np.argsort(corner[:, 0].astype(np.int64) << 32 | corner[:, 1])  # no two begin with the same edge
         rank = np.full(len(self.triangles), -1, np.int32)
         rank[rows[order]] = np.arange(len(rows), dtype=np.int32)
         return corner[order], rank[np.take_along_axis(self.neighbours[rows], turn, axis=1)[order]]

@@ -19,6 +19,7 @@ from .predicates import after, left_of, turn
 
 NOWHERE = -1
 DEAD = -2
+LOOSE = -2
 MANY = 2**31 - 1
 
 
@@ -123,15 +124,29 @@ def find(xy, triangles, neighbours, own, other, px, py, low, high):
 def locate(xy, triangles, neighbours, at, sheet, nodes, first):
     """Bring ``at`` up to date for nodes, walking from where each was, or from the one before it if that is nearer.
 
-    ``first``: i64[s], a triangle of each sheet, where to begin with nodes that were nowhere yet.
+    ``first``: i64[s], a triangle of each sheet, where to begin with nodes that were nowhere yet. Most nodes lie in the triangle
+    of the one before them, whose corners are at hand.
     """
+    own, t = np.int32(-1), np.int32(-1)
+    ax = ay = bx = by = cx = cy = np.int64(0)
     for i in range(len(nodes)):
-        node = nodes[i]
-        before = at[nodes[i - 1]] if i > 0 and sheet[nodes[i - 1]] == sheet[node] else np.int32(-1)
-        if at[node] < 0 and before < 0:
-            before = np.int32(first[sheet[node]])
+        node = np.uint64(nodes[i])
         px, py = position(xy, node)
-        at[node] = find(xy, triangles, neighbours, at[node], before, px, py, NOWHERE, MANY)
+        if sheet[node] != own:
+            own, t = sheet[node], np.int32(-1)
+            ax = ay = bx = by = cx = cy = np.int64(0)
+        if turn(ax, ay, bx, by, px, py) > 0 and turn(bx, by, cx, cy, px, py) > 0 and turn(cx, cy, ax, ay, px, py) > 0:
+            at[node] = t
+            continue
+        if at[node] < 0 and t < 0:
+            t = np.int32(first[own])
+        at[node] = t = find(xy, triangles, neighbours, at[node], t, px, py, NOWHERE, MANY)
+        if is_ghost(triangles, t):
+            ax = ay = bx = by = cx = cy = np.int64(0)
+        else:
+            ax, ay = position(xy, triangles[t, 0])
+            bx, by = position(xy, triangles[t, 1])
+            cx, cy = position(xy, triangles[t, 2])
 
 
 @compiled
@@ -162,11 +177,31 @@ def twins(xy, triangles, at, nodes, out):
 
 
 @compiled
-def changed(at, stamp, nodes, image, now, out):
-    """Which nodes lie in a triangle that has changed ``now``, or have an image (i32[k], -1 = none) that does."""
+def changed(at, stamp, nodes, now, first, following, out):
+    """Write nodes whose triangle has changed ``now`` to ``out``, of these and of those that wait at triangles; how many.
+
+    The rest of ``nodes`` wait at theirs from now on. ``first``: i32[t], one that waits at each triangle, or :data:`NOWHERE`;
+    ``following``: i32[k], the next at the same triangle, :data:`NOWHERE` after the last, and :data:`LOOSE` for nodes that do
+    not wait.
+    """
+    count = 0
     for i in range(len(nodes)):
-        t = image[nodes[i]]
-        out[i] = stamp[at[nodes[i]]] == now or (t >= 0 and stamp[t] == now)
+        node = np.uint64(nodes[i])
+        if following[node] == LOOSE:
+            own = np.uint32(at[node])
+            if stamp[own] == now:
+                out[count] = node
+                count += 1
+            else:
+                following[node], first[own] = first[own], node
+    for t in range(len(first)):
+        if stamp[t] == now:
+            node, first[t] = first[t], NOWHERE
+            while node >= 0:
+                out[count] = node
+                count += 1
+                following[node], node = LOOSE, following[node]
+    return count
 
 
 @compiled
