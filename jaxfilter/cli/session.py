@@ -140,8 +140,9 @@ class Session:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        from ..core import compilation
+        from ..core import compilation, forks
 
+        forks.share_heaps()
         compilation.watch_compilations()
         if self.log is not None:
             self._stack.enter_context(_logged(self.log))

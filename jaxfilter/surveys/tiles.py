@@ -99,6 +99,8 @@ class TileReader:
         around = kept[1] if kept is not None and kept[0] == key else self._read(tile)
         if keep:
             _KEPT.append((key, around))
+        if self.whole is None and tile.core is None:
+            return around  # the same cloud again: what is known of its order and spacing need not be found out anew
         return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole, core=tile.core))
 
     def _read(self, tile: Tile) -> Around:

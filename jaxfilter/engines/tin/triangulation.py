@@ -78,7 +78,8 @@ class Tin:
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
         self.now, self._together = 0, 1
-        self._watched = np.zeros(0, np.int32), np.zeros(0, np.int32)  # see walks.changed
+        self._room: dict[str, np.ndarray] = {}
+        self._waiting, self._following = np.zeros(0, np.int32), np.zeros(0, np.int32)  # see walks.changed
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
         begin = np.array([self._one(part) for part in of_sheet])
@@ -116,7 +117,7 @@ class Tin:
             for i in range(1, times if step > 0 else 1):
                 np.add(many[i], i * step, out=many[i], where=one >= 0)
             setattr(out, name, many.reshape(-1, *one.shape[1:]))
-        out._together = _TOGETHER
+        out._together, out._room = _TOGETHER, {}
         return out
 
     def _one(self, vertices: np.ndarray) -> np.ndarray:
@@ -139,11 +140,19 @@ class Tin:
         if 2 * count > len(self._unused):
             more = max(2 * count - len(self._unused), used // 2)
             self._unused = np.append(self._unused, np.arange(used, used + more, dtype=np.int32))
-            self.triangles = np.append(self.triangles, np.full((more, 3), self._walks.DEAD, np.int32), axis=0)
-            self.neighbours = np.append(self.neighbours, np.empty((more, 3), np.int32), axis=0)
-            self.stamp = np.append(self.stamp, np.zeros(more, np.int32))
+            for name, value in (("triangles", self._walks.DEAD), ("neighbours", self._walks.NOWHERE), ("stamp", 0)):
+                self._lengthen(name, used + more)[used:] = value
         fresh, self._unused = self._unused[: 2 * count], self._unused[2 * count :]
         return fresh.reshape(-1, 2)
+
+    def _lengthen(self, name: str, rows: int) -> np.ndarray:
+        """Give a table so many rows. It has room for all that there can be, whose memory is none before it is written to."""
+        one, room = getattr(self, name), self._room.get(name)
+        if room is None or len(room) < rows:
+            room = self._room[name] = np.empty((max(rows, 2 * len(self.xyz)), *one.shape[1:]), one.dtype)
+            room[: len(one)] = one
+        setattr(self, name, room[:rows])
+        return room[:rows]
 
     def insert(self, nodes: np.ndarray) -> None:
         """Make nodes (i64, ascending, not vertices, at positions of their own) vertices, in threads."""
@@ -235,11 +244,12 @@ class Tin:
 
         ``nodes``: i64, located nodes that are watched, too. Nobody looks at the others as long as their triangles stay.
         """
-        (first, following), loose = self._watched, self._walks.LOOSE
-        following = following if len(following) else np.full(len(self.xyz), loose, np.int32)
-        first = np.append(first, np.full(len(self.triangles) - len(first), self._walks.NOWHERE, np.int32))
-        out, self._watched = np.empty(len(self.xyz), np.int32), (first, following)
-        count = self._walks.changed(self.where, self.stamp, nodes, self.now, first, following, out)
+        if len(self._following) == 0:
+            self._following = np.full(len(self.xyz), self._walks.LOOSE, np.int32)
+        known, out = len(self._waiting), np.empty(len(self.xyz), np.int32)
+        self._lengthen("_waiting", len(self.triangles))[known:] = self._walks.NOWHERE
+        lists = self._waiting, self._following
+        count = self._walks.changed(self.where, self.stamp, nodes, self.now, *lists, out)
         return np.sort(out[:count]).astype(np.int64)
 
     def touch(self, vertices: np.ndarray) -> None:
