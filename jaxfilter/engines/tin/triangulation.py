@@ -136,12 +136,12 @@ class Tin:
 
     def _fresh(self, count: int) -> np.ndarray:
         """i32[count, 2]: numbers for new triangles."""
-        used = len(self.triangles)
-        if 2 * count > len(self._unused):
-            more = max(2 * count - len(self._unused), used // 2)
+        used, more = len(self.triangles), 2 * count - len(self._unused)
+        if more > 0:
             self._unused = np.append(self._unused, np.arange(used, used + more, dtype=np.int32))
-            for name, value in (("triangles", self._walks.DEAD), ("neighbours", self._walks.NOWHERE), ("stamp", 0)):
-                self._lengthen(name, used + more)[used:] = value
+            self._lengthen("triangles", used + more)[used:] = self._walks.DEAD
+            self._lengthen("stamp", used + more)[used:] = 0
+            self._lengthen("neighbours", used + more)
         fresh, self._unused = self._unused[: 2 * count], self._unused[2 * count :]
         return fresh.reshape(-1, 2)
 
