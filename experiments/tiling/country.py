@@ -71,7 +71,7 @@ def country(filter_: jf.Filter, density: float, per_read: float) -> Row:
 
 
 def collection(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    """OST over 16 files of a square kilometre, as one collection and file by file."""
+    """OST over 16 files of a square kilometre, as one collection and, four of them, file by file."""
     paths = [options.work / "kilometres" / f"{k // 4}-{k % 4}.laz" for k in range(16)]
     if not all(path.exists() for path in paths):
         paths[0].parent.mkdir(parents=True, exist_ok=True)
@@ -81,10 +81,9 @@ def collection(options: argparse.Namespace) -> tuple[list[Row], list[Column], st
                 made.cloud, origin=made.cloud.origin + [1000.0 * (k // 4), 1000.0 * (k % 4), 0.0]
             )
             jf.write(path, moved, np.zeros(len(made), bool), reset="none")
-    cost("ost", paths[0], options.work)
-    alone = [cost("ost", path, options.work) for path in paths]
-    total: Row = {key: sum(one[key] for one in alone) for key in ("points", "read", "wall", "cpu")}
-    total |= {"how": "file by file", "tiles": len(alone), "peak": max(one["peak"] for one in alone)}
+    alone = [cost("ost", path, options.work) for path in paths[:4]]  # the others hold the same points, moved
+    total: Row = {key: 4 * sum(one[key] for one in alone) for key in ("points", "read", "wall", "cpu")}
+    total |= {"how": "file by file", "tiles": len(paths), "peak": max(one["peak"] for one in alone)}
     rows: list[Row] = [total]
     rows.append(measured("ost", paths, options.work, "--for-cloud") | {"how": "as a collection"})
     for row in rows:
