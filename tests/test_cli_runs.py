@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -163,3 +164,23 @@ def test_heights_of_a_folder(done, tmp_path):
 )
 def test_sizes(text, size):
     assert Bytes().convert(text, None, None) == size
+
+
+def test_what_tiles_cost_is_said_before_and_small_ones_are_advised_against(survey, tmp_path):
+    halo, tile = 30.0, 10.0
+    result = run(
+        "ground", "pmf", survey, tmp_path / "out", "--max-window", 9, "--halo", halo, "--tile", tile, "--workers", 1
+    )
+    assert result.exit_code == 0, result.output
+    facts = json.loads((tmp_path / "out" / "jaxfilter-run.json").read_text())
+    said = re.search(r"(\d+) tiles; with their surroundings each point is read ([\d.]+) times", result.stderr)
+    assert said and int(said[1]) == facts["tiles"]
+    assert float(said[2]) == pytest.approx(
+        facts["read"] / facts["points"], rel=0.3
+    )  # the plan knows densities of files only
+    assert (
+        "pass --tile with more, or leave it out" in result.stderr
+        and f"every point is read {said[2]} times" in result.stderr
+    )
+    wide = run("ground", "pmf", survey, tmp_path / "wide", "--max-window", 9, "--halo", 5, "--tile", 50, "--workers", 1)
+    assert wide.exit_code == 0 and "every point is read" not in wide.stderr and "tiles; with" in wide.stderr

@@ -490,5 +490,5 @@ def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
     for name in STEPS:
         watched(name)
     densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
-    for name, bound in (("judge", max(ground_module._BATCHES)), ("locate", 1024), ("insert", 1024)):
+    for name, bound in (("judge", ground_module._BATCH), ("locate", 1024), ("insert", 1024)):
         assert 0 < max(sizes[name]) <= bound and sum(sizes[name]) >= 50_000, name

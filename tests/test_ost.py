@@ -1,5 +1,6 @@
 """OST and its parts against SciPy, NumPy, closed forms and constructed scenes."""
 
+import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
 
@@ -19,6 +20,7 @@ from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
 from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
+from jaxfilter.methods import ost
 from jaxfilter.scenes import Kind
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
@@ -425,3 +427,16 @@ def test_the_default_filter_follows_spacing_and_building_size(rng):
     assert filter_(xyz).ground.mean() > 0.95
     with pytest.raises(jf.ParameterError, match="largest_building=0"):
         jf.default_filter(xyz, largest_building=0)
+
+
+def test_labels_are_those_of_the_whole_in_the_core_and_points_far_from_it_are_not_tested(town, monkeypatch):
+    monkeypatch.setattr(ost, "TESTED", 30.0)  # the town is small
+    cloud, filter_ = town.cloud, jf.OST.for_cloud(town.cloud)
+    x0, y0 = cloud.coordinates()[:, :2].min(axis=0)
+    core = (x0, y0, x0 + 20.0, y0 + 20.0)
+    whole, part = filter_(cloud), filter_(dataclasses.replace(cloud, core=core))
+    xy = cloud.coordinates()[:, :2]
+    beyond = np.maximum(np.maximum(np.array(core[:2]) - xy, xy - core[2:]), 0).max(axis=1)
+    assert (part.ground == whole.ground)[beyond == 0].all() and (part.height == whole.height)[beyond == 0].all()
+    far = beyond > 30.01
+    assert part.ground[far].sum() < 0.9 * whole.ground[far].sum() and part.ground[far].any(), "the lowest points alone"

@@ -197,8 +197,11 @@ class jit:
 
     def _compiled(self, path: Path, args: tuple[Any, ...], named: dict[str, Any]) -> Callable[..., Any]:
         made = self._jit.lower(*args, **named).compile()
-        with contextlib.suppress(NotImplementedError, TypeError, ValueError, pickle.PicklingError):
-            write_kept(path, _stamp(), pickle.dumps(serialize_executable.serialize(made)))
+        try:
+            content = pickle.dumps(serialize_executable.serialize(made))
+        except (NotImplementedError, TypeError, ValueError, pickle.PicklingError):
+            return made  # JAX cannot serialise every program: this one is compiled anew in each process
+        write_kept(path, _stamp(), content)
         return made
 
 

@@ -22,7 +22,7 @@ def in_chunks(
     kernel: Callable[..., Any],
     given: Callable[[slice], tuple[np.ndarray, ...]],
     count: int,
-    sizes: tuple[int, int],
+    size: int,
     workers: int = 1,
 ) -> Any:
     """What a kernel makes of so many rows: a pytree of NumPy arrays [count, ...].
@@ -30,29 +30,20 @@ def in_chunks(
     Args:
         kernel: from arrays [size, ...] to a pytree of arrays [size, ...], row by row.
         given: its arguments for some of the rows, [rows, ...] each; they are padded with zeros.
-        sizes: of calls: what does not fill half of a call of the second size is cut into calls of the first.
+        size: rows of a call.
         workers: threads that prepare calls and wait for them, where there are more than two.
     """
 
-    def call(part: tuple[slice, int]) -> Any:
-        rows, size = part
+    def call(rows: slice) -> Any:
         made = kernel(*(padded(values, size) for values in given(rows)))
         return jax.tree.map(lambda values: np.asarray(values)[: rows.stop - rows.start], made)
 
-    parts = _parts(count, *sizes)
+    parts = [slice(start, min(start + size, count)) for start in range(0, max(count, 1), size)]
     several = workers > 1 and len(parts) > 2
     whole: Any = None
-    for (rows, _), made in in_turn(call, parts, workers) if several else ((part, call(part)) for part in parts):
+    for rows, made in in_turn(call, parts, workers) if several else ((part, call(part)) for part in parts):
         if whole is None:
             whole = jax.tree.map(lambda values: np.empty((count, *values.shape[1:]), values.dtype), made)
         for out, values in zip(jax.tree.leaves(whole), jax.tree.leaves(made), strict=True):
             out[rows] = values
     return whole
-
-
-def _parts(count: int, small: int, large: int) -> list[tuple[slice, int]]:
-    """Rows of calls, and the sizes of these; the last may be padded, and there is one at least."""
-    many = max(0, -(-(count - large // 2) // large))
-    starts = [(i * large, large) for i in range(many)]
-    starts += [(start, small) for start in range(many * large, max(count, 1), small)]
-    return [(slice(start, min(start + size, count)), size) for start, size in starts]

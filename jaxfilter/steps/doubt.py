@@ -36,7 +36,7 @@ def doubts(
         lambda labels, *columns: probability(np.asarray(evidence(*columns, least)), labels),
         lambda rows: tuple(column[rows] for column in given),
         len(drop),
-        (size, size),
+        size,
     )
     return found
 

@@ -205,7 +205,7 @@ def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[n
     def around(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         return xyz[row[rows]] - xyz[query[rows]][:, None], row[rows] >= 0
 
-    found = in_chunks(_plane_below, around, len(query), (_BLOCK, _BLOCK))
+    found = in_chunks(_plane_below, around, len(query), _BLOCK)
     return found[:, 0], found[:, 1], found[:, 2]
 
 

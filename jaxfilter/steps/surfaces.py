@@ -135,7 +135,7 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
     ``test`` is given points f32[m, 3], padded to one of few sizes, and returns arrays f32[m].
     """
     size = min(_CHUNK, bucket(len(xyz)))
-    return list(in_chunks(test, lambda rows: (xyz[rows],), len(xyz), (size, size), _IN_FLIGHT))
+    return list(in_chunks(test, lambda rows: (xyz[rows],), len(xyz), size, _IN_FLIGHT))
 
 
 def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) -> list[np.ndarray]:

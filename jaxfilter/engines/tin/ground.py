@@ -24,8 +24,8 @@ from .facets import judge, mirrored
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
-_BATCHES = 8192, 8192
-"""Sizes of kernel calls: a second one takes longer to trace than it saves."""
+_BATCH = 8192
+"""Points of a kernel call: a second, smaller size takes longer to trace than it saves."""
 _SAMPLE = 65536
 """At most about so many quantities decide adaptive thresholds."""
 _DEVIATION = ("distance", "angle")
@@ -267,7 +267,7 @@ class GroundTin(GroundNodes):
         def images(xyz: np.ndarray, corners: np.ndarray) -> Any:
             return mirrored(xyz, corners, not mirror.nearest)
 
-        image = in_chunks(images, given, len(steep), _BATCHES, self.tin.workers)
+        image = in_chunks(images, given, len(steep), _BATCH, self.tin.workers)
         there = self.tin.walk(image, facet[steep])
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
@@ -297,7 +297,7 @@ class GroundTin(GroundNodes):
             rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
             return judge(rule, *arrays[len(own) :], names=names)
 
-        found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCHES, self.tin.workers)
+        found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, self.tin.workers)
         return found
 
     def finish(self, nodes: np.ndarray | None = None) -> None:
