@@ -42,9 +42,20 @@ def test_a_comparison_has_the_scores_of_every_filter_on_every_cloud(clouds, comp
         assert [row[key] for key in ("type1", "type2", "total", "kappa")] == [
             scores.type1, scores.type2, scores.total, scores.kappa,
         ]  # fmt: skip
+        errors = jf.dtm_rmse(clouds["west"], result, interpolation=jf.Interpolation(fill=True))
+        assert [row[key] for key in errors.as_dict()] == list(errors.as_dict().values()) and errors.border.cells > 100
         assert row["ground"] == result.ground.sum() and row["status"] == "CONVERGED"
         assert row["parameters"] == repr(filter_) and 0 < row["seconds"] < row["first_seconds"] + 60
-        assert math.isnan(table.loc[name, "east"]["total"]) and table.loc[name, "east"]["seconds"] > 0
+        assert math.isnan(table.loc[name, "east"]["total"]) and math.isnan(table.loc[name, "east"]["border_off_1m"])
+        assert table.loc[name, "east"]["seconds"] > 0
+
+
+def test_terrain_models_are_compared_on_request_and_where_there_are_any(clouds, compared):
+    assert compared.by_method("off_1m").loc["west"].between(0, 100).all()
+    assert "> 1 m at the border, %" in compared.markdown()
+    west = clouds["west"]
+    without = jf.compare([jf.SMRF()], west, repeats=0, cell=None)
+    assert without.table["rmse"].isna().all() and "RMSE" not in without.markdown()
 
 
 def test_a_filter_that_fails_is_a_row_without_figures(clouds):
@@ -75,6 +86,7 @@ def test_tables_are_written_as_markdown_and_latex(compared):
         (["no"], {}, "'no' is no filter"),
         ([jf.SMRF(), jf.SMRF()], {}, "two of the name SMRF"),
         ([jf.SMRF()], {"repeats": -1}, "repeats=-1"),
+        ([jf.SMRF()], {"cell": 0.0}, "cell=0.0"),
         ([jf.SMRF()], {"workers": 0}, "workers=0"),
     ],
 )

@@ -312,5 +312,21 @@ def test_an_interrupt_within_compiled_code_is_what_its_handler_raised(error):
             function(np.ones(3), int(signal.SIGINT))
     finally:
         signal.signal(signal.SIGINT, before)
-    with pytest.raises(ZeroDivisionError):
-        compiled(lambda n: 1 // n)(0)
+
+
+def test_errors_of_compiled_code_come_through_and_divisions_by_zero_give_infinity():
+    def refuse(n):
+        if n == 0:
+            raise ValueError("none")
+        return n
+
+    with pytest.raises(ValueError, match="none"):
+        compiled(refuse)(0)
+    assert compiled(lambda x: 1 / x)(0.0) == np.inf
+
+
+def test_constants_make_no_further_version_of_a_function(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    inner = compiled(collatz)
+    outer = compiled(lambda n: inner(27) + inner(6) + inner(n))
+    assert outer(1) == 119 and len(inner.signatures) == 1

@@ -189,7 +189,8 @@ def opened(z):
 
 def judged(points, max_angle):
     rule = RULE._replace(max_angle=max_angle)
-    return facets.judge(rule, jnp.zeros(6, bool), points, BLOCKS[:, 1:4], names=("margin",))["margin"]
+    corners = jnp.moveaxis(BLOCKS[:, 1:4], 0, 2)
+    return facets.judge(rule, jnp.zeros(6, bool), points.T, corners, names=("margin",))["margin"]
 
 
 def lowest_windows(z):

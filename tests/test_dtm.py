@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from importlib.util import find_spec
 
 import numpy as np
@@ -18,7 +19,7 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.cloud import QUANTUM
 from jaxfilter.core.points import canonical_points
-from jaxfilter.terrain import models
+from jaxfilter.terrain import accuracy, models
 from jaxfilter.terrain.interpolation import Linear
 
 ORIGIN = np.array([447_312.4, 5_301_208.7, 0.0])
@@ -386,13 +387,13 @@ def test_rmse_is_that_of_the_heights(rng):
         np.concatenate([cloud.coordinates(), cloud.coordinates() + [0.001, 0.0, 0.5]]), units="m,ft"
     )
     truth = np.arange(len(double)) < len(cloud)
-    errors = jf.dtm_rmse(double, ~truth, truth)
+    errors = jf.dtm_rmse(double, ~truth, truth, near=None)
     for value in (errors.rmse, errors.mean, errors.largest):
         assert value == pytest.approx(0.5 * 0.3048, abs=0.003)  # metres, though heights are in feet
     known = dataclasses.replace(double, reference=truth)
-    assert jf.dtm_rmse(known, ~truth) == errors
+    assert jf.dtm_rmse(known, ~truth, near=None) == errors
     west = truth & (double.xyz[:, 0] < 20.0)
-    half = jf.dtm_rmse(double, west, truth)
+    half = jf.dtm_rmse(double, west, truth, near=None)
     assert half.missing > 500 and half.rmse < 0.01 and half.cells + half.missing == pytest.approx(errors.cells, abs=60)
     assert len(z) == west.size / 2
 
@@ -402,10 +403,79 @@ def test_a_building_taken_for_ground_is_an_error_of_its_height(rng):
     xy = rng.random((20_000, 2)) * 100.0
     block = (np.abs(xy - 50.0) < 5.0).all(axis=1)
     cloud = jf.PointCloud.from_arrays(np.column_stack([xy, np.where(block, 6.0, 0.0)]))
-    errors = jf.dtm_rmse(cloud, ground_of(cloud), ~block)
+    errors = jf.dtm_rmse(cloud, ground_of(cloud), ~block, near=None)
     assert errors.largest == pytest.approx(6.0, abs=1e-3)
     assert errors.rmse == pytest.approx(6.0 * np.sqrt(100.0 / errors.cells), rel=0.05)
     assert errors.mean == pytest.approx(6.0 * 100.0 / errors.cells, rel=0.1)
+
+
+def plain(side=100):
+    """Points at the centres of cells of 1 m, from zero on; x and y f64[n], and the cloud, all of it ground at level zero."""
+    x, y = (v.ravel() for v in np.meshgrid(*2 * [np.arange(side) + 0.5]))
+    return x, y, np.column_stack([x, y, np.zeros(len(x))])
+
+
+def test_shares_and_percentiles_are_those_of_the_cells_that_are_off():
+    """Level ground at the centres of cells, and second points above and below some of them that are taken for ground instead."""
+    x, y, level = plain()
+    bump, step, pit = (x < 10) & (y < 10), (x > 50) & (x < 52) & (y < 30), (y > 97) & (x > 40) & (x < 60)
+    found = level.copy()
+    for where, height in ((bump, 4.0), (step, 0.75), (pit, -2.0)):
+        found[where, 2] = height
+    cloud = jf.PointCloud.from_arrays(np.concatenate([level, found]))
+    truth = np.arange(len(cloud)) < len(level)
+    errors = jf.dtm_rmse(cloud, ~truth, truth)
+    inner = (np.minimum(x, y) > 20) & (np.maximum(x, y) < 80)
+    for part, where in ((errors, True), (errors.border, ~inner), (errors.inside, inner)):
+        d = found[np.broadcast_to(where, x.shape), 2]
+        assert part.cells == len(d) and part.missing == 0
+        for name, share in (
+            ("high", d > 0.5), ("low", d < -0.5), ("high_1m", d > 1), ("low_1m", d < -1), ("off", abs(d) > 0.5),
+            ("off_1m", abs(d) > 1),
+        ):  # fmt: skip
+            assert getattr(part, name) == pytest.approx(100 * share.mean(), abs=1e-12), name
+        assert part.rmse == pytest.approx(np.sqrt((d * d).mean()), abs=1e-6)
+        assert part.mean == pytest.approx(d.mean(), abs=1e-6) and part.largest == pytest.approx(abs(d).max(), abs=1e-6)
+        assert part.p95 == pytest.approx(np.percentile(abs(d), 95), abs=1e-6)
+    flat = errors.as_dict()
+    assert (
+        list(flat) == list(accuracy.FIGURES)
+        and flat["border_high_1m"] == errors.border.high_1m > 0 == errors.inside.low
+    )
+
+
+def test_the_border_is_the_outline_of_the_data():
+    """An L of 100 m with a lake inside and an inlet of 12 m: lake and inlet are no border, the inner sides of the L are."""
+    x, y, level = plain()
+    missing = ((x > 60) & (y > 60)) | ((np.abs(x - 30) < 12) & (np.abs(y - 30) < 4)) | ((np.abs(x - 20) < 6) & (y > 80))
+    cloud = jf.PointCloud.from_arrays(level[~missing])
+    truth = np.ones(len(cloud), bool)
+    found = accuracy.differences(cloud, truth, truth, 1.0, jf.Interpolation(), near=3.0, rim=10.0)
+    border = found.border[::-1]  # row 0 in the south
+    expected = (x < 10) | (y < 10) | (y > 90) | (x > 90) | ((x > 50) & (y > 60)) | ((y > 50) & (x > 60))
+    known = ~missing & ~((x > 50) & (x < 70) & (y > 50) & (y < 70))  # the inner corner is rounded off
+    known &= ~((np.abs(x - 20) < 10) & (y > 89) & (y < 90))  # as is the mouth of the inlet
+    np.testing.assert_array_equal(border.ravel()[known], expected[known])
+    feet = jf.PointCloud.from_arrays(level[~missing] / 0.3048, units="ft")
+    same = accuracy.differences(feet, truth, truth, 1 / 0.3048, jf.Interpolation(), near=3.0, rim=10.0)
+    np.testing.assert_array_equal(same.border[::-1].ravel()[known], expected[known])
+
+
+def test_only_cells_near_reference_ground_count(rng):
+    x, y, level = plain()
+    cloud = jf.PointCloud.from_arrays(level)
+    hall = (np.abs(x - 50) < 20) & (np.abs(y - 50) < 20)
+    errors = jf.dtm_rmse(cloud, np.ones(len(x), bool), ~hall)
+    beyond = (np.abs(x - 50) < 17) & (np.abs(y - 50) < 17)
+    assert errors.cells == len(x) - beyond.sum()
+    assert jf.dtm_rmse(cloud, np.ones(len(x), bool), ~hall, near=None).cells == len(x)
+    west = x < 40
+    assert jf.dtm_rmse(cloud, west, ~hall).missing == (~west & ~beyond).sum()
+    filled = jf.dtm_rmse(cloud, west, ~hall, interpolation=jf.Interpolation(fill=True))
+    assert filled.missing == 0 and filled.cells == errors.cells
+    for wrong in ({"near": 0.0}, {"rim": math.nan}):
+        with pytest.raises(jf.ParameterError, match=rf"dtm_rmse\({next(iter(wrong))}="):
+            jf.dtm_rmse(cloud, west, ~hall, **wrong)
 
 
 def test_cells_come_in_blocks_and_are_counted(rng, monkeypatch):

@@ -20,6 +20,8 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
+from experiments.failures import cuts, pages  # noqa: E402
+from experiments.failures import run as failures  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.mutations import kinds as mutations  # noqa: E402
@@ -426,6 +428,83 @@ def test_every_study_of_a_paper_is_listed_with_its_command():
     studies = [path.name for path in folder.glob("*.py") if "def main(" in path.read_text()]
     assert "li2021.py" in studies
     assert [name for name in studies if f"`python experiments/papers/{name}`" not in listed] == []
+
+
+def test_a_cut_says_how_far_inside_a_point_lies():
+    xy = np.array([[3.0, 4.0], [0.0, 0.0], [-1.0, 20.0], [6.0, 8.0]])
+    half = cuts.Cut(False, np.zeros(2), np.arctan2(4.0, 3.0), 0.0)  # its inner side is where (3, 4) points to
+    np.testing.assert_allclose(half.inward(xy), [5.0, 0.0, 15.4, 10.0])
+    square = cuts.Cut(True, np.zeros(2), np.arctan2(4.0, 3.0), 7.0)
+    np.testing.assert_allclose(square.inward(xy), [2.0, 7.0, -8.4, -3.0])
+    place = np.random.default_rng(0).uniform(0, 100, (4000, 2))
+    few, many = (cuts.drawn("a cloud", place, count) for count in (3, 6))
+    for one, other in zip(few, many[:3], strict=True):
+        np.testing.assert_array_equal(one.inward(place), other.inward(place))
+    assert all((cut.inward(place) >= 0).sum() >= cuts.LEAST for cut in many)
+
+
+def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
+    """A method that loses level ground within 10 m of the border, and lifts its terrain to a roof there."""
+    x, y = (v.ravel() for v in np.meshgrid(*2 * [np.arange(0.25, 100, 0.5)]))
+    low = np.column_stack([x, y, np.zeros(len(x))])
+    cloud = jf.PointCloud.from_arrays(np.concatenate([low, low + [0.1, 0.1, 6.0]]))
+    truth = np.arange(len(cloud)) < len(x)
+
+    class Fooled:
+        @classmethod
+        def for_cloud(cls, cloud):
+            return cls()
+
+        def __call__(self, cloud):
+            (x, y), (x1, y1) = cloud.xyz[:, :2].T, cloud.xyz[:, :2].max(axis=0)
+            near = np.minimum.reduce([x - x.min(), y - y.min(), x1 - x, y1 - y]) < 10
+            return SimpleNamespace(ground=(cloud.xyz[:, 2] > 3) == near)
+
+    monkeypatch.setitem(jf.FILTERS, "fooled", Fooled)
+    east = cuts.Cut(False, np.array([40.0, 50.0]), 0.0, 0.0)
+    monkeypatch.setattr(cuts, "drawn", lambda *_: [east])
+    known = clouds.Known("level", "scenes", cloud, truth, np.ones(len(cloud), bool))
+    row = cuts.rows(known, "fooled", 1)[0]
+    assert row["cells"] == 20 * 100
+    assert row["off_whole"] == pytest.approx(20 * 20, abs=40)  # along the south and the north
+    assert row["spoiled"] == row["spoiled_high"] == pytest.approx(10 * 80, abs=90)
+    assert row["off"] == row["off_whole"] + row["spoiled"]
+    assert row["rim_points"] == pytest.approx(2 * 40 * 200, rel=0.02)
+    assert row["spoiled_points"] == pytest.approx(2 * 20 * 160, rel=0.06)
+
+
+def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(failures, "SIZES", {2.0: (110.0, 80.0)})
+    given = [
+        "all",
+        "--data",
+        str(two_samples),
+        "--out",
+        str(tmp_path),
+        "--methods",
+        "smrf",
+        "--clouds",
+        "coast",
+        "vineyard",
+    ]
+    given += ["--samples", "52", "53", "--places", "3", "--count", "4"]
+    failures.main(given)
+    table = {name: report.read_csv(tmp_path / f"{name}.csv") for name in ("measures", "cuts", "places")}
+    assert [len(rows) for rows in table.values()] == [2, 4, 6]
+    for row in table["measures"]:
+        known = failures.load(two_samples, row["cloud"])
+        result = jf.SMRF.for_cloud(known.cloud)(known.cloud)
+        total = jf.evaluate(result, known.ground, ignore=~known.scored).total
+        assert row["total"] == pytest.approx(total, rel=1e-4)  # five digits are kept
+        assert 0 <= row["off_1m"] <= row["off"] and row["border_cells"] + row["inside_cells"] == row["cells"]
+    text = (tmp_path / "results.md").read_text()
+    means = {place: np.mean([row["total"] for row in table["places"] if row["place"] == place]) for place in range(3)}
+    assert f"{np.mean(list(means.values())):.2f}" in text and f"{np.std(list(means.values()), ddof=1):.3f}" in text
+    monkeypatch.setattr(jf.SMRF, "__call__", None)
+    failures.main(given)
+    assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
+    assert pages.page({}, "nothing").endswith("nothing")
 
 
 def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):

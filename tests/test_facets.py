@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from jaxfilter.core.result import Decision
-from jaxfilter.engines.tin.facets import QUANTITIES, FacetScore, Rule, judge, mirrored
+from jaxfilter.engines.tin import facets as kernels
+from jaxfilter.engines.tin.facets import QUANTITIES, FacetScore, Rule, mirrored
+
+
+def judge(rule, late, points, facets, **names):
+    return kernels.judge(rule, late, points.T, np.moveaxis(facets, 0, 2), **names)
 
 
 def plain(p, f):

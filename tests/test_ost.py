@@ -13,7 +13,6 @@ from scipy.spatial import Delaunay
 import jaxfilter as jf
 from jaxfilter.core.points import Points, canonical_points
 from jaxfilter.engines.grid import shapes
-from jaxfilter.engines.grid.morphology import ring_minimum
 from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import rings
 from jaxfilter.engines.tin.ground import GroundTin
@@ -25,7 +24,6 @@ from jaxfilter.scenes import Kind
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
-from jaxfilter.steps.outliers import ring_low
 from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.surfaces import lowest_cells
 from jaxfilter.steps.voids import filled_by
@@ -66,24 +64,45 @@ def pool():
         yield threads
 
 
-@pytest.mark.parametrize("inner, outer", [(0, 1), (1, 3), (3, 5), (2, 9)])
-def test_the_minimum_of_a_ring_equals_scipy(rng, inner, outer):
-    z = rng.normal(size=(23, 31)).astype(np.float32)
-    ring = np.ones((2 * outer + 1, 2 * outer + 1), bool)
-    ring[outer - inner : outer + inner + 1, outer - inner : outer + inner + 1] = False
-    expected = ndimage.minimum_filter(z, footprint=ring, mode="constant", cval=np.inf)
-    np.testing.assert_array_equal(np.asarray(ring_minimum(z, inner, outer)), expected)
+@pytest.mark.parametrize("density, extent, window", [(1.0, 60, 12.0), (8.0, 30, 6.0), (0.05, 300, 25.0)])
+def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, extent, window):
+    """Every count by hand, over rough land with clusters below; ties of distance and of depth are whole numbers."""
+    n = int(density * extent**2)
+    xyz = np.column_stack([rng.integers(0, 4 * extent, (n, 2)) / 4, rng.integers(0, 12, n) / 4])
+    for size in (1, 5, 6, 7):
+        near = np.argsort(np.hypot(*(xyz[:, :2] - rng.uniform(0, extent, 2)).T))[:size]
+        xyz[near, 2] -= 20
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    p = points.xyz.astype(np.float64)
+    radius = max(window, 8 * points.spacing())
+    around = ((p[:, None, :2] - p[:, :2]) ** 2).sum(axis=2) <= radius**2
+    below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
+    expected = (below <= 6) & (around.sum(axis=1) - 1 - below > 6)
+    assert 5 <= expected.sum() < 40
+    np.testing.assert_array_equal(jf.OST(window=window, low_points=6).low(points), expected)
+    assert not jf.OST(window=window, low_points=0).low(points).any()
 
 
-def test_points_below_all_of_a_ring_are_low(rng):
-    """A pit of 3 x 3 cells is found with a reach of 3 cells, a trench across the cloud is not."""
-    z = np.zeros((30, 30))
-    z[8:11, 8:11] = -4.0
-    z[:, 20:23] = -4.0
-    xyz = nodes(30, z)
-    pit = (xyz[:, 2] < xyz[:, 2].max() - 1) & (xyz[:, 0] < 15)
-    np.testing.assert_array_equal(ring_low(xyz, cells_of(xyz), 1.0, 3), pit)
-    assert not ring_low(xyz, cells_of(xyz), 4.5, 3).any()
+def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
+    x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
+    block = (abs(x - 50) < 18) & (abs(y - 50) < 18)  # streets beyond it are within the radius
+    court, cluster = (abs(x - 50) < 2) & (abs(y - 50) < 2), (abs(x - 20) < 2) & (abs(y - 20) < 2)
+    xyz = np.column_stack([x, y, np.where(block & ~court, 12.0, 0.0) - 9.0 * cluster])
+    xyz = np.concatenate([xyz, [[300 + i, 300, -30.0] for i in range(10)]])
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    low = points.spread(jf.OST().low(points), False)
+    np.testing.assert_array_equal(low, np.append(cluster, np.zeros(10, bool)))
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, 0.71), (512.25, -331.5)])
+def test_low_points_do_not_depend_on_the_place_of_the_grid(shift):
+    cloud = jf.scenes.make("town", size=120.0, density=1.0, seed=2).cloud
+    xyz = cloud.coordinates()
+    low = []
+    for anchor in ((0.0, 0.0), shift):
+        points = canonical_points(jf.PointCloud.from_arrays(xyz, anchor=anchor))
+        low.append(points.spread(jf.OST(low_points=60).low(points), False))
+    np.testing.assert_array_equal(*low)
 
 
 def test_drawn_elevations_equal_scipy(rng):
@@ -156,13 +175,16 @@ def test_the_census_counts_as_numpy_does(rng):
     marked = rng.random(segment.shape) < 0.4
     fall, slope = rng.random((2, *segment.shape)).astype(np.float32)
     falls = fall > 0.25 + 0.5 * slope
-    wide = np.pad(segment, 1, mode="edge")
-    border = np.zeros(segment.shape, bool)
+    inside = rng.random(segment.shape) < 0.9
+    wide = np.pad(np.where(inside, segment, -1), 1, constant_values=-1)
+    border, edge = np.zeros((2, *segment.shape), bool)
     for dr, dc in ((0, 1), (2, 1), (1, 0), (1, 2)):
-        border |= wide[dr : dr + 18, dc : dc + 22] != segment
-    found = shapes.census(segment, count, marked, fall, slope, np.float32(0.25), np.float32(0.5))
-    assert (found[:, 0] == 0).all() and found.shape == (4, count + 1)
-    for k, cells in enumerate((np.ones_like(marked), marked, border, border & falls)):
+        beside = wide[dr : dr + 18, dc : dc + 22]
+        border |= (beside != segment) & (beside >= 0)
+        edge |= beside < 0
+    found = shapes.census(segment, count, marked, fall, slope, inside, np.float32(0.25), np.float32(0.5))
+    assert (found[:, 0] == 0).all() and found.shape == (5, count + 1)
+    for k, cells in enumerate((np.ones_like(marked), marked, border, border & falls, edge & ~border)):
         np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
 
@@ -227,8 +249,84 @@ def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_s
     slope = np.zeros(cells.lowest.shape, np.float32)
     slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
     with pytest.raises(Seen) as seen:
-        jf.OST(cell=cell, window=4 * cell).objects(slope * cell, cells)
+        jf.OST(cell=cell, window=4 * cell).drops(slope * cell, np.ones((40, 40), bool), cells)
     np.testing.assert_array_equal(seen.value.args[0], slope > 0.15)
+
+
+def test_faces_are_counted_as_scipy_counts_them(rng):
+    """Over a rough slope, in which three objects stand."""
+    column = np.arange(40)
+    z = (0.3 * column + rng.normal(0, 0.1, (30, 40))).astype(np.float32)
+    part, count = np.zeros((30, 40), np.int32), 3
+    part[3:12, 4:15], part[15:27, 5:12], part[8:20, 20:36] = 1, 2, 3
+    z[part == 1] += 5
+    high, seen, whole = z + rng.uniform(0, 1.2, z.shape).astype(np.float32), rng.random(z.shape) < 0.97, part == 2
+    found = shapes.faces(part, count, z, high, seen, whole, *np.float32([0.2, 1.8]))
+    five = {"size": 5, "mode": "constant"}
+    outer = ndimage.minimum_filter(np.where(part == 0, z, np.inf), cval=np.inf, **five)
+    bend = [ndimage.correlate(z.astype(float), k, mode="nearest") for k in _BENDS]
+    bent = np.minimum.reduce([abs(b) / d for b, d in zip(bend, (1, 1, 2**0.5, 2**0.5), strict=True)])
+    rise = np.hypot(*(ndimage.correlate1d(z.astype(float), [-1, 0, 1], axis, mode="nearest") for axis in (0, 1)))
+    known = ndimage.minimum_filter(seen, size=3, mode="constant", cval=0)
+    for name in range(1, count + 1):
+        mine = part == name
+        border = mine & ndimage.binary_dilation(part == 0)
+        inner = ndimage.maximum_filter(np.where(mine, z, -np.inf), cval=-np.inf, **five)
+        walls = border & (np.where(border, z - outer, 0) - np.where(mine, inner - z, 0) > 1.8)
+        bare = mine & known & (bent <= 0.2) & (high - z <= rise + 0.2)
+        expected = [one.sum() for one in (mine, mine & whole, mine & known, bare, border, walls)]
+        assert found[:, name].tolist() == expected and min(expected[0], *expected[2:5]) > 0
+    assert found[5, 1] > 20 and (found[5, 2:] <= found[4, 2:] // 4).all() and (found[:, 0] == 0).all()
+
+
+_BENDS = np.zeros((4, 3, 3))
+_BENDS[:, 1, 1] = 1
+for _number, (_one, _other) in enumerate((((1, 0), (1, 2)), ((0, 1), (2, 1)), ((0, 0), (2, 2)), ((0, 2), (2, 0)))):
+    _BENDS[_number][_one] = _BENDS[_number][_other] = -0.5
+
+
+def whole_of(z, roofs=ROOFS, inside=None, largest=1e9):
+    return Segments(z, np.ones(z.shape, bool) if inside is None else inside, 1.0, roofs, largest)
+
+
+def test_a_rock_is_terrain_and_a_roof_and_a_crown_are_none(rng):
+    """Cones of 60 degrees: bare; with a storey below; with echoes at any height. All of them are marked."""
+    row, column = np.mgrid[:60, :60].astype(np.float32)
+    cone = np.maximum(0, 20 - 1.7 * np.hypot(row - 30, column - 30)).astype(np.float32)
+    marked, none, seen = cone > 0, np.zeros((60, 60), bool), np.ones((60, 60), bool)
+    bare = cone + np.float32(1.7) * marked
+    np.testing.assert_array_equal(whole_of(cone).terrain(marked, none, bare, seen), marked)
+    house = np.where(marked, cone / 4 + 5, 0).astype(np.float32)
+    assert not whole_of(house).terrain(marked, none, house + np.float32(0.5), seen).any()
+    assert not whole_of(cone).terrain(marked, none, bare + 3 * marked, seen).any()
+    crown = cone + np.where(marked, rng.uniform(0, 3, cone.shape), 0).astype(np.float32)
+    assert not whole_of(crown).terrain(marked, none, crown + np.float32(2), seen).any()
+    assert not whole_of(cone).terrain(marked, marked, bare, seen).any()  # roofs as a whole
+    low = np.where(marked, 1.5, 0).astype(np.float32)
+    assert not whole_of(low).terrain(marked, none, low, seen).any()  # level
+    assert not whole_of(cone).terrain(marked, none, bare, seen & (column % 2 == 0)).any()  # too few points to tell
+
+
+def test_a_headland_of_steep_rock_at_the_edge_of_the_data_is_ground(rng):
+    """A quarter of a cone, 30 m high, above level land, at ten points per square metre."""
+    xy = rng.uniform(0, 60, (36_000, 2))
+    z = np.maximum(0, 30 - 1.5 * np.hypot(*xy.T)) + rng.normal(0, 0.02, len(xy))
+    result = jf.OST.for_cloud(np.column_stack([xy, z]))(np.column_stack([xy, z]))
+    steep = np.hypot(*xy.T) < 19
+    assert steep.sum() > 2000 and result.ground[steep].mean() > 0.97
+
+
+def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the_largest_building():
+    """A level 40 m above a beach, cut by the data on three sides: it falls along its whole inner border."""
+    z = np.zeros((80, 80), np.float32)
+    z[30:] = 40
+    none, flat = np.zeros(z.shape, bool), np.zeros(z.shape, np.float32)
+    plateau = z > 0
+    np.testing.assert_array_equal(whole_of(z, largest=4001).objects(none, flat), plateau)
+    assert not whole_of(z, largest=3999).objects(none, flat).any()
+    corner = np.hypot(*np.mgrid[:80, :80]) < 100  # the data end along a circle; nothing beyond is judged
+    found = whole_of(z, inside=corner, largest=1e9).objects(none, flat)
+    np.testing.assert_array_equal(found, plateau & corner)
 
 
 def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
@@ -238,21 +336,37 @@ def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
 
     gable = level.copy()
     gable[20:40, 20:32] = (6 - 0.25 * abs(column - 25.5))[20:40, 20:32]
-    np.testing.assert_array_equal(Segments(gable, 1.0, ROOFS).objects(none, flat), gable > 0)
+    np.testing.assert_array_equal(whole_of(gable).objects(none, flat), gable > 0)
 
     deck = level - 6
     deck[27:33] = 0
-    np.testing.assert_array_equal(Segments(deck, 1.0, ROOFS).objects(none, flat), deck == 0)
+    np.testing.assert_array_equal(whole_of(deck).objects(none, flat), deck == 0)
 
     rise = np.float32(0.25) * np.clip(column - 10, 0, 24)
     terrace = np.where(row >= 30, level, rise)  # a ramp up to 6 m, with one steep side
-    assert not Segments(terrace, 1.0, ROOFS).objects(none, flat).any()
+    assert not whole_of(terrace).objects(none, flat).any()
     roof = gable > 0
-    np.testing.assert_array_equal(Segments(gable, 1.0, ROOFS._replace(drop=99.0)).objects(roof, flat), roof)
+    np.testing.assert_array_equal(whole_of(gable, ROOFS._replace(drop=99.0)).objects(roof, flat), roof)
     few = roof & (row < 28)  # 8 of its 20 rows are marked
-    assert not Segments(gable, 1.0, ROOFS._replace(drop=99.0)).objects(few, flat).any()
-    assert not Segments(gable, 1.0, ROOFS._replace(area=500.0)).objects(roof, flat).any()
-    assert not Segments(gable, 1.0, ROOFS).objects(none, flat + 3.0).any()  # falls that a landscape of 300 % explains
+    assert not whole_of(gable, ROOFS._replace(drop=99.0)).objects(few, flat).any()
+    assert not whole_of(gable, ROOFS._replace(area=500.0)).objects(roof, flat).any()
+    assert not whole_of(gable).objects(none, flat + 3.0).any()  # falls that a landscape of 300 % explains
+
+
+def test_cells_outside_the_hull_are_told(rng, pool):
+    xy = rng.uniform(0, 40, (200, 2))
+    xy = xy[np.hypot(*(xy - 20).T) < 18]
+    xyz = points_of(np.column_stack([xy, np.ones(len(xy))]))
+    tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
+    cells = cells_of(xyz)
+    inside = filled_by(tin, cells, 4, 8.0)[1]
+    row, column = np.mgrid[: inside.shape[0], : inside.shape[1]]
+    x, y, _ = np.asarray(cells.frame)
+    hull = Delaunay(xyz[:, :2]).find_simplex(np.column_stack([column.ravel() + x + 0.5, row.ravel() + y + 0.5])) >= 0
+    np.testing.assert_array_equal(
+        inside.ravel(), hull | np.asarray(cells.seen)[: len(inside), : inside.shape[1]].ravel()
+    )
+    assert 0 < inside.sum() < inside.size
 
 
 def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
@@ -265,8 +379,7 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
     tin = Tin(xyz.copy(), np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
     void = np.zeros((40, 60), bool)
     void[:, 20:40] = True
-    hung = filled_by(tin, cells, 8, 8.0)[:40, :60]
-    straight = filled_by(tin, cells, 8, 1e6)[:40, :60]
+    hung, straight = (filled_by(tin, cells, 8, longest)[0][:40, :60] for longest in (8.0, 1e6))
     np.testing.assert_allclose(hung[void], 0.0, atol=1e-6)
     expected = LinearNDInterpolator(xyz[:, :2], xyz[:, 2])(21.5, 20.5)
     assert straight[20, 21] == pytest.approx(float(expected), abs=0.3) and straight[20, 21] > 4
@@ -301,13 +414,29 @@ def test_low_roofs_close_together_do_not_pass_for_relief():
 
 
 def test_barred_points_join_by_densification_only():
-    """The bottom of a bowl, smooth ground, is more than a metre below all that is 4 m away."""
+    """The bottom of a bowl, smooth ground, is more than two metres below all but few points within the window."""
     x, y = (v.ravel() / 2 for v in np.mgrid[:61, :61])
     xyz = np.column_stack([x, y, 0.12 * np.minimum(np.hypot(x - 15, y - 15), 8) ** 2])
-    seeded, grown = (jf.OST(rounds=rounds, low_points=0)(xyz) for rounds in (0, 6))
+    seeded, grown = (jf.OST(rounds=rounds, low_points=300)(xyz) for rounds in (0, 6))
     bottom = np.hypot(x - 15, y - 15) < 1
-    assert seeded.barred[bottom].all() and not seeded.barred[np.hypot(x - 15, y - 15) > 2].any()
+    assert seeded.barred[bottom].all() and not seeded.barred[np.hypot(x - 15, y - 15) > 4.5].any()
     assert seeded.ground.any() and not (seeded.ground & seeded.barred).any() and grown.ground[bottom].all()
+
+
+def test_what_the_border_cuts_is_not_climbed():
+    """Level land beside a house that the edge of the data cuts: walls and a gable roof lie outside the hull of the seeds. On a
+    slope ground outside that hull joins."""
+    step = 0.25
+    x, y = (v.ravel() * step for v in np.mgrid[:160, :160])
+    house = (y > 30) & (x > 8) & (x < 30)
+    roof = np.where(house, 5 + 0.6 * (11 - abs(x - 19)), 0.0)
+    wall = [(a, 30.0 - 0.05 * (k % 3), 0.4 * k) for a in np.arange(8, 30, 0.5) for k in range(1, 13)]
+    xyz = np.concatenate([np.column_stack([x, y, roof]), wall])
+    truth = np.append(~house, np.zeros(len(wall), bool))
+    ground = jf.OST.for_cloud(xyz)(xyz).ground
+    assert not ground[~truth & (xyz[:, 2] > 1)].any() and ground[truth].mean() > 0.99
+    slope = np.column_stack([x, y, 0.5 * x + 0.02 * np.sin(37 * x + 11 * y)])
+    assert jf.OST.for_cloud(slope)(slope).ground.mean() > 0.99
 
 
 def test_the_local_spread_counts_per_metre_of_spacing_up_to_one_metre():

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from jaxfilter import scenes
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.scenes import LAYOUTS, Kind, SceneLayout, lattice
+from jaxfilter.scenes import LAYOUTS, Kind, SceneLayout, lattice, scan
 
 BARE = SceneLayout(relief=20, forest=0, trees=0, low_vegetation=0)
 
@@ -63,6 +63,11 @@ def test_scenes_are_the_same_in_every_version(ready):
         "terraces": ([292636, 1080, 0, 159, 18804, 115355, 22, 3, 95], [218.893, 198.049, 39.306]),
         "mixed": ([267314, 13285, 2281, 1576, 15697, 110808, 22, 4, 1125], [204.514, 189.676, 1.38]),
         "benchmark": ([275434, 7425, 2194, 1011, 12211, 119685, 2, 0, 873], [209.507, 192.091, -0.514]),
+        "coast": ([50829, 0, 0, 0, 4103, 1278, 25, 2, 0], [78.804, 209.073, -18.762]),
+        "gorge": ([231073, 0, 3084, 0, 14522, 262125, 26, 1, 0], [212.234, 194.557, 4.82]),
+        "benches": ([268593, 0, 0, 0, 17388, 185183, 21, 3, 0], [210.569, 191.786, -1.922]),
+        "vineyard": ([266913, 0, 0, 0, 51687, 101469, 25, 1, 0], [218.348, 197.691, 130.407]),
+        "canopy": ([143559, 0, 0, 0, 8104, 367333, 3, 3, 0], [220.32, 198.24, 12.448]),
     }
     assert set(figures) == set(ready)
     for name, (points, middle) in figures.items():
@@ -142,9 +147,9 @@ def test_ground_shows_through_a_canopy_as_often_as_asked():
 
 
 def test_water_returns_nothing_but_what_stands_over_it(ready):
-    for name in ("city", "mixed", "benchmark"):
+    for name in ("city", "mixed", "benchmark", "coast", "gorge"):
         scene = ready[name]
-        assert 0.01 < 1 - land_share(scene) < 0.3
+        assert 0.01 < 1 - land_share(scene) < (0.95 if name == "coast" else 0.3)
         wet = scene.water(scene.xyz[:, 0], scene.xyz[:, 1])
         over = {Kind.BRIDGE, Kind.HIGH_VEGETATION, Kind.HIGH_OUTLIER, Kind.LOW_OUTLIER}
         assert set(np.unique(scene.kind[wet])) <= over, name
@@ -218,14 +223,18 @@ def test_earthworks_are_as_deep_as_asked_and_local(field, value, low, high):
     assert (np.abs(change) < 1e-9).mean() > 0.7
 
 
+def gradient(scene, x, y, h=0.05):
+    """Rise over run of the terrain to the east and to the north."""
+    east = scene.terrain(x + h, y) - scene.terrain(x - h, y)
+    north = scene.terrain(x, y + h) - scene.terrain(x, y - h)
+    return east / (2 * h), north / (2 * h)
+
+
 def test_scarps_and_terraces_are_steep():
     def slopes(layout):
         scene = scenes.make(layout, size=1, density=50)
         x, y = (v.ravel() for v in np.meshgrid(*(scene.origin[k] + np.arange(0, 560, 1.0) for k in (0, 1))))
-        h = 0.05
-        gx = scene.terrain(x + h, y) - scene.terrain(x - h, y)
-        gy = scene.terrain(x, y + h) - scene.terrain(x, y - h)
-        return np.degrees(np.arctan(np.hypot(gx, gy) / (2 * h)))
+        return np.degrees(np.arctan(np.hypot(*gradient(scene, x, y))))
 
     assert slopes(BARE).max() < 30
     steep = slopes(dataclasses.replace(BARE, scarp=8))
@@ -233,6 +242,54 @@ def test_scarps_and_terraces_are_steep():
     terraced = dataclasses.replace(BARE, hurst=1.4, tilt=0.2)
     assert (slopes(dataclasses.replace(terraced, terraces=3)) > 35).mean() > 0.05
     assert np.median(slopes(dataclasses.replace(terraced, terraces=3))) < 0.5 * np.median(slopes(terraced))
+
+
+@pytest.mark.parametrize("bench", [0.0, 12.0])
+def test_rock_faces_are_as_high_and_steep_as_asked_and_benches_are_level(bench):
+    layout = dataclasses.replace(BARE, relief=0, cliff=48, face=70, floor=60, bench=bench)
+    scene = scenes.make(layout, size=1, density=50)
+    x, y = (v.ravel() for v in np.meshgrid(*(scene.origin[k] + np.arange(150, 510, 0.7) for k in (0, 1))))
+    z, steep = scene.terrain(x, y) - scene.origin[2], np.degrees(np.arctan(np.hypot(*gradient(scene, x, y))))
+    assert z.max() == pytest.approx(0, abs=0.01) and z.min() == pytest.approx(-48, abs=1.5)
+    face = (z > -44) & (z < -4) & (steep > 45)
+    assert np.median(steep[face]) == pytest.approx(71, abs=3)
+    level = np.histogram(z[(steep < 10) & (z < -4) & (z > -44)], bins=[-44, -40, -30, -28, -18, -16, -6])[0]
+    assert (level[[1, 3, 5]].sum() > 0.9 * level.sum() > 1000) if bench else level.sum() < 0.02 * face.sum()
+
+
+def test_slanting_beams_meet_faces_as_often_as_their_slope_says():
+    """Per area of the map, beams of tangent t to the right meet a slope g to the right 1 + g t times as often as a level."""
+    layout = dataclasses.replace(BARE, relief=0, cliff=40, face=60, floor=100, scan_angle=25)
+    scene = scenes.make(layout, size=(450, 200), density=6, noise=0, swath=250)
+    heading = np.radians(8)
+    right = np.cos(heading), -np.sin(heading)
+
+    def rise(x, y):
+        return np.tensordot(right, gradient(scene, x, y), 1)
+
+    x, y = (v.ravel() for v in np.meshgrid(*(scene.origin[k] + np.arange(0.25, scene.size[k], 0.5) for k in (0, 1))))
+    across = (x - scene.origin[0]) * right[0] + (y - scene.origin[1]) * right[1]
+    tangent = np.tan(np.radians(25)) * (across % 250 - 125) / 125  # strips begin at zero
+    on_map, on_points = rise(x, y), rise(*scene.xyz[:, :2].T)
+    counts = []
+    for low, high in ((-9, -1), (1, 9)):
+        side = (on_map > low) & (on_map < high)
+        expected = (6 * 0.25 * np.maximum(1 + on_map * tangent, 0))[side].sum()
+        found = ((on_points > low) & (on_points < high)).sum()
+        assert found == pytest.approx(expected, rel=0.1)
+        counts.append(found / side.sum())
+    assert max(counts) > 1.2 * min(counts)
+    assert (above_terrain(scene)[scene.truth] < 0.01).all() and scene.xyz[:, 2].min() < scene.origin[2] - 39
+
+
+def test_vines_stand_on_terraces():
+    layout = dataclasses.replace(BARE, relief=2, tilt=0.45, terraces=1.8, vines=1.0)
+    scene = scenes.make(layout, size=150, density=8, noise=0)
+    vines = scene.kind == Kind.LOW_VEGETATION
+    assert 0.1 < vines.mean() < 0.16  # 0.6 of the pulses over rows that take 0.24 of the land
+    height = above_terrain(scene)[vines]
+    assert height.min() > 0.39 and 1.7 < height.max() < 1.81
+    assert not (scenes.make(dataclasses.replace(layout, vines=0.0), size=50).kind == Kind.LOW_VEGETATION).any()
 
 
 def test_bridges_stand_over_the_cutting_and_join_the_land():
@@ -258,8 +315,8 @@ def test_objects_have_the_heights_of_their_kind(ready):
             h = height[scene.kind == kind]
             return (h.min(), h.max()) if len(h) else (1.0, 1.0)
 
-        slack = 6 * 0.03 + 0.005
-        assert span(Kind.LOW_VEGETATION)[0] >= 0.1 - slack and span(Kind.LOW_VEGETATION)[1] <= 1 + slack, name
+        slack, low = 6 * 0.03 + 0.005, scan.VINE_HEIGHT if scene.layout.vines else 1
+        assert span(Kind.LOW_VEGETATION)[0] >= 0.1 - slack and span(Kind.LOW_VEGETATION)[1] <= low + slack, name
         assert span(Kind.CAR)[0] >= 0.9 - slack and span(Kind.CAR)[1] <= 1.45 + slack, name
         assert span(Kind.BUILDING)[0] >= 1 - slack, name
         assert span(Kind.BUILDING)[1] <= 90 and span(Kind.HIGH_VEGETATION)[1] <= 45, name

@@ -16,6 +16,7 @@ from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.grid.inpaint import fill_membrane
 from jaxfilter.engines.tin.ground import GroundTin
+from jaxfilter.sweeps.ranges import search_ranges
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +143,19 @@ def test_methods_on_triangulations_equal_single_runs(filter_, hills):
     assert len({ground.tobytes() for ground in found}) > 3
 
 
+@pytest.mark.parametrize("filter_", [jf.SPF(window=30.0), jf.OST(window=15.0), jf.AGPTD(seed_cell=30.0)], ids=str)
+def test_random_sets_whose_seeds_differ_equal_single_runs(filter_, hills, cloud):
+    unit = np.random.default_rng(1).random((14, len(search_ranges(filter_))))
+    values = [{n: r.at(u) for (n, r), u in zip(search_ranges(filter_).items(), row, strict=True)} for row in unit]
+    for scene in (cloud, hills):
+        data = jf.sweep(filter_, scene, {name: [one[name] for one in values] for name in values[0]}, design="list")
+        for number, one in enumerate(values):
+            result = filter_.replace(**one)(scene)
+            assert int(data.ground[number]) == result.ground.sum()
+            assert float(data.total[number]) == pytest.approx(jf.evaluate(result, scene).total, abs=1e-9)
+    check_equal([filter_.replace(**one) for one in values], hills)
+
+
 @pytest.mark.parametrize("filter_", [jf.SPF(window=30.0), jf.FPTD(window=30.0), jf.ATIN(seed_cell=30.0)], ids=str)
 def test_points_at_the_position_of_a_vertex_have_one_label_whatever_the_history(filter_, hills):
     xyz = hills.coordinates()
@@ -246,6 +260,16 @@ def test_sets_that_differ_in_the_last_threshold_are_classified_once(filter_, oth
     monkeypatch.setattr(type(filter_), "classify", counted)
     assert np.array_equal(labels_of(filter_, sets, hills), alone)
     assert len(runs) == 2 and len({ground.tobytes() for ground in alone}) >= 4
+
+
+def test_a_sweep_of_ost_finds_out_once_what_no_swept_field_changes(hills, monkeypatch):
+    found, openings = [], jf.OST.drops
+    monkeypatch.setattr(jf.OST, "drops", lambda *arguments: found.append(1) or openings(*arguments))
+    axes = {"slope": [0.05, 0.1], "relief": [0.2, 0.6], "tolerance": [0.05, 0.1]}
+    jf.sweep(jf.OST(window=15.0), hills, axes, workers=1)
+    assert len(found) == 1
+    jf.sweep(jf.OST(window=15.0), hills, {"void": [8.0, 20.0], "slope": [0.05, 0.1]}, workers=1)
+    assert len(found) == 3
 
 
 def test_threads_keep_the_device_of_their_caller():

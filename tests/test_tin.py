@@ -282,7 +282,7 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             others = np.flatnonzero(~network.vertex)
             corners = together.corners(together.where[others + first[number]])
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
-    twice, k, (before, _) = together.repeated(2), len(xyz), together.facets()
+    twice, k, (before, _) = Tin.joined([together, together]), len(xyz), together.facets()
     free = np.flatnonzero(~together.vertex)
     free = free[together.twins(free) < 0]
     new = np.concatenate([single(xy, of(number, free)) for number in range(len(parts))])
@@ -385,6 +385,43 @@ def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
         assert tin.nearest(vertices, counts).tolist() == expected
 
 
+def test_a_network_that_moves_to_other_vertices_is_the_one_made_of_them(pool, rng):
+    xyz = nodes(rng, random(rng, 3000), twins=False)
+    frame = np.flatnonzero(np.abs(xyz[:, :2] - 64).max(axis=1) > 58)  # the hull is among them
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), frame, pool)
+    for share in (0.5, 0.6, 0.1):
+        vertices = np.union1d(frame, np.flatnonzero(rng.random(len(xyz)) < share))
+        tin.become(vertices)
+        tin.locate(np.flatnonzero(~tin.vertex))
+        fresh = Tin(xyz, np.zeros(len(xyz), np.int32), vertices, pool)
+        for one, other in zip(tin.facets(), fresh.facets(), strict=True):
+            np.testing.assert_array_equal(one, other)
+        rest = np.flatnonzero(~tin.vertex)
+        np.testing.assert_array_equal(tin.corners(tin.where[rest]), fresh.corners(fresh.where[rest]))
+
+
+def test_nodes_outside_the_hull_belong_to_its_nearest_edge_whatever_the_history(pool, rng):
+    xyz = nodes(rng, random(rng, 900), twins=False)
+    sheet, vertices = np.zeros(len(xyz), np.int32), np.flatnonzero(np.abs(xyz[:, :2] - 64).max(axis=1) < 35)
+    tin, other = Tin(xyz, sheet, vertices, pool), Tin(xyz, sheet, vertices[::9], pool, 3)
+    other.insert(np.setdiff1d(vertices, vertices[::9]))
+    other.locate(rng.permutation(np.flatnonzero(~other.vertex)))
+    outside = np.flatnonzero(tin.triangles[tin.where].min(axis=1) < 0)
+    assert len(outside) > 300
+    rest = np.flatnonzero(~tin.vertex)
+    np.testing.assert_array_equal(np.sort(tin.triangles[tin.where[rest]]), np.sort(other.triangles[other.where[rest]]))
+
+    def distance(p, edges):
+        a, b = tin.xy[edges[..., 0]].astype(float), tin.xy[edges[..., 1]].astype(float)
+        along = np.clip(((p - a) * (b - a)).sum(axis=-1) / ((b - a) ** 2).sum(axis=-1), 0, 1)[..., None]
+        return np.linalg.norm(p - a - along * (b - a), axis=-1)
+
+    hull = np.sort(tin.triangles[(tin.triangles == -1).any(axis=1)], axis=1)[:, 1:]
+    own = np.sort(tin.triangles[tin.where[outside]], axis=1)[:, 1:]
+    at = tin.xy[outside].astype(float)
+    np.testing.assert_allclose(distance(at, own), distance(at[:, None], hull[None]).min(axis=1))
+
+
 def test_a_copy_grows_apart_from_its_original(pool, rng):
     xyz = nodes(rng, np.concatenate([grid(rng, 80), [[-1, -1], [9000, -1], [9000, 9000], [-1, 9000]]]), twins=False)
     tin = Tin(
@@ -398,7 +435,7 @@ def test_a_copy_grows_apart_from_its_original(pool, rng):
     names = ("xyz", "sheet", "triangles", "neighbours", "vertex", "where", "stamp")
     before = {name: getattr(tin, name).copy() for name in names}
     length, now = len(tin), tin.now
-    other = tin.repeated(1)
+    other = Tin.joined([tin])
     other.now += 1
     other.remove(inner(other)[::2])
     other.insert(np.flatnonzero(~other.vertex & ~tin.vertex))

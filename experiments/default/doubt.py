@@ -94,7 +94,7 @@ def every(folder: Path) -> Iterator[Judged]:
     for known in every_cloud(folder):
         yield judged(known)
     for density in DENSITIES:
-        for layout in jf.scenes.LAYOUTS:
+        for layout in clouds.LAYOUTS:
             scene = clouds.load(f"{density:g} per m2", layout, density, folder)
             assert scene is not None
             yield judged(dataclasses.replace(scene, name=f"scene {layout}", group="scenes"))

@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
 ABLATIONS: dict[str, dict[str, float]] = {
     "all steps": {},
-    "1 without clusters of low points": {"low_points": 0},
+    "1 without low points": {"low_points": 0},
     "2 voids filled like gaps": {"void": 1e6},
     "4 one slope for all landscapes": {"relief": 0.0, "slope": 0.15},
     "5 without whole segments": {"roof_area": 1e9},
@@ -237,7 +237,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
     path = out / "scenes.csv"
     rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
     done = {(row["density"], row["layout"], row["method"]) for row in rows}
-    for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), jf.scenes.LAYOUTS):
+    for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), clouds.LAYOUTS):
         missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
         if missing:
             scene = jf.scenes.make(layout, size=clouds.SIZES[density], density=density, seed=clouds.SEED)
@@ -245,7 +245,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
                 result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
                 error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
                 rows.append({"layout": layout, "density": density, "method": name, "total": error,
-                             "rmse": jf.dtm_rmse(scene.cloud, result, reference=scene.truth).rmse})  # fmt: skip
+                             "rmse": jf.dtm_rmse(scene.cloud, result, scene.truth, near=None).rmse})  # fmt: skip
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)
     table.to_csv(path, index=False)
@@ -253,7 +253,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
     total, rmse = (
         table.pivot_table(index=by, columns="method", values=value, sort=False)[order].sort_index(key=key)
         for by, value, key in (
-            ("layout", "total", lambda names: names.map(list(jf.scenes.LAYOUTS).index)),
+            ("layout", "total", lambda names: names.map(clouds.LAYOUTS.index)),
             ("density", "rmse", None),
         )
     )

@@ -25,7 +25,7 @@ RANGES: dict[str, tuple[float, float]] = {
 REASONED = {
     "cell": "a metre, which furrows and vehicles do not fill; a quarter of the spacing where that is more",
     "window": "buildings are up to 50 m wide", "roof_area": "a small house",
-    "low_points": "tried: 30, 60, 120 on the ISPRS samples", "void": "eight cells",
+    "low_points": "tried: 15, 30, 45, 60 on the ISPRS samples at eight places of the grid", "void": "eight cells",
     "rounds": "tried: 0 to 6 on the ISPRS samples, 3 to 10 on all clouds",
 }  # fmt: skip
 """Constants that are not searched, and why they are as they are."""
@@ -44,7 +44,7 @@ def every_cloud(folder: Path) -> Iterator[clouds.Known]:
         assert known is not None
         source = "ign" if path.stem.startswith("ign") else path.stem.split("_")[0]
         yield clouds.Known(path.stem, f"source {source}", known.cloud, known.ground, known.scored)
-    for layout in jf.scenes.LAYOUTS:
+    for layout in clouds.LAYOUTS:
         known = clouds.load(f"{SCENES:g} per m2", layout, SCENES, folder)
         assert known is not None
         yield clouds.Known(f"scene {layout}", "scenes", known.cloud, known.ground, known.scored)

@@ -14,6 +14,8 @@ from jaxfilter import scenes
 SIZES = {0.1: (640.0, 480.0), 0.3: (480.0, 360.0), 1.0: (320.0, 240.0), 4.0: (240.0, 180.0), 15.0: (160.0, 120.0)}
 """Extents in metres by density in pulses per square metre."""
 SEED = 101
+LAYOUTS = ("flat", "town", "city", "hills", "mountain", "forest", "quarry", "terraces", "mixed", "benchmark")
+"""Layouts that defaults are chosen on; the others of ``scenes.LAYOUTS`` are kept for testing."""
 TILES = (
     "amsterdam_ahn_2386", "amsterdam_ahn_2397", "geo1101_Biesbosch_manual", "ign_77050_627755", "ign_77060_627760",
     "ign_bridge_0299_6802", "ign_mnx_crop_2", "lasR_bcts_2", "lastools_house", "lff_2_67", "lff_2_bas_lig",
@@ -35,7 +37,7 @@ class Known:
     scored: np.ndarray
 
 
-def names(layouts: Sequence[str] = tuple(scenes.LAYOUTS)) -> list[tuple[str, str, str | float]]:
+def names(layouts: Sequence[str] = LAYOUTS) -> list[tuple[str, str, str | float]]:
     """Group, name, and density of a scene, or file name of a tile, of all clouds that defaults are chosen on."""
     every: list[tuple[str, str, str | float]] = [
         (f"{density:g} per m2", layout, density) for density in SIZES for layout in layouts
@@ -46,15 +48,18 @@ def names(layouts: Sequence[str] = tuple(scenes.LAYOUTS)) -> list[tuple[str, str
 def load(group: str, name: str, what: str | float, folder: Path) -> Known | None:
     """One of :func:`names`. None if it is a tile that is not in ``folder``.
 
-    Of scenes last echoes are filtered and scored, as in the ISPRS samples; of tiles all echoes. Noise apart, tiles are
-    filtered as a whole: what their producers classified as water, bridge or artefact is a candidate like any other.
+    Of scenes last echoes are filtered and scored, as in the ISPRS samples; of tiles all echoes.
     """
     if isinstance(what, float):
         scene = scenes.make(name, size=SIZES[what], density=what, seed=SEED)
         return Known(name, group, scene.cloud, scene.truth, scene.cloud.candidate)
     path = next((folder / "tiles").glob(f"{what}.la[sz]"), None)
-    if path is None:
-        return None
+    return None if path is None else tile(name, group, path)
+
+
+def tile(name: str, group: str, path: Path) -> Known:
+    """A labelled tile. Noise apart it is filtered as a whole: what its producer classified as water, bridge or artefact is a
+    candidate like any other."""
     cloud = jf.read(path, units="m", returns="all", ignore_classes=(7, 18))
     assert cloud.classification is not None
     return Known(name, group, cloud, cloud.classification == 2, ~np.isin(cloud.classification, LEFT_OUT))

@@ -131,8 +131,8 @@ def measure(sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud) 
     row |= {"crossed1": 100 * accepted / (kept + lost), "crossed2": 100 * lost / (accepted + found)}
     if method in MODELLED:
         row |= {
-            "rmse": jf.dtm_rmse(cloud, result).rmse,
-            "rmse_kriging": jf.dtm_rmse(cloud, result, interpolation=jf.Interpolation("kriging")).rmse,
+            "rmse": jf.dtm_rmse(cloud, result, near=None).rmse,
+            "rmse_kriging": jf.dtm_rmse(cloud, result, interpolation=jf.Interpolation("kriging"), near=None).rmse,
         }
     facets = [step["facets"] for step in result.trace if "facets" in step]
     if facets:

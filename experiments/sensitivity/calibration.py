@@ -13,6 +13,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
+from experiments.defaults import clouds
 from experiments.isprs import samples
 from experiments.report import Row, machine, markdown, read_csv, with_averages, write_csv
 from experiments.tiles.run import LEFT_OUT
@@ -78,7 +79,7 @@ def isprs(folder: Path, numbers: Sequence[str]) -> Iterator[tuple[str, jf.PointC
 def others(folder: Path) -> Iterator[tuple[str, jf.PointCloud]]:
     """Simulated scenes and squares of labelled tiles, on which the constants of the calibration were chosen."""
     rng = np.random.default_rng(0)
-    for layout in jf.scenes.LAYOUTS:
+    for layout in clouds.LAYOUTS:
         for seed in (1, 2) if layout != "benchmark" else ():
             scene = jf.scenes.make(layout, size=(160.0, 140.0), density=float(rng.uniform(0.4, 1.2)), seed=seed)
             last = scene.cloud.return_number == scene.cloud.number_of_returns

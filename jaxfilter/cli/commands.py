@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..core.forks import collect_seldom
 from ..core.version import __version__
 from .options import (
     BY_DATA,
@@ -66,6 +67,7 @@ class Program(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the subcommand."""
+        collect_seldom()
         with stoppable():
             try:
                 return super().invoke(ctx)

@@ -208,7 +208,7 @@ class jit:
 def _kind(leaf: Any) -> Any:
     """What machine code depends on of an argument."""
     if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
-        return leaf.shape, str(leaf.dtype), getattr(leaf, "weak_type", False)
+        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
     return type(leaf).__name__
 
 

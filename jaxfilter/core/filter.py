@@ -8,7 +8,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import jax
 import numpy as np
@@ -235,6 +235,42 @@ class Filter:
         return f"<strong>{type(self).__name__}</strong>" + table(heading, rows)
 
 
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def stage(*fields: str) -> Callable[[_Method], _Method]:
+    """A method of a filter, called with points, that reads static fields and of the others only these.
+
+    Its result is kept where points keep such results, those of a sweep, until a set with other values asks for its own: sets
+    with equal values share it, and must not change it.
+
+    >>> from jaxfilter.core.filter import stage
+    >>> count = stage("slope")(lambda filter_, points: [len(points)])
+    >>> points = dataclasses.replace(jf.SMRF().points_of(cloud), kept={})
+    >>> count(jf.SMRF(), points) is count(jf.SMRF(threshold=0.3), points)
+    True
+    >>> count(jf.SMRF(), points) is count(jf.SMRF(slope=0.3), points)
+    False
+    """
+
+    def decorated(method: _Method) -> _Method:
+        name = method.__qualname__
+
+        @functools.wraps(method)
+        def call(self: Filter, points: Points, *args: Any) -> Any:
+            if points.kept is None:
+                return method(self, points, *args)
+            values = tuple(getattr(self, f.name) for f in declared(self) if f.metadata["static"] or f.name in fields)
+            known = points.kept.get(name)
+            if known is None or known[0] != values:
+                known = points.kept[name] = values, method(self, points, *args)
+            return known[1]
+
+        return call  # type: ignore[return-value]
+
+    return decorated
+
+
 @functools.singledispatch
 def passed(filter_: Filter, labels: Labels | FilterResult) -> np.ndarray:
     """bool[m], ground by the thresholds in ``filter_.LAST``; ``labels`` are those of a set that may differ in these.
@@ -295,6 +331,7 @@ def ground_each(
     True
     """
     jobs = alike(values_but(filter_.LAST, sets))
+    points = points if points.kept is not None else dataclasses.replace(points, kept={})
     threads = workers or os.cpu_count() or 1
     at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
 

@@ -1,9 +1,11 @@
-"""Threads of this process: forks do not have those of JAX and of the LAZ codec, and few heaps serve them all."""
+"""This process: forks do not have the threads of JAX and of the LAZ codec, few heaps serve all threads, and garbage is small."""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
+import gc
 import os
 
 from .errors import ForkError
@@ -32,3 +34,11 @@ def share_heaps() -> None:
     that one has freed serves no other. Commands and workers call it; it saves an eighth of the memory of OST."""
     with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 2)
+
+
+def collect_seldom() -> None:
+    """Look for garbage in circles of references once in a million new objects, and not at the end. Commands and workers call it:
+    imports and compilation make that many objects, nearly all of which stay, and looking through them takes a third of the time
+    of a small file. Points lie in arrays that no circle holds."""
+    gc.set_threshold(1_000_000)
+    atexit.register(gc.freeze)

@@ -37,6 +37,7 @@ class Points:
         member: i64[c], which row of ``xyz`` each candidate is.
         weight: i32[m], how many candidates each row stands for.
         plain: row by row the candidates, in their order.
+        kept: what :func:`jaxfilter.core.filter.stage` has kept for other sets of parameters; None = it keeps nothing.
     """
 
     cloud: PointCloud
@@ -45,6 +46,7 @@ class Points:
     member: np.ndarray
     weight: np.ndarray
     plain: bool = False
+    kept: dict[str, tuple[tuple[Any, ...], Any]] | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -11,11 +11,13 @@ import numpy as np
 from ..core.compilation import in_turn
 
 
-def padded(values: np.ndarray, size: int) -> np.ndarray:
-    """[size, ...]: values [n, ...], and zeros after them."""
-    if len(values) == size:
+def padded(values: np.ndarray, size: int, axis: int = 0) -> np.ndarray:
+    """So many values along an axis, zeros after those that there are."""
+    if values.shape[axis] == size:
         return values
-    return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]), values.dtype)])
+    shape = list(values.shape)
+    shape[axis] = size - shape[axis]
+    return np.concatenate([values, np.zeros(shape, values.dtype)], axis)
 
 
 def in_chunks(
@@ -24,18 +26,20 @@ def in_chunks(
     count: int,
     size: int,
     workers: int = 1,
+    axis: int = 0,
 ) -> Any:
     """What a kernel makes of so many rows: a pytree of NumPy arrays [count, ...].
 
     Args:
-        kernel: from arrays [size, ...] to a pytree of arrays [size, ...], row by row.
-        given: its arguments for some of the rows, [rows, ...] each; they are padded with zeros.
+        kernel: from arrays to a pytree of arrays [size, ...], row by row.
+        given: its arguments for some of the rows; they are padded with zeros.
         size: rows of a call.
         workers: threads that prepare calls and wait for them, where there are more than two.
+        axis: of all arguments along which rows are counted.
     """
 
     def call(rows: slice) -> Any:
-        made = kernel(*(padded(values, size) for values in given(rows)))
+        made = kernel(*(padded(values, size, axis) for values in given(rows)))
         return jax.tree.map(lambda values: np.asarray(values)[: rows.stop - rows.start], made)
 
     parts = [slice(start, min(start + size, count)) for start in range(0, max(count, 1), size)]

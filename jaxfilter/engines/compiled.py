@@ -16,31 +16,45 @@ import numba
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from ..core.compilation import cache_folder, cache_trouble, private_folder, read_kept, write_kept
 
 
-def compiled(function: Callable[..., Any] | None = None, *, fused: bool = False) -> Callable[..., Any]:
+def compiled(
+    function: Callable[..., Any] | None = None, *, fused: bool = False, allocates: bool = False
+) -> Callable[..., Any]:
     """The function, compiled at its first call for the types of its arguments.
 
     What is compiled is kept in the user's cache folder (see :func:`jaxfilter.core.compilation.cache_folder`;
     ``NUMBA_CACHE_DIR`` sets another), and read by the next process. Where that cannot be, each process compiles for itself,
     and says so once.
 
+    A division by zero raises nothing: it gives infinity, NaN, or 0 of integers.
+
     ``fused``: a product and the sum it goes into may be one instruction, which rounds once instead of twice, as XLA does.
+    ``allocates``: it makes arrays. Such functions count the references to all arrays that they hold. The others do not: a
+    count is atomic, takes as long as a test of a triangle, and threads with the same arrays wait for each other at it.
     """
     if function is None:
-        return functools.partial(compiled, fused=fused)
-    fastmath: Any = {"contract"} if fused else False
-    out: Any = numba.njit(nogil=True, fastmath=fastmath)(function)
+        return functools.partial(compiled, fused=fused, allocates=allocates)
+    options: Any = {"nogil": True, "fastmath": {"contract"} if fused else False, "_nrt": allocates}
+    options |= {"error_model": "numpy", "no_cfunc_wrapper": True}  # less to compile
+    out: Any = numba.njit(**options)(function)
     if out is not function:  # as with NUMBA_DISABLE_JIT
         out.__class__, out._cache = _Interruptible, _Kept(function)
     return out
 
 
 class _Interruptible(CPUDispatcher):  # type: ignore[misc]
-    """A signal that comes while machine code runs is handled when that returns its arrays; Numba then gives a SystemError."""
+    """A signal that comes while machine code runs is handled when that returns its arrays; Numba then gives a SystemError.
+
+    Where compiled code calls it with constants it is not compiled anew for each.
+    """
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return super().get_call_template([numba.types.unliteral(one) for one in args], kws)
 
     def __call__(self, *arguments: Any) -> Any:
         try:
@@ -79,7 +93,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         return Path(folder, f"{name}-{sha256(repr(key).encode()).hexdigest()[:32]}.nbc")
 
     def load_overload(self, signature: Any, context: Any) -> CompileResult | None:
-        context.refresh()
+        rtsys.initialize(context)  # all that kept code needs: what Numba knows of functions is for compiling them
         if (path := self._path(signature, context.codegen())) is None:
             return None
         try:

@@ -5,27 +5,27 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.filter import Filter, Labels, of_scene
+from ..core.filter import Filter, Labels, of_scene, stage
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
-from ..engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
+from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
 from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
-from ..steps.outliers import low_clusters, ring_low
+from ..steps.outliers import lowest_few
 from ..steps.pruning import Scatter, prune
-from ..steps.surfaces import Cells, cell_for, look_up, lowest_cells, steepest_drops
+from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, steepest_drops
 from ..steps.voids import filled_by
 from .papers import bibtex
 
@@ -33,12 +33,16 @@ PASSES = 2
 """How often the slope of the landscape is estimated: from the cells that are left by a fixed slope, then by its own."""
 FIRST_SLOPE = 0.15
 """That fixed slope, rise over run."""
-LOW_DEPTH = 1.0
-"""A point so many metres below the ring around it is low."""
+LOW_DEPTH = 2.0
+"""Few points around a low point are less than so many metres above it, or lower."""
+LOW_SPACINGS = 8.0
+"""They are counted within the radius of the largest building, and of so many point spacings at least."""
 RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
+STEEPEST = 80.0
+"""Degrees that the largest angle counts as at most where points lie outside the hull of the ground."""
 TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 _SAMPLE = 2_000_000
@@ -51,8 +55,8 @@ TILTS = (0.1, 1.0)
 class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
-    1. Low points are barred: those more than a metre below all cells of a ring around theirs, and clusters of at most
-       ``low_points``, or four times as many that are deep (:func:`jaxfilter.steps.outliers.low_clusters`).
+    1. Low points are barred: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
+       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`).
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
@@ -61,12 +65,14 @@ class OST(Filter):
     4. The slope of the landscape, G: that between means of blocks of cells that are no objects, averaged with a Gaussian of
        ``landscape`` metres. Cells with S > ``slope`` + ``relief`` G are marked.
     5. Segments of cells that differ by less than ``roof_step`` from one to the next are objects as a whole if ``roof_share``
-       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Steps 4
-       and 5 are repeated once, since G needs to know what is an object.
+       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Parts of
+       all these cells that are bare and steep without walls are terrain. Steps 4 and 5 are repeated once, since G needs to
+       know what is an object.
     6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. On their triangulation all
        points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
-       limits grow with G. Within ``noise`` of the plane of the facet angles do not count.
+       limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
+       be within the angle of the nearest place on it, too.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped.
 
@@ -93,7 +99,7 @@ class OST(Filter):
         "tolerances follow this point spacing; None = the measured one", "> 0 m", default=None, optional=True
     )
     low_points: int = static(
-        "a cluster of low points is barred up to this size, a deep one up to four times; 0 = none", ">= 0", default=30
+        "a point is barred if this many others around it, or fewer, are as low; 0 = none is barred", ">= 0", default=30
     )
     slope: float = param(
         "a cell is marked as an object if it drops more steeply than this on level land", ">= 0 rise/run", default=0.09
@@ -168,28 +174,22 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
-        progress(0.0, "outliers")
-        low = self.low(points)
-        progress(0.1, "lowest point per cell")
-        cells, lowest = self.lowest_points(points, low)
-        if not has_area(points.xyz[lowest]):  # a cloud of a few cells
-            low = np.zeros_like(low)
-            cells, _ = self.lowest_points(points, low)
-            lowest = lowest_of_each(points.xyz, np.arange(len(points)))
-        longest = max(float(self.void), 4 * spacing)
-        z = filled_by(triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest)
-        progress(0.2, "openings")
-        objects, drop, landscape = self.objects(z, cells)
-        inside, steepness = look_up(points.xyz, cells, objects.astype(np.float32), drop)
+        scene = self.scene(points, spacing, workers, progress)
+        objects, drop, landscape = self.objects(scene)
+        inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
-        del cells, z, objects, drop, landscape, inside  # none is needed while the ground grows
+        low, lowest = scene.low, scene.lowest
+        del scene, objects, drop, landscape, inside  # none is needed while the ground grows
         seeds = lowest[~in_object[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
         height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
         tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
-        growth = Growth(HeightRule(height, tilt), vertices=Vertices(sinks=False), kept=("margin", "height", "slope"))
+        kept = ("margin", "height", "slope")
+        angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        growth = Growth(HeightRule(height, tilt), vertices=Vertices(sinks=False), beyond=beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         with GroundTin.start(network, growth, workers=workers) as ground:
@@ -197,7 +197,6 @@ class OST(Filter):
             ground.change(growth.rule, but=low)
             ground.step()
             distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
-            angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
             ground.change(AngleRule(distance, angle, float(self.noise)))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
@@ -207,8 +206,10 @@ class OST(Filter):
             pruned = prune(
                 ground, scatter, float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
             )
-            ground.finish(ground.todo)
-            doubt = doubts(ground, scatter.of_all(ground), steepness, around, height)
+            doubt = None
+            if points.kept is None:  # a sweep asks for no more than what is ground
+                ground.finish(ground.todo)
+                doubt = doubts(ground, scatter.of_all(ground), steepness, around, height)
         progress(1.0, "done")
         labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
         other = np.where(in_object, np.uint8(Decision.SURFACE), np.uint8(Decision.ELEVATION))
@@ -217,13 +218,28 @@ class OST(Filter):
         labels.info = {"seeds": len(seeds), "objects": marked, "pruned": pruned, "scatter": spread}
         return labels
 
+    @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
+    def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Scene:
+        """Steps 1 to 3, which do not depend on what counts as steep."""
+        progress(0.0, "outliers")
+        low = self.low(points)
+        progress(0.1, "lowest point per cell")
+        cells, lowest = self.lowest_points(points, low)
+        if not has_area(points.xyz[lowest]):  # a cloud of a few cells
+            low = np.zeros_like(low)
+            cells, _ = self.lowest_points(points, low)
+            lowest = lowest_of_each(points.xyz, np.arange(len(points)))
+        longest = max(float(self.void), 4 * spacing)
+        z, inside = filled_by(
+            triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest
+        )
+        progress(0.2, "openings")
+        return Scene(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
+
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
-        cells = self.cells(points, np.zeros(len(points), bool))
-        low = ring_low(points.xyz, cells, LOW_DEPTH, max(1, round(3 / self.cell)))
-        if self.low_points:
-            low |= low_clusters(points, max_points=self.low_points).barred
-        return low
+        radius = max(float(self.window), LOW_SPACINGS * points.spacing())
+        return lowest_few(points, radius, LOW_DEPTH, self.low_points)
 
     def lowest_points(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
         """The grid without the points ``low``, bool[m], and i64: rows of the points that are lowest in their cell (step 2)."""
@@ -236,29 +252,64 @@ class OST(Filter):
         corner = x - self.cell / 2, y - self.cell / 2
         return lowest_cells(points, self.cell, "OST(cell)", corner=corner, barred=low, least=(1, 1))
 
-    def objects(self, z: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray, Landscape]:
-        """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
-        on they are marked; and the slope of the landscape (steps 3 to 5).
+    def drops(self, z: np.ndarray, inside: np.ndarray, cells: Cells) -> tuple[np.ndarray, Segments, Landscape]:
+        """f32[rows, columns], the steepest drop of each cell, metres per cell (step 3); the segments; and the first landscape.
 
-        ``z``: f32[rows, columns], elevations of the padded shape of ``cells``, none missing.
+        ``z``: f32[rows, columns], elevations of the padded shape of ``cells``, none missing; ``inside``: bool, not padded, cells
+        inside the hull of the lowest points.
         """
         rows, columns = (int(n) for n in cells.extent)
-        inner = slice(0, rows), slice(0, columns)
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
         steepest = np.asarray(steepest_drops(z, cells.valid, reach))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
-        segments = Segments(np.ascontiguousarray(z[inner]), self.cell, roofs)
+        surface, largest = np.ascontiguousarray(z[:rows, :columns]), (2 * self.window) ** 2
+        segments = Segments(surface, inside, self.cell, roofs, largest)
         objects = steepest > np.float32(FIRST_SLOPE * self.cell)
-        for _ in range(PASSES):
-            landscape = Landscape.of(z, cells, objects, float(self.landscape))
+        return steepest, segments, Landscape.of(z, cells, objects, float(self.landscape))
+
+    def objects(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, Landscape]:
+        """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
+        on they are marked; and the slope of the landscape (steps 4 and 5)."""
+        _, _, cells, z, _, steepest, segments, landscape = scene
+        rows, columns = (int(n) for n in cells.extent)
+        inner = slice(0, rows), slice(0, columns)
+        objects, bare, seen = np.zeros(z.shape, bool), np.zeros((rows, columns), bool), np.asarray(cells.seen)[inner]
+        for number in range(PASSES):
+            if number > 0:
+                landscape = Landscape.of(z, cells, objects, float(self.landscape))
             around = np.asarray(landscape.in_cells())
             limit = np.float32(self.relief) * around
             limit += np.float32(self.slope)
             limit *= np.float32(self.cell)
             marked = steepest[inner] > limit[inner]
+            whole = segments.objects(marked, around[inner])
+            marked |= whole
+            bare |= segments.terrain(marked & ~bare, whole, scene.high, seen)
             objects = np.zeros(z.shape, bool)
-            objects[inner] = marked | segments.objects(marked, around[inner])
+            objects[inner] = marked & ~bare
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), landscape
+
+
+class Scene(NamedTuple):
+    """What OST finds out about a cloud whatever counts as steep (steps 1 to 3).
+
+    Attributes:
+        low: bool[m], low outliers. lowest: i64, rows of the lowest points of cells.
+        cells: the cells; z: f32[rows, columns], their elevations, metres, none missing.
+        high: f32[rows, columns], the highest point in each cell, metres, without padding.
+        steepest: f32[rows, columns], their steepest drops, metres per cell.
+        segments: of the elevations.
+        landscape: without the cells that drop by more than :data:`FIRST_SLOPE`.
+    """
+
+    low: np.ndarray
+    lowest: np.ndarray
+    cells: Cells
+    z: np.ndarray
+    high: np.ndarray
+    steepest: np.ndarray
+    segments: Segments
+    landscape: Landscape
 
 
 @of_scene.register(OST)

@@ -1,7 +1,7 @@
 """Simulated airborne lidar surveys whose truth is known at every point: ``scenes.make("town", density=4)``.
 
 >>> sorted(jf.scenes.LAYOUTS)[:3]
-['benchmark', 'city', 'flat']
+['benches', 'benchmark', 'canopy']
 >>> jf.scenes.make("hills", size=30, density=1, seed=1)
 Scene(981 points on 30 x 30 m, 78.6 % ground, seed 1)
 """

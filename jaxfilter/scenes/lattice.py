@@ -23,7 +23,7 @@ Box = tuple[float, float, float, float]
 Layer = enum.IntEnum(
     "Layer",
     "RELIEF ROUGHNESS SETTLEMENT TERRACES FOREST SHRUBS COURSE QUARTERS PLOTS TREES KERB_EAST KERB_NORTH LOW_CLUSTERS PITS "
-    "PULSES",
+    "PULSES CRAGS",
     start=0,
 )
 """The independent sources of randomness of one seed."""

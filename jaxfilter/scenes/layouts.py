@@ -38,7 +38,7 @@ ASPRS = np.array([2, 6, 17, 1, 3, 5, 7, 18, 1], np.uint8)
 class SceneLayout:
     """Terrain and objects of a scene; zero leaves a thing out.
 
-    Linear features (cutting, scarp, river, embankment) and pits recur every 520 m across a common meandering course,
+    Linear features (cutting, scarp, river, cliffs, embankment) and pits recur every 520 m across a common meandering course,
     bridges every 220 m along it, so every scene of about that size has them, and a larger one has more. Lengths in metres,
     shares and probabilities from 0 to 1. Raises: ParameterError for a value out of range.
 
@@ -57,7 +57,15 @@ class SceneLayout:
     scarp: float = param("height of scarps", ">= 0 and <= 60 m", default=0.0)
     terraces: float = param("height of terrace steps on open land", ">= 0 and <= 20 m", default=0.0)
     pit: float = param("depth of open pits, worked in benches", ">= 0 and <= 100 m", default=0.0)
-    river: float = param("width of rivers; water returns no echo", ">= 0 and <= 60 m", default=0.0)
+    river: float = param("width of rivers and arms of the sea; water returns no echo", ">= 0 and <= 490 m", default=0.0)
+    cliff: float = param("height of rock faces on both sides of a valley floor", ">= 0 and <= 150 m", default=0.0)
+    face: float = param("slope of rock faces", ">= 40 and <= 85 deg", default=72.0)
+    floor: float = param(
+        "width between the feet of rock faces, with the river in its middle", ">= 1 and <= 500 m", default=20.0
+    )
+    bench: float = param(
+        "height of the benches that rock faces are worked in; 0 for sheer ones", ">= 0 and <= 30 m", default=0.0
+    )
     ditches: float = param("depth of ditches on open land", ">= 0 and <= 3 m", default=0.0)
     embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
     cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
@@ -76,6 +84,10 @@ class SceneLayout:
     conifers: float = param("share of trees that are conifers", ">= 0 and <= 1", default=0.3)
     penetration: float = param("probability of an echo below a crown that was hit", ">= 0 and <= 1", default=0.35)
     low_vegetation: float = param("share of the open land under shrubs and tall grass", ">= 0 and <= 1", default=0.1)
+    vines: float = param("share of terraced land under vines", ">= 0 and <= 1", default=0.0)
+    scan_angle: float = param(
+        "angle of beams from the vertical at the edge of a strip", ">= 0 and <= 30 deg", default=0.0
+    )
     low_clusters: float = param("clusters of low outliers, 3 to about 120 points", ">= 0 and <= 200 1/km2", default=0.0)
     low_outliers: float = param(
         "share of pulses with an isolated echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0
@@ -195,5 +207,40 @@ LAYOUTS: dict[str, SceneLayout] = {
         low_outliers=5e-6,
         high_outliers=2e-6,
     ),
+    "coast": SceneLayout(
+        relief=9,
+        landform=128,
+        river=446,
+        cliff=42,
+        face=74,
+        floor=458,
+        bridges=False,
+        settlement=0.1,
+        rows=0,
+        halls=0.2,
+        forest=0.05,
+        scan_angle=15,
+        **_STRAY,
+    ),
+    "gorge": SceneLayout(
+        relief=24, **_WIDE, river=9, cliff=58, face=68, floor=26, forest=0.4, trees=0.03, scan_angle=15, **_STRAY
+    ),
+    "benches": SceneLayout(
+        relief=16,
+        **_WIDE,
+        cliff=50,
+        face=70,
+        floor=40,
+        bench=12.5,
+        bridges=False,
+        forest=0.3,
+        trees=0.02,
+        scan_angle=15,
+        **_STRAY,
+    ),
+    "vineyard": SceneLayout(
+        relief=18, landform=128, hurst=1.4, tilt=0.45, terraces=1.8, vines=0.8, forest=0.08, trees=0.01, **_STRAY
+    ),
+    "canopy": SceneLayout(relief=24, **_WIDE, forest=0.75, trees=0.03, conifers=0.4, penetration=0.1, **_STRAY),
 }
 """Ready layouts. ``benchmark``, for timings, is at least half ground at any size; ``mixed`` has everything."""

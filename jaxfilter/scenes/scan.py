@@ -8,19 +8,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .lattice import Layer, Nodes, box_of, uniform
+from .lattice import Layer, Nodes, Sheet, box_of, uniform
 from .layouts import Kind
 from .objects import Town, Woods, bridge_deck
-from .terrain import Patch
+from .terrain import Patch, Terrain
 
 _LINE_RATIO = 1.25  # distance of scan lines over distance of pulses within a line
 _HEADING = math.radians(8)  # flight direction, clockwise from north
+_FORWARD, _RIGHT = (math.sin(_HEADING), math.cos(_HEADING)), (math.cos(_HEADING), -math.sin(_HEADING))
 _CHUNK_PULSES = 400_000
 _CHUNK_LENGTH = 800.0
+_BEAM_CELL = 0.5  # metres; of the surface that slanting beams meet
 _FOOTPRINT = 0.2  # metres; radius of the beam on the ground
 _CLUSTER_CELL = 50.0
 _CLUSTER_SHARE = 0.8  # of the pulses inside a low cluster
 _CLUSTER_REACH = 12.0
+_VINE_SHARE = 0.6  # of the pulses over a row of vines
+VINE_HEIGHT = 1.8
+"""Metres that vines are high at most."""
 DEPTH = (2.0, 30.0)
 """Metres below the terrain between which low outliers lie."""
 
@@ -43,12 +48,13 @@ class Echoes(NamedTuple):
 
 
 def pulses(
-    size: tuple[float, float], density: float, seed: int, pattern: str, swath: float, overlap: float, step: float
+    terrain: Terrain, size: tuple[float, float], density: float, pattern: str, swath: float, overlap: float, step: float
 ) -> Iterator[Pulses]:
     """All pulses over a scene in chunks. Positions are multiples of ``step`` metres; parameters as for ``make``."""
-    forward, right = (math.sin(_HEADING), math.cos(_HEADING)), (math.cos(_HEADING), -math.sin(_HEADING))
+    layout, steepest = terrain.layout, math.tan(math.radians(terrain.layout.scan_angle))
+    reach = steepest * (layout.relief + layout.cliff + layout.scarp + layout.pit + layout.tilt * math.hypot(*size))
     corners = np.array([(0, 0), (size[0], 0), (0, size[1]), size])
-    across, along = corners @ np.array(right), corners @ np.array(forward)
+    across, along = corners @ np.array(_RIGHT), corners @ np.array(_FORWARD)
     pitch = swath * (1 - overlap)
     per_line = max(2, round(swath * math.sqrt(density * (1 - overlap) * _LINE_RATIO)))
     spacing = swath / per_line
@@ -56,21 +62,53 @@ def pulses(
     lines_per_chunk = max(1, min(_CHUNK_PULSES // per_line, int(_CHUNK_LENGTH / line_spacing)))
     first_line, last_line = (math.floor(v / line_spacing) + o for v, o in ((along.min(), -1), (along.max(), 1)))
     sweep = (np.arange(per_line) + 0.5) / per_line
-    for strip in range(math.floor((across.min() - swath) / pitch), math.ceil(across.max() / pitch) + 1):
+    strips = math.floor((across.min() - swath - reach) / pitch), math.ceil((across.max() + reach) / pitch) + 1
+    for strip in range(*strips):
         for start in range(first_line, last_line + 1, lines_per_chunk):
             line = np.arange(start, min(start + lines_per_chunk, last_line + 1))
-            rng = np.random.default_rng((seed, Layer.PULSES, strip & 0xFFFFFFFF, start & 0xFFFFFFFF))
+            rng = np.random.default_rng((terrain.seed, Layer.PULSES, strip & 0xFFFFFFFF, start & 0xFFFFFFFF))
             position = np.broadcast_to(sweep, (len(line), per_line))
             if pattern == "zigzag":
                 position = np.where((line % 2 == 1)[:, None], position[:, ::-1], position)
             jitter = rng.standard_normal((2, len(line), per_line)) * (0.1 * spacing)
             a = strip * pitch + swath * position + jitter[0]
             b = (line[:, None] + sweep) * line_spacing + jitter[1]
-            x = np.rint((a * right[0] + b * forward[0]) / step) * step
-            y = np.rint((a * right[1] + b * forward[1]) / step) * step
-            inside = (x >= 0) & (x <= size[0]) & (y >= 0) & (y <= size[1])
+            x, y = a * _RIGHT[0] + b * _FORWARD[0], a * _RIGHT[1] + b * _FORWARD[1]
+            near = _within(x, y, size, reach)
+            if steepest and near.any():
+                x, y = _slanted(terrain, x[near], y[near], (steepest * (2 * position - 1))[near], reach)
+            x, y = (np.rint(v / step) * step for v in (x, y))
+            inside = _within(x, y, size, 0.0)
             if inside.any():
                 yield Pulses(x[inside], y[inside], rng)
+
+
+def _within(x: np.ndarray, y: np.ndarray, size: tuple[float, float], margin: float) -> np.ndarray:
+    """Whether x and y lie in a scene or at most ``margin`` metres beside it, bool of their shape."""
+    return (x >= -margin) & (x <= size[0] + margin) & (y >= -margin) & (y <= size[1] + margin)
+
+
+def _slanted(
+    terrain: Terrain, x: np.ndarray, y: np.ndarray, tangent: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """x and y f64[n] where beams meet the terrain that meet the level zero at x and y, at most ``reach`` metres away.
+
+    They spread from above the strip's axis: ``tangent`` of their angles, f64[n], positive to its right. So a face that is
+    turned to the scanner gets more of them, and what lies behind an edge none.
+    """
+    x0, y0, x1, y1 = box_of(x, y)
+    cells = Nodes.over((x0 - reach, y0 - reach, x1 + reach, y1 + reach), _BEAM_CELL)
+    i, j = (v.ravel() * _BEAM_CELL for v in cells.mesh())
+    z = terrain.patch(box_of(i, j))(i, j).z
+    surface = Sheet(cells.i0, cells.j0, _BEAM_CELL, z.reshape(cells.shape))
+    level, beams, on = np.full(len(x), float(z.max())), np.arange(len(x)), (x, y)
+    while len(beams):
+        away = -level * tangent
+        on = x + away * _RIGHT[0], y + away * _RIGHT[1]
+        above = level[beams] - surface(on[0][beams], on[1][beams])
+        beams, above = beams[above > 0.01], above[above > 0.01]
+        level[beams] -= 0.4 * above  # no further than to where a face of 75 degrees may be
+    return on
 
 
 def echoes(patch: Patch, shot: Pulses, noise: float, density: float) -> Echoes:
@@ -94,6 +132,9 @@ def echoes(patch: Patch, shot: Pulses, noise: float, density: float) -> Echoes:
 
     growth = woods.undergrowth(x, y) * rng.uniform(0.2, 1.0, n) * (rng.random(n) < 0.7)
     stand(np.where((growth > 0.1) & ~surface.water & ~town.paved(plot), growth, 0), Kind.LOW_VEGETATION)
+    if layout.vines and layout.terraces:
+        vines = patch.vines(x, y) & (kind == Kind.GROUND) & (rng.random(n) < _VINE_SHARE)
+        stand(np.where(vines, rng.uniform(0.4, VINE_HEIGHT, n), 0), Kind.LOW_VEGETATION)
     free = surface.undisturbed & ~surface.water & (kind == Kind.GROUND)
     stand(np.where(free, town.wall(plot), 0), Kind.WALL)
     stand(np.where(free, town.car(plot), 0), Kind.CAR)

@@ -211,7 +211,7 @@ def make(
 
     terrain = Terrain(layout, int(seed))
     parts = []
-    for shot in pulses((width, height), density, int(seed), pattern, swath, overlap, rounding):
+    for shot in pulses(terrain, (width, height), density, pattern, swath, overlap, rounding):
         part = echoes(terrain.patch(box_of(shot.x, shot.y)), shot, noise, density)
         part.xyz[:] = np.rint((part.xyz + corner) / rounding) * rounding
         parts.append(part)

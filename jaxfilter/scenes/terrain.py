@@ -19,8 +19,11 @@ PERIOD = 520.0
 
 _FINEST = 1  # detail down to nodes of 2 m; a node spacing of 1 m is interpolated from it
 _CUTTING, _PIT, _SCARP, _RIVER, _EMBANKMENT = 60.0, 205.0, 325.0, 400.0, 465.0  # where in the period they lie
+_GORGE = 330.0  # where rivers between rock faces do
 _PIT_PERIOD = 400.0
 _BENCH_HEIGHT, _BENCH_WIDTH = 9.0, 12.0
+_BERM = 10.0  # metres between the faces of a quarry
+_VINE_ROWS = (0.22, 0.62)  # where on a tread they stand, as a share of its width
 
 
 class TerrainSample(NamedTuple):
@@ -96,7 +99,9 @@ class Patch:
         self.settled = smooth_noise(self.seed, Layer.SETTLEMENT, box, 8)
         if layout.terraces:
             self._terraced = smooth_noise(self.seed, Layer.TERRACES, box, 7)
-        if layout.scarp or layout.pit:
+        if layout.cliff:
+            self._crags = smooth_noise(self.seed, Layer.CRAGS, box, 3)
+        if layout.scarp or layout.pit or layout.cliff:
             self._ragged = smooth_noise(self.seed, Layer.ROUGHNESS, box, 4)
 
     def _fractal(self) -> Sheet:
@@ -135,23 +140,26 @@ class Patch:
             z += layout.embankment * _dam(course.line(_EMBANKMENT)[0], 4 + foot, foot)
         if layout.pit:
             self._excavate(z, x, y, course)
+        if layout.cliff:
+            z = self._fall(z, x, y, course)
         if layout.river:
-            far = np.abs(course.line(_RIVER)[0]) - layout.river / 2
+            far = np.abs(course.line(self.stream)[0]) - layout.river / 2
             z -= 2.2 * smoothstep((5 - far) / 5)
             z -= 1.5 * smoothstep(-far / 4)
             water = far < 0
         return TerrainSample(z, np.abs(z - natural) < 0.3, water)
 
+    def vines(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """bool[n]: in a row of vines, of which each terrace has two."""
+        layout = self.layout
+        step = self._landforms(x, y, self.terrain.course(x, y)) / layout.terraces
+        row = np.min([np.abs(step - np.floor(step) - place) for place in _VINE_ROWS], axis=0) < 0.06
+        return row & (self._terraced(x, y) < quantile(layout.vines)) & (self._open_land(x, y) > 0.5)
+
     def natural(self, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
         """f64[n]: landforms, valleys, terraces and scarps, before anything is dug or heaped up."""
         layout = self.layout
-        z = self._relief(x, y)
-        if layout.river:
-            far = np.abs(course.line(_RIVER)[0]) - layout.river / 2
-            valley = -0.3 * layout.relief
-            z = valley + (z - valley) * (0.03 + 0.97 * smoothstep((far - 6) / 120))
-        if layout.tilt:
-            z = z + self.terrain.slope_plane(x, y)
+        z = self._landforms(x, y, course)
         if layout.terraces:
             worked = smoothstep(2 * self._terraced(x, y) + 3) * self._open_land(x, y)
             step = z / layout.terraces
@@ -164,6 +172,30 @@ class Patch:
             z += layout.scarp * (face - (d * course.stretch / PERIOD + 0.5))  # and gently back over the period
         return z
 
+    def _landforms(self, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
+        """f64[n]: landforms and the valleys of rivers."""
+        layout = self.layout
+        z = self._relief(x, y)
+        if layout.river and not layout.cliff:
+            far = np.abs(course.line(self.stream)[0]) - layout.river / 2
+            valley = -0.3 * layout.relief
+            z = valley + (z - valley) * (0.03 + 0.97 * smoothstep((far - 6) / 120))
+        if layout.tilt:
+            z = z + self.terrain.slope_plane(x, y)
+        return z
+
+    def _fall(self, z: np.ndarray, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
+        """f64[n]: the land ``z`` with what lies between rock faces: a floor, and faces that rise from it to the land."""
+        layout, rise, width = self.layout, math.tan(math.radians(self.layout.face)), self._step
+        ragged = self._ragged(x, y)
+        away = np.abs(course.line(self.stream)[0]) - layout.floor / 2 + 3 * ragged + 0.8 * self._crags(x, y)
+        if layout.bench:
+            whole = np.maximum(np.floor(away / width), 0)
+            climb = layout.bench * (whole + np.clip((away - whole * width) * rise / layout.bench, 0, 1))
+        else:
+            climb = -_lower(-away * rise, np.zeros(len(z)))  # debris at the foot
+        return _lower(z, climb - layout.cliff + 0.03 * z + 0.3 * ragged)
+
     def _open_land(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[n]: 1 well outside settlements, 0 in them."""
         return smoothstep(3 * (self.settlement_threshold - self.settled(x, y)) - 1)
@@ -175,7 +207,7 @@ class Patch:
         d = np.abs(t - np.floor(t) - 0.5) * spacing
         near = d < 0.7 + depth
         if self.layout.river:
-            near &= np.abs(course.line(_RIVER)[0]) < 110
+            near &= np.abs(course.line(self.stream)[0]) < 110
         k = np.flatnonzero(near)
         z[k] -= depth * self._open_land(x[k], y[k]) * np.clip((0.7 + depth - d[k]) / depth, 0, 1)
 
@@ -211,6 +243,17 @@ class Patch:
         z[near] += np.maximum(9 - np.hypot(0.7 * heap, 1.5), 0)
 
     @property
+    def _step(self) -> float:
+        """Width of a face: of one from the floor to the land, or that of a bench and its berm, metres."""
+        height = self.layout.bench or self.layout.cliff
+        return height / math.tan(math.radians(self.layout.face)) + (_BERM if self.layout.bench else 0.0)
+
+    @property
+    def stream(self) -> float:
+        """Where in the period the river lies, metres."""
+        return _GORGE if self.layout.cliff else _RIVER
+
+    @property
     def cutting_top(self) -> float:
         """Half the width of a cutting at the level of the land beside it, metres."""
         return 7 + 1.5 * self.layout.cutting
@@ -224,12 +267,20 @@ class Patch:
         """(offset in the period, half span in metres) of what bridges cross."""
         layout = self.layout
         spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
-        return spans + ([(_RIVER, layout.river / 2 + 8)] if layout.river else [])
+        if layout.cliff:
+            steps = layout.cliff / (layout.bench or layout.cliff)
+            return [*spans, (self.stream, layout.floor / 2 + steps * self._step + 14)]
+        return spans + ([(self.stream, layout.river / 2 + 8)] if layout.river else [])
 
 
 def _dam(far: np.ndarray, reach: float, side: float) -> np.ndarray:
     """f64[n]: 1 on a level top, 0 from ``reach`` metres off the line on, and even slopes ``side`` metres wide between."""
     return np.clip((reach - np.abs(far)) / side, 0, 1)
+
+
+def _lower(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """f64[n]: the lower of two surfaces, metres, with the edge between them rounded off where they differ by less than 3 m."""
+    return np.minimum(one, other) - np.maximum(3 - np.abs(one - other), 0) ** 2 / 12
 
 
 def quantile(share: float) -> float:

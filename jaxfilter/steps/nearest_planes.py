@@ -12,7 +12,7 @@ _CROWD = 8
 """A circle with so many times as many points in its cells as are wanted is too large to begin with."""
 
 
-@compiled
+@compiled(allocates=True)
 def over_planes(xyz, start, shape, corner, side, k, lowest, first, last, out):
     """Residuals of points ``first`` to ``last`` to the planes through the points nearest to each, into ``out``, f32[n].
 

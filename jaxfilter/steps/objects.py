@@ -9,6 +9,11 @@ import numpy as np
 from ..engines.grid.cells import padded_shape
 from ..engines.grid.morphology import erosion
 
+SMOOTH = 0.2
+"""Metres that a bare surface bends by from one cell to the next, along its contours, and that its points scatter by."""
+ROOFS, WALLS = 0.1, 0.45
+"""Shares of the cells of steep terrain that may be in roofs, and of those on its border that may be walls."""
+
 
 class Roofs(NamedTuple):
     """When a segment is an object as a whole.
@@ -36,19 +41,24 @@ class Segments:
         fall: f32[rows, columns], metres to the lowest elevation within two rows and columns.
     """
 
-    def __init__(self, z: np.ndarray, cell: float, roofs: Roofs) -> None:
-        """``z``: f32[rows, columns], metres, none missing; ``cell``: metres."""
+    def __init__(self, z: np.ndarray, inside: np.ndarray, cell: float, roofs: Roofs, largest: float) -> None:
+        """``z``: f32[rows, columns], metres, none missing; ``inside``: bool[rows, columns], cells that the data surround;
+        ``cell``: metres; ``largest``: square metres of the largest building."""
         from ..engines.grid.shapes import segments  # imports Numba
 
-        self.cell, self.roofs = cell, roofs
+        self.z, self.inside, self.cell, self.roofs = z, inside, cell, roofs
+        self.least, self.largest = roofs.area / cell**2, largest / cell**2
         inner = slice(0, z.shape[0]), slice(0, z.shape[1])
         wide = np.full(padded_shape(z.shape), np.inf, np.float32)
         wide[inner] = z
         self.fall = z - np.asarray(erosion(wide, 2, 2, "square"))[inner]
-        self.segment, self.count = segments(z, np.float32(roofs.step), roofs.area / cell**2)
+        self.segment, self.count = segments(np.where(inside, z, np.float32(np.nan)), np.float32(roofs.step), self.least)
 
     def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.
+
+        What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then
+        the edge counts as border along which nothing falls, as that of a plateau above a cliff.
 
         Args:
             marked: bool[rows, columns], cells that openings take for objects.
@@ -57,7 +67,28 @@ class Segments:
         from ..engines.grid.shapes import census
 
         roofs, run = self.roofs, 2 * np.float32(self.cell)
-        given = marked, self.fall, slope, np.float32(roofs.drop), run
-        cells, inside, border, falling = census(self.segment, self.count, *given)
+        given = marked, self.fall, slope, self.inside, np.float32(roofs.drop), run
+        cells, inside, border, falling, edge = census(self.segment, self.count, *given)
+        border = border + np.where(cells > self.largest, edge, 0)
         whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
         return (whole & (cells > 0))[self.segment]
+
+    def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """bool[rows, columns]: cells that are steep ground though openings cut them: parts of the objects, joined over edges,
+        that are bare and no roofs, and have no walls, as the rocks and faces of a coast.
+
+        Of their cells half at least must have points as all around them do, and half of these be bare; few may be in segments
+        that are objects as a whole, and fewer than half of those on their border walls, from which the surface falls farther, by
+        twice the ``step`` of a segment, than it rises to the inside (:func:`jaxfilter.engines.grid.shapes.faces`).
+
+        Args:
+            objects: bool[rows, columns], all of them; whole: those that are segments as a whole.
+            high: f32[rows, columns], the highest point in each cell, metres; seen: bool[rows, columns], cells with points.
+        """
+        from ..engines.grid.shapes import faces, segments
+
+        part, count = segments(np.where(objects, self.z, np.float32(np.nan)), np.float32(np.inf), self.least)
+        limits = np.float32(SMOOTH), np.float32(2 * self.roofs.step)
+        cells, roofs, known, bare, border, walls = faces(part, count, self.z, high, seen, whole, *limits)
+        ground = (2 * known >= cells) & (2 * bare >= known) & (roofs <= ROOFS * cells) & (walls <= WALLS * border)
+        return (ground & (cells > 0))[part]

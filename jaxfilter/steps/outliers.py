@@ -10,11 +10,9 @@ import numpy as np
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
 from ..core.points import Points, pieces
-from ..engines.grid.morphology import ring_minimum
 from ..engines.grid.sparse import CellSet
 from ..engines.neighbours import batches, groups, nearest, tree_of
 from ..engines.tin.growth import Outliers
-from .surfaces import Cells, look_up
 from .trend import low_trend
 
 if TYPE_CHECKING:
@@ -237,6 +235,8 @@ def _alone(
     cells: CellSet, side: float, bottom: np.ndarray, z: np.ndarray, size: np.ndarray, reach: float, max_points: int
 ) -> np.ndarray:
     """bool[k]: depressions that, with those of about their level around them, hold at most ``max_points`` points."""
+    if len(bottom) == 1:  # as in small clouds, for which the import of SciPy's trees would take a sixth of the time
+        return size <= max_points
     xy = np.stack((cells.column[bottom], cells.row[bottom]), axis=1) * side
     distance, other = nearest(tree_of(xy), xy, min(9, len(xy)), reach, workers=1)
     one, column = np.nonzero(np.isfinite(distance))
@@ -311,12 +311,24 @@ def bar_outliers(
     return Outliers(barred, low)
 
 
-def ring_low(xyz: np.ndarray, cells: Cells, depth: float, reach: int) -> np.ndarray:
-    """bool[n]: points f32[n, 3] more than ``depth`` metres below the lowest in a ring of cells around theirs.
+_STEPS = 8
+"""Cells to each side of a point that hold those within the radius of :func:`lowest_few`."""
 
-    The ring is a square one, more than ``reach`` and at most two further cells away: lone low points are found, and clusters
-    of them up to that size. ``cells``: the lowest elevations, of all points.
+
+def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.ndarray:
+    """bool[m]: points that are low: only ``most`` others or fewer within ``radius`` metres, in x and y, lie less than ``depth``
+    metres above them or lower, and more than ``most`` lie higher.
+
+    These are false echoes from below the ground, alone or in clusters. Ground has ground of its level within the radius of the
+    largest building around it, in courtyards and streets too. Small deep pits are low; nothing on a hillside is, which has lower
+    ground around it. No grid has a part in it: only distances count.
     """
-    ring = ring_minimum(np.where(cells.seen, cells.lowest, np.float32(np.inf)), reach, reach + 2)
-    around = look_up(xyz, cells, ring)[0]
-    return np.isfinite(around) & (xyz[:, 2] < around - np.float32(depth))
+    from ..engines.below import few_below  # imports Numba
+
+    low = np.zeros(len(points), bool)
+    if most > 0 and len(points) > 0:
+        side = radius / _STEPS
+        grid = lattice_over(points.xyz, side)
+        cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
+        few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
+    return low

@@ -43,7 +43,7 @@ def rings(radius: int) -> np.ndarray:
     return np.append(steps[steps[:, 2] < radius**2], [[radius, radius, radius**2]], axis=0)
 
 
-@compiled(fused=True)
+@compiled(fused=True, allocates=True)
 def nearest_in_quadrants(xy, row, start, shape, query, home, steps, side, found, square, changed, todo):
     """Put points of the buckets (``xy``, ``row``, ``start``, ``shape``) that are nearer in the place of those ``found``.
 

@@ -103,6 +103,13 @@ def lowest_cells(
     return Cells(z, seen, valid, extent, frame)
 
 
+def highest_in(xyz: np.ndarray, cells: Cells) -> np.ndarray:
+    """f32[rows, columns], without padding: the highest of the points f32[n, 3] in each cell, -inf without any."""
+    rows, columns = (int(n) for n in cells.extent)
+    extent, shape = np.asarray(cells.extent), (rows, columns)
+    return -cell_minima(xyz, -xyz[:, 2], np.asarray(cells.frame), extent, shape).reshape(shape)
+
+
 def check_openings(cells: Cells, openings: int, points: Points, name: str) -> None:
     """Raises: InputError, which begins with ``name``, for more openings of all cells than :data:`_WORK` allows."""
     rows, columns = np.asarray(cells.extent).tolist()

@@ -10,8 +10,9 @@ from ..engines.tin.triangulation import Tin
 from .surfaces import Cells
 
 
-def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> np.ndarray:
-    """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points.
+def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """f32[rows, columns], padded: lowest elevations, and in empty cells those of a triangulation of the lowest points; and
+    bool[rows, columns], not padded: cells inside its hull.
 
     Across voids, in triangles with an edge over ``longest`` metres, the corners have the lowest elevation within ``reach``
     cells: so a roof at the edge of a void has an edge there. Outside the hull the nearest cell decides.
@@ -27,4 +28,4 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> np.ndarray:
     row = np.clip(np.rint(y).astype(np.int64), 0, rows - 1)
     beneath = np.minimum(low[row, column], tin.xyz[:, 2])
     draw(x, y, tin.triangles, tin.xyz[:, 2], beneath, longest / cell, z[:rows, :columns], seen[:rows, :columns])
-    return np.asarray(fill_nearest(z, seen, cells.valid))
+    return np.asarray(fill_nearest(z, seen, cells.valid)), seen[:rows, :columns]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -13,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import JaxfilterError, ParameterError
+from ..core.errors import InputError, JaxfilterError, ParameterError
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
 from ..methods import FILTERS
 from ..scoring import evaluate
+from ..terrain.accuracy import FIGURES, dtm_rmse
+from ..terrain.interpolation import Interpolation
 from .best import SCORES
 from .sweep import check_reference, named_clouds
 from .tables import Column, latex, markdown
@@ -34,10 +37,16 @@ _COLUMNS: tuple[Column, ...] = (
     ("type2", "T.II", ".2f"),
     ("total", "TE", ".2f"),
     ("kappa", "kappa", ".2f"),
+    ("rmse", "RMSE, m", ".3f"),
+    ("p95", "95 %, m", ".3f"),
+    ("off", "> 0.5 m, %", ".2f"),
+    ("off_1m", "> 1 m, %", ".2f"),
+    ("border_off_1m", "> 1 m at the border, %", ".2f"),
     ("seconds", "s", ".3f"),
     ("first_seconds", "s, first call", ".3f"),
 )
 _TIMES = ("seconds", "first_seconds")
+_OPTIONAL = (*SCORES, *FIGURES)  # what takes a reference
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,8 +55,9 @@ class Comparison:
 
     Attributes:
         table: a row per method and cloud: ``method``, ``cloud``, ``points``, ``ground``; ``type1``, ``type2``, ``total`` and
-            ``kappa`` in percent, NaN without a reference; ``seconds`` of a call, median, and ``first_seconds`` of the first
-            one, compilation included; ``status``, and ``parameters``. A method that failed has NaN and the error as status.
+            ``kappa`` in percent, NaN without a reference; the figures of :func:`jaxfilter.dtm_rmse` by the names of ``as_dict``,
+            NaN without a terrain model; ``seconds`` of a call, median, and ``first_seconds`` of the first one, compilation
+            included; ``status``, and ``parameters``. A method that failed has NaN and the error as status.
 
     >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
     >>> compared.table[["method", "cloud"]].values.tolist()
@@ -63,7 +73,7 @@ class Comparison:
         >>> compared.by_method("kappa").columns.tolist()
         ['SMRF', 'MSF']
         """
-        if score not in (known := (*SCORES, *_TIMES)):
+        if score not in (known := (*_OPTIONAL, *_TIMES)):
             raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
         wide = self.table.pivot(index="cloud", columns="method", values=score)
         return wide.loc[list(dict.fromkeys(self.table["cloud"])), list(dict.fromkeys(self.table["method"]))]
@@ -116,7 +126,7 @@ class Comparison:
 
     def _columns(self) -> list[Column]:
         """Scores only where there are any."""
-        return [one for one in _COLUMNS if one[0] not in SCORES or self.table[one[0]].notna().any()]
+        return [one for one in _COLUMNS if one[0] not in _OPTIONAL or self.table[one[0]].notna().any()]
 
     def __str__(self) -> str:
         return self._shown().to_string(index=False, float_format="%.3f")
@@ -133,6 +143,7 @@ def compare(
     clouds: Any,
     *,
     repeats: int = 1,
+    cell: float | None = 1.0,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -143,6 +154,8 @@ def compare(
             ``for_cloud(cloud)`` of the method. In a list filters are named by what differs from the defaults.
         clouds: one, a list, or a mapping from names, as for :func:`jaxfilter.sweep`.
         repeats: timed calls after the first one, whose median counts; 0 leaves the first one's time only.
+        cell: side, in metres, of the cells on which terrain models are compared with that of the reference; outside of its hull
+            a model is as high as at its nearest ground point. None: no terrain models.
         workers: threads for triangulation; by default one per core.
         progress: called with the fraction done and what is being done.
 
@@ -158,6 +171,8 @@ def compare(
 
     named = _named_filters(filters)
     check_resources(workers)
+    if cell is not None and not 0 < cell < math.inf:
+        raise ParameterError(f"cell={cell!r}: a positive number of metres is needed, or None")
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 0:
         raise ParameterError(f"repeats={repeats!r}: a whole number from 0 on is needed")
     of_name = named_clouds(clouds, "compare")[1]
@@ -166,7 +181,7 @@ def compare(
     rows, report = [], progress or silent
     for done, ((name, one), (place, cloud)) in enumerate(itertools.product(named.items(), of_name.items())):
         report(done / (len(named) * len(of_name)), f"{name}, {place}")
-        rows.append({"method": name, "cloud": place, "points": len(cloud), **_row(one, cloud, repeats, workers)})
+        rows.append({"method": name, "cloud": place, "points": len(cloud), **_row(one, cloud, repeats, cell, workers)})
     report(1.0, "done")
     return Comparison(pandas.DataFrame(rows))
 
@@ -218,9 +233,11 @@ def holm(p: Sequence[float]) -> list[float]:
     return out
 
 
-def _row(one: Filter | type[Filter], cloud: PointCloud, repeats: int, workers: int | None) -> dict[str, Any]:
+def _row(
+    one: Filter | type[Filter], cloud: PointCloud, repeats: int, cell: float | None, workers: int | None
+) -> dict[str, Any]:
     """Figures of a filter, or of the method ``for_cloud``, on a cloud."""
-    row: dict[str, Any] = dict.fromkeys(("ground", *SCORES, *_TIMES), math.nan)
+    row: dict[str, Any] = dict.fromkeys(("ground", *_OPTIONAL, *_TIMES), math.nan)
     try:
         filter_ = one.for_cloud(cloud) if isinstance(one, type) else one
         result, first, seconds = timed(filter_, cloud, repeats, workers)
@@ -230,6 +247,10 @@ def _row(one: Filter | type[Filter], cloud: PointCloud, repeats: int, workers: i
     if cloud.reference is not None:
         scores = evaluate(result, cloud)
         row |= {name: getattr(scores, name) for name in SCORES}
+        if cell is not None:
+            with contextlib.suppress(InputError):  # too few ground points for a model
+                errors = dtm_rmse(cloud, result, cell=cell / cloud.units.xy, interpolation=Interpolation(fill=True))
+                row |= errors.as_dict()
     return row | {"status": result.status.name, "parameters": repr(filter_)}
 
 

@@ -61,7 +61,7 @@ class Subject:
     """A cloud in the shape that sets are computed in."""
 
     def __init__(self, filter_: Filter, cloud: PointCloud, options: SweepOptions) -> None:
-        self.points, self.options = filter_.points_of(cloud), options
+        self.points, self.options = dataclasses.replace(filter_.points_of(cloud), kept={}), options
         self.same = degenerate(cloud, self.points)
 
     def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:

@@ -1,9 +1,8 @@
-"""Digital terrain models: rasters of the ground surface, and how far two of them lie apart."""
+"""Digital terrain models: rasters of the ground surface, and heights above it."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -67,8 +66,8 @@ def dtm(
     """
     interpolation = Interpolation(method, max_gap, fill, neighbours, power)
     cloud = as_cloud(cloud)
-    ground = _ground(cloud, result)
-    grid = RasterGrid.over(_extent(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
+    ground = ground_of(cloud, result)
+    grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
     raster = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
     if bounds is not None and len(cloud) and np.isnan(raster.values).all():
         ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
@@ -159,7 +158,7 @@ def height_above_ground(
     (True, True)
     """
     cloud = as_cloud(cloud)
-    ground = _ground(cloud, result)
+    ground = ground_of(cloud, result)
     if not len(cloud):
         return np.zeros(0)
     return heights_of(cloud, ground, np.arange(len(cloud)), workers=workers, progress=progress)
@@ -205,70 +204,12 @@ def heights_of(
     return heights
 
 
-@dataclasses.dataclass(frozen=True)
-class HeightErrors:
-    """How far one terrain model lies from another, over the cells where both have a height. NaN if there are none.
-
-    Attributes:
-        rmse: root of the mean squared difference, metres (Uray and Varlik 2024, eq. 4).
-        mean: mean difference, metres; positive: the model lies above the reference.
-        largest: largest absolute difference, metres.
-        cells: number of cells compared.
-        missing: number of cells where only one of the two has a height.
-    """
-
-    rmse: float
-    mean: float
-    largest: float
-    cells: int
-    missing: int
-
-
-def dtm_rmse(
-    cloud: PointCloud,
-    result: FilterResult | np.ndarray,
-    reference: np.ndarray | None = None,
-    cell: float = 1.0,
-    interpolation: Interpolation = Interpolation(),  # noqa: B008
-) -> HeightErrors:
-    """The vertical error of the terrain model that follows from a labelling, against the one from reference labels.
-
-    Both models are made alike, by :func:`dtm`. Uray and Varlik (2024) compare models of 1 m made by kriging; they do not
-    state the variogram, nor how far cells outside the ground points count.
-
-    Args:
-        cloud: n points, a PointCloud or a ``laspy.LasData``.
-        result: FilterResult, or bool[n] with True = ground.
-        reference: bool[n] with True = ground; by default the cloud's own reference.
-        cell: side of a cell, in the units of the cloud's coordinate system.
-        interpolation: how heights between ground points are found.
-
-    Returns: HeightErrors, in metres whatever the units of the cloud.
-    Raises: what :func:`dtm` raises.
-
-    >>> errors = jf.dtm_rmse(cloud, result, cell=2.0)
-    >>> round(jf.dtm_rmse(cloud, truth, cell=2.0).rmse, 6), errors.rmse < 1.0
-    (0.0, True)
-    """
-    cloud = as_cloud(cloud)
-    grid = RasterGrid.over(_extent(cloud), cell, cloud.units.xy)
-    model, truth = (
-        interpolated(cloud, _ground(cloud, labels), grid, interpolation).values for labels in (result, reference)
-    )
-    difference = (model.astype(np.float64) - truth) * cloud.units.z
-    both = np.isfinite(difference)
-    missing = int((np.isfinite(model) != np.isfinite(truth)).sum())
-    d = difference[both] if both.any() else np.full(1, np.nan)
-    figures = math.sqrt(np.mean(d * d)), float(d.mean()), float(np.abs(d).max())
-    return HeightErrors(*figures, int(both.sum()), missing)
-
-
 def _lowest(xyz: np.ndarray) -> np.ndarray:
     """f32[m, 3]: of points in canonical order the lowest of each position, which comes first."""
     return xyz[np.append(True, (np.diff(xyz[:, :2], axis=0) != 0).any(axis=1))]
 
 
-def _ground(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
+def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
     """bool[n]: the points that the surface goes through."""
     if result is None:
         if cloud.reference is None:
@@ -281,7 +222,7 @@ def _ground(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.n
     return ground if cloud.valid is None else ground & cloud.valid
 
 
-def _extent(cloud: PointCloud) -> Bounds:
+def extent_of(cloud: PointCloud) -> Bounds:
     """xmin, ymin, xmax, ymax of the points, file units. Raises InputError if there are none."""
     xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
     if len(xy) == 0:

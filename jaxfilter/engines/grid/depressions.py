@@ -77,7 +77,7 @@ def _ascending(level: np.ndarray) -> np.ndarray:
     return key & 0xFFFFFFFF
 
 
-@compiled
+@compiled(allocates=True)
 def descend(z, around):
     """i64[n], the basin that steepest descent leads each cell to (-1: wall), and the lowest cell of each basin, i64[k].
 
@@ -109,7 +109,7 @@ def descend(z, around):
     return basin, bottom[:count].copy()
 
 
-@compiled
+@compiled(allocates=True)
 def passes(z, around, basin, basins):
     """Passes between basins that touch: i64[p], i64[p] the basins, the lower number first, and f32[p] the level.
 
@@ -141,7 +141,7 @@ def passes(z, around, basin, basins):
     return a[:count].copy(), b[:count].copy(), level[:count].copy()
 
 
-@compiled
+@compiled(allocates=True)
 def mergers(low, a, b, level, depth, most, z, basin, points):
     """Depressions at least ``depth`` deep at the pass where they overflow, of at most ``most`` basins and points.
 

@@ -348,27 +348,3 @@ def raised_cells(
 
     none = jnp.zeros_like(valid)
     return progressive_opening(z, valid, radii, look, none, reach=reach, element=element)[1]
-
-
-@functools.partial(jit, static_argnames=("inner", "outer"))
-def ring_minimum(z: jax.Array, inner: int, outer: int) -> jax.Array:
-    """Lowest value of a square ring around every cell: more than ``inner`` and at most ``outer`` rows or columns away.
-
-    ``z``: f32[rows, columns]; beyond the border there is +inf. Returns: f32[rows, columns]. Source: a flat erosion with a
-    ring, as four rectangles.
-    """
-    reach, thick = outer, outer - inner
-    wide = jnp.pad(_ordered(z), reach, constant_values=_beyond(_ordered(z)))
-
-    def lowest(rows: int, columns: int) -> jax.Array:  # of so many rows and columns, from each cell on
-        out = wide
-        for axis, length in ((0, rows), (1, columns)):
-            out = run_minima(out, jnp.int32(length), length, axis)
-        return out
-
-    def part(a: jax.Array, row: int, column: int) -> jax.Array:
-        return lax.slice(a, (reach + row, reach + column), (reach + row + z.shape[0], reach + column + z.shape[1]))
-
-    across, along = lowest(thick, 2 * outer + 1), lowest(2 * inner + 1, thick)
-    parts = [part(across, -outer, -outer), part(across, inner + 1, -outer), part(along, -inner, -outer)]
-    return _ordered(functools.reduce(jnp.minimum, [*parts, part(along, -inner, inner + 1)]), z.dtype)

@@ -7,7 +7,7 @@ import numpy as np
 from ..compiled import compiled
 
 
-@compiled
+@compiled(allocates=True)
 def draw(x, y, triangles, z, low, longest, out, known):
     """Give the cells that are not ``known`` the elevations of a triangulation, linear within each triangle. On the edge of two
     the lower one counts, so that the order of triangles and of their corners changes nothing.
@@ -59,7 +59,7 @@ def _root(parent, cell):
     return cell
 
 
-@compiled
+@compiled(allocates=True)
 def segments(z, step, least):
     """i32[rows, columns]: the 4-connected segments of cells whose elevations differ by less than ``step`` from one to the
     next; and how many have ``least`` cells or more. These are counted from 1 in the order of their first cells, row by row;
@@ -92,18 +92,19 @@ def segments(z, step, least):
     return parent.reshape(rows, columns), count
 
 
-@compiled
-def census(segment, count, marked, fall, slope, drop, run):
-    """i32[4, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
-    others, and of the latter where the surface falls; zero for the cells that are in none.
+@compiled(allocates=True)
+def census(segment, count, marked, fall, slope, inside, drop, run):
+    """i32[5, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
+    others, of the latter where the surface falls, and of its other cells at the edge of what is ``inside``; zero for the cells
+    that are in none.
 
     Args:
-        segment: i32[rows, columns], and how many there are, from :func:`segments`; marked: bool[rows, columns].
+        segment: i32[rows, columns], and how many there are, from :func:`segments`; marked, inside: bool[rows, columns].
         fall, slope: f32[rows, columns], metres, and rise over run. The surface falls by more than f32 ``drop``, metres, and the
             slope times f32 ``run``, metres.
     """
     rows, columns = segment.shape
-    found = np.zeros((4, count + 1), np.int32)
+    found = np.zeros((5, count + 1), np.int32)
     for row in range(rows):
         for column in range(columns):
             name = segment[row, column]
@@ -111,12 +112,67 @@ def census(segment, count, marked, fall, slope, drop, run):
                 continue
             found[0, name] += 1
             found[1, name] += marked[row, column]
-            if (
-                (column > 0 and segment[row, column - 1] != name)
-                or (column + 1 < columns and segment[row, column + 1] != name)
-                or (row > 0 and segment[row - 1, column] != name)
-                or (row + 1 < rows and segment[row + 1, column] != name)
-            ):
+            border = edge = False
+            for side in range(4):
+                r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
+                if 0 <= r < rows and 0 <= c < columns and inside[r, c]:
+                    border |= segment[r, c] != name
+                else:
+                    edge = True
+            found[2, name] += border
+            found[3, name] += border and fall[row, column] > drop + run * slope[row, column]
+            found[4, name] += edge and not border
+    return found
+
+
+@compiled(allocates=True)
+def faces(segment, count, z, high, seen, whole, smooth, drop):
+    """i32[6, 1 + count]: for each segment the numbers of its cells, of those that are ``whole``, of those that have points as
+    their eight neighbours do, of the bare ones among these, of the cells on its border with cells of no segment, and of the
+    latter that are walls; zero for the cells that are in none.
+
+    A cell is bare if its elevation is within ``smooth`` of the middle of two opposite neighbours, and its highest point within
+    ``smooth`` of what the slope explains. It is a wall if the surface falls farther outward than it rises inward, each within two
+    cells, by more than ``drop``.
+
+    Args:
+        segment: i32[rows, columns], and how many there are. z, high: f32[rows, columns], lowest and highest points, metres.
+        seen: bool[rows, columns], cells with points; whole: bool[rows, columns].
+        smooth, drop: metres.
+    """
+    rows, columns = segment.shape
+    found = np.zeros((6, count + 1), np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            name = segment[row, column]
+            if name == 0:
+                continue
+            level, border, inside = z[row, column], False, 0
+            outer, inner = np.inf, level
+            for r in range(max(0, row - 2), min(rows, row + 3)):
+                for c in range(max(0, column - 2), min(columns, column + 3)):
+                    inside += abs(r - row) < 2 and abs(c - column) < 2 and seen[r, c]
+                    if segment[r, c] == 0:
+                        outer = min(outer, z[r, c])
+                        border |= abs(r - row) + abs(c - column) == 1
+                    elif segment[r, c] == name:
+                        inner = max(inner, z[r, c])
+            found[0, name] += 1
+            found[1, name] += whole[row, column]
+            if inside == 9:
+                west, east, south, north = (
+                    z[row, column - 1],
+                    z[row, column + 1],
+                    z[row - 1, column],
+                    z[row + 1, column],
+                )
+                bent = min(abs(level - (west + east) / 2), abs(level - (south + north) / 2))
+                for side in (-1, 1):
+                    across = (z[row - 1, column - side] + z[row + 1, column + side]) / 2
+                    bent = min(bent, abs(level - across) / np.sqrt(2.0))
+                rise = np.hypot(east - west, north - south)  # over two cells, across one and its corners
                 found[2, name] += 1
-                found[3, name] += fall[row, column] > drop + run * slope[row, column]
+                found[3, name] += bent <= smooth and high[row, column] - level <= rise + smooth
+            found[4, name] += border
+            found[5, name] += border and (level - outer) - (inner - level) > drop
     return found

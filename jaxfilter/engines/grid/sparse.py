@@ -16,21 +16,22 @@ class CellSet:
 
     Attributes:
         row, column: i64[c], where they are.
+        key: i64[c], ascending, (row + 1) x ``wide`` + column + 1: in the grid with a ring of empty cells around it.
     """
 
     def __init__(self, key: np.ndarray, shape: tuple[int, int]) -> None:
         """``key``: i64[c], row x columns + column in the grid with a ring of empty cells around it, ascending and distinct."""
-        self.shape, self._wide = shape, shape[1] + 2
-        self._key = key
-        row, column = np.divmod(key, self._wide)
+        self.shape, self.wide = shape, shape[1] + 2
+        self.key = key
+        row, column = np.divmod(key, self.wide)
         self.row, self.column = row - 1, column - 1
         self._table: np.ndarray | None = None
-        if (size := (shape[0] + 2) * self._wide) <= _TABLE * len(key) + 1000:
+        if (size := (shape[0] + 2) * self.wide) <= _TABLE * len(key) + 1000:
             self._table = np.full(size, len(key), np.int32)
             self._table[key] = np.arange(len(key), dtype=np.int32)
 
     def __len__(self) -> int:
-        return len(self._key)
+        return len(self.key)
 
     @classmethod
     def of(
@@ -54,29 +55,29 @@ class CellSet:
 
     def grown(self, steps: int = 1) -> CellSet:
         """With the cells of the grid that are at most so many rows and columns away."""
-        key = self._key
+        key = self.key
         for _ in range(steps):
             key = _merged(key - 1, key, key + 1)
-            column = key % self._wide
+            column = key % self.wide
             key = key[(column > 0) & (column <= self.shape[1])]
-            key = _merged(key - self._wide, key, key + self._wide)
-            key = key[slice(*np.searchsorted(key, (self._wide, (self.shape[0] + 1) * self._wide)))]
+            key = _merged(key - self.wide, key, key + self.wide)
+            key = key[slice(*np.searchsorted(key, (self.wide, (self.shape[0] + 1) * self.wide)))]
         return CellSet(key, self.shape)
 
     def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """i[...]: the number of each cell; the number of cells for those that are not in the set."""
         inside = (row >= 0) & (row < self.shape[0]) & (column >= 0) & (column < self.shape[1])
-        return self._number(np.where(inside, _key(row, column, self._wide), 0))
+        return self._number(np.where(inside, _key(row, column, self.wide), 0))
 
     def around(self) -> np.ndarray:
         """i[9, c]: the number of each cell and of its neighbours, row by row, the cell itself being the fifth."""
-        return np.stack([self._number(self._key + dy * self._wide + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+        return np.stack([self._number(self.key + dy * self.wide + dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
 
     def _number(self, key: np.ndarray) -> np.ndarray:
         if self._table is not None:
             return self._table[key]
-        number = np.minimum(np.searchsorted(self._key, key), len(self) - 1)
-        return np.where(self._key[number] == key, number, len(self))
+        number = np.minimum(np.searchsorted(self.key, key), len(self) - 1)
+        return np.where(self.key[number] == key, number, len(self))
 
 
 def _key(row: np.ndarray, column: np.ndarray, wide: int) -> np.ndarray:

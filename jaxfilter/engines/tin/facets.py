@@ -161,7 +161,9 @@ def judge(
     *,
     names: tuple[str, ...] = QUANTITIES,
 ) -> dict[str, jax.Array]:
-    """Apply one rule to points f32[N, 3] over their facets f32[N, 3, 3], local metres.
+    """Apply one rule to points f32[3, N] over their facets f32[3, 3, N], local metres, by corners, then axes.
+
+    Coordinates of one axis lie side by side: so they are read by vector instructions.
 
     Args:
         rule: a named tuple of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
@@ -173,16 +175,29 @@ def judge(
         cosine; ``planar`` bool, False for facets without a plane and for vertical ones.
 
     >>> from jaxfilter.engines.tin import facets
-    >>> corners = jnp.array([[[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]])
-    >>> points = jnp.array([[2.0, 2.0, 0.5]])
+    >>> corners = jnp.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0]])[:, :, None]
+    >>> points = jnp.array([2.0, 2.0, 0.5])[:, None]
     >>> found = facets.judge(facets.Rule(max_distance=1.4), jnp.zeros(1, bool), points, corners)
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
     each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
-    verdict = jax.vmap(judge_one, in_axes=(each, 0, 0, 0))(rule, two_sided, points, corners)
+    verdict = jax.vmap(judge_one, in_axes=(each, 0, 1, 2))(rule, two_sided, points, corners)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
+
+
+@jit
+def passing(rules: Any, score: FacetScore) -> list[jax.Array]:
+    """bool[n] for each of several rules, whose limits are f32 scalars: the points with a score, f32[n] each, that it accepts.
+
+    >>> from jaxfilter.engines.tin import facets
+    >>> score = facets.FacetScore(*jnp.ones((7, 1)))
+    >>> [accepted.tolist() for accepted in facets.passing([facets.Rule(), facets.Rule(max_distance=0.5)], score)]
+    [[True], [False]]
+    """
+    score = score._replace(planar=score.planar > 0)
+    return [rule.verdict(score, jnp.bool_(False)).accepted for rule in rules]
 
 
 @jit

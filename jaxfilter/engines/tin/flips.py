@@ -60,17 +60,16 @@ def _flip(triangles, neighbours, at, s, k):
 
 
 @compiled
-def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, fresh, left, low, high, start, now, most):
+def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, fresh, left, low, high, start, now, most, room):
     """Make nodes vertices, from ``nodes[start]`` on: the triangles whose circle holds one give way to a fan around it.
 
     The fan of the i-th has the numbers of those, and the two of ``fresh[i]``. A node is left out, and ``left[i]`` set, if
     a triangle that would be read or written has a corner that is not from ``low`` to ``high``: threads with ranges apart do
     not meet, since of two triangles beside each other not one can be in one range and the other in another. ``hull``,
-    i64[s], counts the ghosts of each sheet. Returns how many are done when all are or ``most`` triangles are made, and
-    -1 - i if the position of the i-th is taken.
+    i64[s], counts the ghosts of each sheet. Returns how many are done when all are, when ``most`` triangles are made, or when
+    the next one has more edges around it than ``room``, i32[n, 7], has rows; and -1 - i if the position of the i-th is taken.
     """
-    stack, rim = np.empty((64, 2), np.int32), np.empty((64, 4), np.int32)  # edges; rim: inner, outer, its side, node
-    gone = np.empty(64, np.int32)
+    stack, rim, gone = room[:, :2], room[:, 2:6], room[:, 6]  # edges; rim: inner, outer, its side, node
     made = 0
     for i in range(start, len(nodes)):
         if made > most:
@@ -98,8 +97,7 @@ def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, fresh, left
                 break
             j = place(neighbours, o, s)
             if max(top + 2, edges + 1, count + 1) > len(gone):
-                stack, rim = np.concatenate((stack, np.empty_like(stack))), np.concatenate((rim, np.empty_like(rim)))
-                gone = np.concatenate((gone, np.empty_like(gone)))
+                return i
             if _conflict(xy, triangles, o, p):
                 gone[count] = o
                 count += 1
@@ -128,7 +126,7 @@ def insert(xy, triangles, neighbours, at, stamp, sheet, hull, nodes, fresh, left
     return len(nodes)
 
 
-@compiled
+@compiled(allocates=True)
 def _legalise(xy, triangles, neighbours, at, stamp, rows, now):
     """Flip edges of the triangles ``rows``, and of what flips make of them, until each has an empty circle."""
     stack, top = rows.copy(), len(rows)
@@ -149,7 +147,7 @@ def _legalise(xy, triangles, neighbours, at, stamp, rows, now):
                 break
 
 
-@compiled
+@compiled(allocates=True)
 def remove(xy, triangles, neighbours, at, stamp, nodes, freed, now):
     """Take vertices out that are not on the hull; each frees two triangles, whose numbers go to ``freed``, i32[n, 2].
 

@@ -20,7 +20,7 @@ import numpy as np
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
-from .facets import judge, mirrored
+from .facets import FacetScore, judge, mirrored
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
@@ -39,7 +39,7 @@ class GroundTin(GroundNodes):
         rule: the thresholds that apply now; choice: which of the ground nodes become vertices.
         angle, elevation, margin: f32[k], and decision: u8[k], of the last test of each node, as far as they are kept.
         height, slope: f32[k], metres and degrees, of that test, or over the surface as it is after :meth:`finish`.
-        image_in: i32[k], the triangle that the mirror image of a node was tested in, or -1.
+        image_in: i32[k], the triangle that the mirror image of a node was tested in, or -1; empty without mirrors.
     """
 
     STEP = "densify"
@@ -82,7 +82,7 @@ class GroundTin(GroundNodes):
         self.height, self.slope = (np.zeros(k, np.float32) for _ in range(2))
         untested = np.where(network.open, np.uint8(Decision.ANGLE), np.uint8(Decision.SET_ASIDE))
         self.decision = np.where(network.seed, np.uint8(Decision.SEED), untested)
-        self.image_in = np.full(k, -1, np.int32)
+        self.image_in = np.full(0 if growth.mirror is None else k, -1, np.int32)
         self._suspects = np.flatnonzero(waiting & network.late)
         self._put_off = self._imaged = self._outside = self.todo[:0]
         self._loose = self.todo
@@ -100,16 +100,33 @@ class GroundTin(GroundNodes):
         self.todo = rest if but is None else rest[~but[rest]]
 
     def locate_outside(self) -> None:
-        """Locate nodes outside the hull anew: the way there, from the node before, decides which facet is in sight."""
-        if len(self._outside):
-            rest = self.rest
-            rows = np.searchsorted(rest, self._outside)
-            self.tin.locate(rest[np.union1d(np.maximum(rows - 1, 0), rows)])
+        """Locate nodes outside the hull anew: a nearer edge of it may be new, though their own has not changed."""
+        self.tin.locate(self._outside)
+
+    def move(self, tin: Tin) -> np.ndarray:
+        """Stand on another triangulation of these nodes, which moves to the seeds; bool[k], nodes whose facet that changes.
+
+        Its vertices are those of such a growth, and of equal positions the lowest.
+        """
+        self.tin, virtual, z = tin, self.net.virtual, tin.xyz[:, 2]
+        tin.now += 1
+        tin.become(np.concatenate([self.choice.seeds, virtual]))
+        if not self.growth.border_follows:
+            tin.touch(virtual[z[virtual] != self.net.xyz[virtual, 2]])
+            z[virtual] = self.net.xyz[virtual, 2]
+        self._border_follows()
+        changed: np.ndarray = tin.stamp[tin.where] == tin.now
+        tin.locate(np.flatnonzero(changed & ~tin.vertex))
+        return changed
+
+    def measured(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
+        """What :class:`jaxfilter.engines.tin.facets.FacetScore` says of located nodes, i64[n], over their facets; [n] each."""
+        return self._judge(nodes, self.tin.where[nodes], FacetScore._fields)
 
     def test(self) -> np.ndarray:
         self.locate_outside()
         verdict = self._test(self.todo)
-        passes = verdict["accepted"]
+        passes = verdict["accepted"] & ~self._too_far()
         accepted = self.todo[passes]
         if self.growth.one_per_facet:
             level, facet = verdict["height"][passes], self.tin.where[accepted]
@@ -125,7 +142,8 @@ class GroundTin(GroundNodes):
         self.tin.now += 1
         inserted = len(choice.add(accepted, self.tin))
         self._border_follows()
-        few = len(accepted) + len(self._put_off) < policy.stop_share * int(self.net.real.sum())
+        least = policy.stop_share and policy.stop_share * int(self.net.real.sum())
+        few = len(accepted) + len(self._put_off) < least
         found: dict[str, Any] = {"inserted": inserted, "facets": len(self.tin)}
         if self.growth.adaptive is not None:
             found |= {name: float(getattr(self.rule, name)) for name in ("max_distance", "max_angle")}
@@ -238,6 +256,24 @@ class GroundTin(GroundNodes):
             getattr(self, name)[nodes] = verdict[name]
         return verdict
 
+    def _too_far(self) -> np.ndarray:
+        """bool: which nodes of ``todo`` lie outside the hull and beyond the limits there; by how much becomes their margin."""
+        out, beyond = np.zeros(len(self.todo), bool), self.growth.beyond
+        if beyond is None:
+            return out
+        corner = self.tin.triangles[self.tin.where[self.todo]]
+        rows = np.flatnonzero(corner.min(axis=1) < 0)
+        nodes = self.todo[rows]
+        one, other, p = (self.tin.xyz[i].astype(np.float64) for i in (*np.sort(corner[rows], axis=1)[:, 1:].T, nodes))
+        edge, to = other - one, p - one
+        along = np.clip((to * edge)[:, :2].sum(axis=1) / (edge * edge)[:, :2].sum(axis=1), 0, 1)
+        x, y, z = (to - along[:, None] * edge).T
+        away = np.hypot(x, y)
+        margin = np.abs(z) - beyond.height - beyond.slope[nodes] * away
+        far = margin > 0
+        out[rows], self.margin[nodes[far]] = far, np.fmax(self.margin[nodes[far]], margin[far])
+        return out
+
     def _mirror(
         self,
         mirror: Mirror,
@@ -267,7 +303,7 @@ class GroundTin(GroundNodes):
         def images(xyz: np.ndarray, corners: np.ndarray) -> Any:
             return mirrored(xyz, corners, not mirror.nearest)
 
-        image = in_chunks(images, given, len(steep), _BATCH, self.tin.workers)
+        image = in_chunks(images, given, len(steep), _BATCH)
         there = self.tin.walk(image, facet[steep])
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
@@ -290,14 +326,14 @@ class GroundTin(GroundNodes):
         def given(rows: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[rows], axis=0) if xyz is None else xyz[rows]
             limits = (limit[nodes[rows]] for limit in own.values())
-            corner = facet[rows] if facet.ndim > 1 else self.tin.corners(facet[rows])
-            return *limits, self.net.late[nodes[rows]], here, np.take(self.tin.xyz, corner, axis=0)
+            at = self.tin.planes(facet[rows]) if facet.ndim == 1 else np.moveaxis(self.tin.xyz[facet[rows]], 0, 2)
+            return *limits, self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         def tested(*arrays: np.ndarray) -> dict[str, Any]:
             rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
             return judge(rule, *arrays[len(own) :], names=names)
 
-        found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, self.tin.workers)
+        found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
         return found
 
     def finish(self, nodes: np.ndarray | None = None) -> None:

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.filter import Labels
+from ...core.frame import ends
 from ...core.grid import Grid
-from ...core.points import Points
+from ...core.points import Points, pieces
 from .facets import Rule
 from .triangulation import Tin
 
@@ -58,12 +59,13 @@ class Network:
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     before: Labels | None = None
 
-    def repeated(self, times: int) -> Network:
-        """So many sheets for each one."""
-        sheet = np.concatenate([self.sheet + i * (self.sheet[-1] + 1) for i in range(times)])
-        xyz = np.tile(self.xyz, (times, 1))
-        alike: dict[str, Any] = {name: np.tile(getattr(self, name), times) for name in ("row", "seed", "open", "late")}
-        return dataclasses.replace(self, xyz=xyz, sheet=sheet, **alike)
+    @staticmethod
+    def joined(networks: Sequence[Network]) -> Network:
+        """The sheets of networks with the same nodes, which may differ in seeds and elevations of border nodes, as one."""
+        sheet = np.concatenate([one.sheet + i * (one.sheet[-1] + 1) for i, one in enumerate(networks)])
+        names = ("xyz", "row", "seed", "open", "late")
+        alike: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in networks]) for name in names}
+        return dataclasses.replace(networks[0], sheet=sheet, **alike)
 
     @functools.cached_property
     def virtual(self) -> np.ndarray:
@@ -124,6 +126,17 @@ class Adaptive:
     of_ground: bool = False
 
 
+class Beyond(NamedTuple):
+    """Limits for points outside the hull, where planes of slim facets at the border go on to anywhere.
+
+    Attributes:
+        height: metres above or below the nearest place on the hull, at most; slope: f32[k], by which this grows per metre away.
+    """
+
+    height: float
+    slope: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True)
 class Growth:
     """How the ground grows from the seeds.
@@ -136,6 +149,7 @@ class Growth:
             plane (Li et al. 2021, Sec. II-E, step 6).
         one_per_facet: a round adds, of the points over a facet that pass and may become vertices, only the one that lies
             lowest over it (after Nie et al. 2017); the others are tested again over the new facets.
+        beyond: how points join outside the hull of the vertices; None = as inside.
         kept: the tested quantities that are kept, of :data:`jaxfilter.engines.tin.facets.QUANTITIES`.
     """
 
@@ -145,6 +159,7 @@ class Growth:
     adaptive: Adaptive | None = None
     border_follows: bool = False
     one_per_facet: bool = False
+    beyond: Beyond | None = None
     kept: tuple[str, ...] = SCORES
 
     @property
@@ -205,8 +220,12 @@ class Spaced(_Choice):
         super().__init__(network)
         self._sinks = vertices.sinks
         if vertices.spacing > 0:
-            x, y = (np.floor(network.xyz[:, axis] / np.float32(vertices.spacing)).astype(np.int64) for axis in range(2))
-            key = (network.sheet * (np.ptp(y) + 1) + y - y.min()) * (np.ptp(x) + 1) + x - x.min()
+            side, key = np.float32(vertices.spacing), np.empty(len(network.xyz), np.int64)
+            low, high = (np.floor(end / side).astype(np.int64) for end in ends(network.xyz[:, :2]))
+            columns, rows = high - low + 1
+            for part in pieces(len(key)):
+                x, y = np.floor(network.xyz[part, :2].T / side).astype(np.int64) - low[:, None]
+                key[part] = (network.sheet[part] * rows + y) * columns + x
             self.divide(key if key.max() <= 8 * len(key) else np.unique(key, return_inverse=True)[1])
         self.seeds = self._pick(np.flatnonzero(network.seed & network.real))
 
@@ -235,6 +254,7 @@ class Spaced(_Choice):
         tin.touch(twin[lower])
         fresh = accepted[twin < 0]
         new = self._pick(fresh[self._free(fresh)])
+        del twin, z, fresh  # memory is at its peak in what follows
         tin.insert(new)
         return new
 
@@ -258,10 +278,7 @@ class LowestPerCell(_Choice):
     def refine(self, ground: np.ndarray, tin: Tin) -> None:
         """Change to the next grid and make the lowest of all ground nodes, bool[k], its vertices."""
         self._next_grid()
-        after = ~self.network.real
-        after[self.lowest(np.flatnonzero(ground & self.network.real))] = True
-        tin.remove(np.flatnonzero(tin.vertex & ~after))
-        tin.insert(np.flatnonzero(after & ~tin.vertex))
+        tin.become(np.append(self.network.virtual, self.lowest(np.flatnonzero(ground & self.network.real))))
 
     def could(self, nodes: np.ndarray, tin: Tin) -> np.ndarray:
         """bool[n]: nodes in a cell without a vertex, or lower than it (of equals, the first in order)."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ...core.errors import InputError
 from ...core.frame import QUANTUM
 from ...core.points import Points
-from ..neighbours import perturbed
+from ..neighbours import perturbed, tree_of
 from .growth import Network, Outliers
 
 PAD = 0.25
@@ -72,7 +71,7 @@ def with_elevation(border: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """f32[b, 3]: border positions f32[b, 2] with the elevation of the nearest point of f32[s, 3] in the plane."""
     if len(border) == 0:
         return np.zeros((0, 3), np.float32)
-    _, nearest = cKDTree(perturbed(xyz)).query(border.astype(np.float64))
+    _, nearest = tree_of(perturbed(xyz)).query(border.astype(np.float64))
     return np.column_stack([border, xyz[nearest, 2]]).astype(np.float32)
 
 
@@ -170,6 +169,11 @@ def _surrounds(around: np.ndarray, inside: np.ndarray) -> bool:
     """Whether every one of the points ``inside`` lies in the convex hull of the positions ``around``, both f32[., 2]."""
     if len(around) < 3:
         return False
+    from scipy.spatial import (
+        ConvexHull,
+        QhullError,
+    )  # OST does without, and this import is a sixth of its time for a small file
+
     try:
         hull = ConvexHull(around.astype(np.float64))
     except QhullError:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
@@ -103,21 +103,25 @@ class Tin:
         """How many triangles there are."""
         return len(self.triangles) - len(self._unused) - int(self._hull.sum())
 
-    def repeated(self, times: int) -> Tin:
-        """A network of its own, with so many sheets for each one."""
-        out, nodes, rows = copy.copy(self), len(self.xyz), len(self.triangles)
-        for name, step in (
-            ("sheet", len(self._first)),
-            ("triangles", nodes),
+    @staticmethod
+    def joined(networks: Sequence[Tin]) -> Tin:
+        """The sheets of networks over the same nodes, as a network of its own, with one thread."""
+        out, several = copy.copy(networks[0]), len(networks) > 1
+        out.now = max(one.now for one in networks)
+        rows = np.cumsum([0, *(len(one.triangles) for one in networks)])
+        for name, steps in (
+            ("sheet", len(out._first) * np.arange(len(networks))),
+            ("triangles", len(out.xyz) * np.arange(len(networks))),
             *((name, rows) for name in ("neighbours", "where", "_first", "_unused")),
-            *((name, 0) for name in ("xyz", "xy", "vertex", "stamp", "_hull")),
+            *((name, None) for name in ("xyz", "xy", "vertex", "stamp", "_hull")),
         ):
-            one = getattr(self, name)
-            many = np.concatenate([one] * times).reshape(times, *one.shape)
-            for i in range(1, times if step > 0 else 1):
-                np.add(many[i], i * step, out=many[i], where=one >= 0)
-            setattr(out, name, many.reshape(-1, *one.shape[1:]))
-        out._together, out._room = _TOGETHER, {}
+            parts = [getattr(one, name) for one in networks]
+            many = np.concatenate(parts)
+            if steps is not None and several:
+                for part, step in zip(np.split(many, np.cumsum([len(one) for one in parts])), steps, strict=False):
+                    np.add(part, step, out=part, where=part >= 0, casting="unsafe")
+            setattr(out, name, many)
+        out._together, out._room, out.workers = _TOGETHER, {}, 1
         return out
 
     def _one(self, vertices: np.ndarray) -> np.ndarray:
@@ -174,13 +178,15 @@ class Tin:
 
     def _insert(self, nodes: np.ndarray, fresh: np.ndarray, low: int = -1, high: int = 2**31 - 1) -> np.ndarray:
         """Insert nodes one after the other; bool[n], those that were left out."""
-        left, done = np.zeros(len(nodes), bool), 0
+        left, done, room = np.zeros(len(nodes), bool), 0, np.empty((64, 7), np.int32)
         own = self.sheet, self._hull
         while done < len(nodes):
-            some = nodes[: done + CHUNK], fresh, left
-            done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE)
+            some, before = (nodes[: done + CHUNK], fresh, left), done
+            done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE, room)
             if done < 0:
                 raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex")
+            if done == before:
+                room = np.empty((2 * len(room), 7), np.int32)
         return left
 
     def _insert_apart(self, nodes: np.ndarray, fresh: np.ndarray) -> np.ndarray:
@@ -211,6 +217,13 @@ class Tin:
                 self.vertex[part] = False
         if self.sheet[-1] > 0:  # or nodes would be in the wrong sheet when another takes these numbers
             self._flips.leave(self.triangles, self.neighbours, self.where)
+
+    def become(self, vertices: np.ndarray) -> None:
+        """Move to other vertices, i64; those on the hull of their sheet stay."""
+        after = np.zeros(len(self.vertex), bool)
+        after[vertices] = True
+        self.remove(np.flatnonzero(self.vertex & ~after))
+        self.insert(np.flatnonzero(after & ~self.vertex))
 
     def locate(self, nodes: np.ndarray) -> None:
         """Bring ``where`` up to date for nodes, i64, best in canonical order."""
@@ -263,6 +276,12 @@ class Tin:
         """
         out, tables = np.empty((len(rows), 3), np.int32), (self.triangles, self.neighbours)
         self._spread(len(rows), lambda part: self._walks.corners(*tables, rows[part], out[part]))
+        return out
+
+    def planes(self, rows: np.ndarray) -> np.ndarray:
+        """f32[3, 3, n]: the positions of these corners, local metres: by corners, then axes."""
+        out = np.empty((3, 3, len(rows)), np.float32)
+        self._walks.planes(self.xyz, self.triangles, self.neighbours, rows, out)
         return out
 
     def facets(self) -> tuple[np.ndarray, np.ndarray]:

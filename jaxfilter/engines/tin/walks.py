@@ -66,8 +66,38 @@ def is_ghost(triangles, t):
 
 
 @compiled
+def _beyond(xy, triangles, t, px, py):
+    """Of the edge of a ghost: how far to the left of it a position lies, how far along it, and its length; all as areas."""
+    k = place(triangles, t, NOWHERE)
+    ax, ay = position(xy, triangles[t, ahead(k)])
+    bx, by = position(xy, triangles[t, behind(k)])
+    along = (px - ax) * (bx - ax) + (py - ay) * (by - ay)
+    return turn(ax, ay, bx, by, px, py), along, (bx - ax) ** 2 + (by - ay) ** 2
+
+
+@compiled
+def _nearest_edge(xy, triangles, neighbours, t, px, py, low, high):
+    """From a ghost to the one whose edge is nearest to a position outside the hull, of those in sight, or holds it; -1 as in
+    ``_walk``. Of two that are nearest with the end that they share, it is the first, clockwise around the triangulation.
+    """
+    while True:
+        k = place(triangles, t, NOWHERE)
+        off, along, length = _beyond(xy, triangles, t, px, py)
+        if off == 0 and 0 <= along <= length:
+            return t
+        step = neighbours[t, behind(k)] if along <= 0 else neighbours[t, ahead(k)]
+        if not within(triangles, step, low, high):
+            return np.int32(-1)
+        if off != 0:
+            in_sight, further, _ = _beyond(xy, triangles, step, px, py)
+            if in_sight <= 0 or 0 < along <= length or (along > 0 and further <= 0):
+                return t
+        t = step
+
+
+@compiled
 def _walk(xy, triangles, neighbours, t, px, py, low, high):
-    """The triangle that contains a position; outside the hull a ghost whose edge is in sight, or holds the position.
+    """The triangle that contains a position; outside the hull the ghost of the nearest edge in sight.
 
     -1 if the way leads over a triangle with a corner that is not from ``low`` to ``high``.
     """
@@ -90,16 +120,7 @@ def _walk(xy, triangles, neighbours, t, px, py, low, high):
         if step < 0:
             break
         before, t = t, step
-    # from a ghost on the line of whose edge the position lies to the one that holds it, or sees it
-    while is_ghost(triangles, t):
-        k = place(triangles, t, NOWHERE)
-        ax, ay = position(xy, triangles[t, ahead(k)])
-        bx, by = position(xy, triangles[t, behind(k)])
-        along = (px - ax) * (bx - ax) + (py - ay) * (by - ay)
-        if turn(ax, ay, bx, by, px, py) != 0 or 0 <= along <= (bx - ax) ** 2 + (by - ay) ** 2:
-            break
-        t = neighbours[t, behind(k) if along < 0 else ahead(k)]
-    return t
+    return _nearest_edge(xy, triangles, neighbours, t, px, py, low, high) if is_ghost(triangles, t) else t
 
 
 @compiled
@@ -205,21 +226,35 @@ def changed(at, stamp, nodes, now, first, following, out):
 
 
 @compiled
-def corners(triangles, neighbours, rows, out):
-    """The corners of triangles, of ghosts those of the triangle behind them, each from its first node on."""
-    for i in range(len(rows)):
-        t = rows[i]
-        if is_ghost(triangles, t):
-            t = neighbours[t, place(triangles, t, NOWHERE)]
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if b < a and b < c:
-            a, b, c = b, c, a
-        elif c < a and c < b:
-            a, b, c = c, a, b
-        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+def _corners(triangles, neighbours, t):
+    """The corners of a triangle, of a ghost those of the triangle behind it, from its first node on."""
+    if is_ghost(triangles, t):
+        t = neighbours[t, place(triangles, t, NOWHERE)]
+    t = np.uint32(t)
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    if b < a and b < c:
+        return b, c, a
+    return (c, a, b) if c < a and c < b else (a, b, c)
 
 
 @compiled
+def corners(triangles, neighbours, rows, out):
+    """The corners of triangles, i32[n, 3]; see :func:`_corners`."""
+    for i in range(len(rows)):
+        out[i, 0], out[i, 1], out[i, 2] = _corners(triangles, neighbours, rows[i])
+
+
+@compiled
+def planes(xyz, triangles, neighbours, rows, out):
+    """The positions of these corners, f32[3, 3, n]: by corners, then axes."""
+    for i in range(len(rows)):
+        a, b, c = _corners(triangles, neighbours, rows[i])
+        for axis in range(3):
+            out[0, axis, i], out[1, axis, i] = xyz[np.uint32(a), axis], xyz[np.uint32(b), axis]
+            out[2, axis, i] = xyz[np.uint32(c), axis]
+
+
+@compiled(allocates=True)
 def nearest(xy, triangles, neighbours, at, counts, vertices, out):
     """For vertices the nearest other vertex that counts, bool[k] (of equally near the first in order of x, then y), or -1.
 

@@ -1,0 +1,65 @@
+"""How many points around each one lie below it; compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .compiled import compiled
+
+
+@compiled(allocates=True)
+def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
+    """Mark the points of which at most ``most`` others within ``radius`` metres, in x and y, lie less than ``depth`` metres above
+    them or lower, and more than ``most`` higher.
+
+    Args:
+        out: bool[n], written to; xyz: f32[n, 3], metres.
+        at: i32[n], the cell that each point is in. No cell is empty.
+        key: i64[c], ascending: row x ``wide`` + column of the cells, whose side is ``radius`` / ``reach``; ``reach``: 3 or more.
+    """
+    start, order = np.zeros(len(key) + 1, np.int64), np.empty(len(at), np.int32)
+    for point in range(len(at)):
+        start[at[point] + 1] += 1
+    for cell in range(len(key)):
+        start[cell + 1] += start[cell]
+    for point in range(len(at) - 1, -1, -1):  # each start moves to where its cell begins
+        start[at[point] + 1] -= 1
+        order[start[at[point] + 1]] = point
+    start[:-1], start[-1] = start[1:].copy(), len(at)
+    x, y, z = np.empty(len(at), np.float32), np.empty(len(at), np.float32), np.empty(len(at), np.float32)
+    for place in range(len(at)):
+        x[place], y[place], z[place] = xyz[order[place], 0], xyz[order[place], 1], xyz[order[place], 2]
+    square = radius * radius
+    rows, touching = np.empty((2 * reach + 1, 2), np.int64), np.empty((3, 2), np.int64)
+    for cell in range(len(key)):
+        known = 0
+        for lag in range(3):
+            _places(touching[lag], start, key, key[cell] + (lag - 1) * wide, 1)
+        for place in range(start[cell], start[cell + 1]):
+            top, below = np.float64(z[place]) + depth, -1  # the point itself is not counted
+            for lag in (1, 0, 2):  # cells that touch the own one are within the radius
+                if below <= most:
+                    for near in range(touching[lag, 0], touching[lag, 1]):
+                        below += z[near] < top
+            if below > most:
+                continue
+            below, above, step = -1, 0, 0
+            while step <= 2 * reach and below <= most:
+                if step == known:  # the row of the cell, those beside it, and so on
+                    lag = (step + 1) // 2 if step % 2 else -(step // 2)
+                    _places(rows[step], start, key, key[cell] + lag * wide, reach)
+                    known += 1
+                for near in range(rows[step, 0], rows[step, 1]):
+                    dx, dy = np.float64(x[near] - x[place]), np.float64(y[near] - y[place])
+                    inside = dx * dx + dy * dy <= square
+                    below += inside & (z[near] < top)
+                    above += inside & (z[near] >= top)
+                step += 1
+            out[order[place]] = below <= most < above
+
+
+@compiled
+def _places(out, start, key, middle, reach):
+    """Where the points of a row of cells begin and end, up to ``reach`` cells to both sides of that with the key ``middle``."""
+    out[0] = start[np.searchsorted(key, middle - reach)]
+    out[1] = start[np.searchsorted(key, middle + reach + 1)]
