@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -14,11 +13,8 @@ from matplotlib.figure import Figure
 
 import jaxfilter as jf
 from jaxfilter.core.grid import Grid
-from jaxfilter.engines.tin.triangulation import triangulated
-from jaxfilter.methods.ost import RIM
 from jaxfilter.steps.grid_filter import GridFilter
 from jaxfilter.steps.tin_filter import TinFilter
-from jaxfilter.steps.voids import filled_by
 
 
 @cache
@@ -128,10 +124,9 @@ def draped(filter_: jf.CSF, result: jf.FilterResult) -> list[Stage]:
 def segmented(filter_: jf.OST) -> list[Stage]:
     """Of OST: drops in terms of their limit, cells that are objects, ground of the cells."""
     points = filter_.points_of(scene().cloud)
-    cells, lowest = filter_.lowest_points(points, filter_.low(points))
-    longest = max(float(filter_.void), 4 * points.spacing())
-    z = filled_by(triangulated(points.xyz[lowest]), cells, math.ceil(RIM / filter_.cell - 1e-6), longest)
-    objects, drop, _ = filter_.objects(z, cells)
+    found = filter_.scene(points, points.spacing(), None, lambda share, step: None)
+    cells, lowest = found.cells, found.lowest
+    objects, drop, _ = filter_.objects(found)
     share, grid = inner(np.minimum(np.asarray(drop), 3.0), cells)
     is_object = inner(objects, cells)[0]
     kept = points.xyz[lowest]

@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from .reports import ReportOptions, report, review
     from .scoring import Scores, evaluate
     from .steps.grid_filter import soft_labels
-    from .surveys.border import CutObject, cut_objects
     from .surveys.collection import Collection, open
-    from .surveys.ground import Review, ground
+    from .surveys.ground import ground
     from .surveys.heights import heights
     from .surveys.model import terrain_model
     from .surveys.options import RunOptions
@@ -46,23 +45,23 @@ _HOMES = {
     "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF",
                 "STIN"), "methods.default": ("default_filter",),
     "files.reading": ("Classes", "class_changes", "info", "read", "write"), "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
-    "surveys.options": ("RunOptions",), "surveys.border": ("CutObject", "cut_objects"), "steps.grid_filter": ("soft_labels",),
+    "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",),
     "scoring": ("Scores", "evaluate"), "sweeps.calibrate": ("Calibration", "CrossValidation", "Study", "calibrate"),
     "sweeps.comparison": ("Comparison", "compare"), "sweeps.sweep": ("SweepOptions", "sweep"),
     "terrain.interpolation": ("Interpolation",), "terrain.models": ("dtm", "height_above_ground"),
     "terrain.accuracy": ("HeightErrors", "dtm_rmse"), "reports": ("ReportOptions", "report", "review"),
-    "surveys.collection": ("Collection", "open"), "surveys.ground": ("Review", "ground"), "surveys.heights": ("heights",),
+    "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights": ("heights",),
     "surveys.model": ("terrain_model",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "CutObject", "Decision", "Filter",
+    "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "Filter",
     "FilterResult", "ForkError", "GroundFilter", "HeightErrors", "InputError", "Interpolation", "JaxfilterError",
-    "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "Review",
+    "JaxfilterWarning", "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions",
     "RunOptions", "Scores", "Status", "Study", "SweepOptions", "calibrate", "citation", "class_changes", "compare",
-    "cut_objects", "default_filter", "dtm", "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights",
+    "default_filter", "dtm", "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights",
     "info", "open", "plots", "read", "report", "review", "scenes", "soft_labels", "sweep", "terrain_model", "write",
 ]  # fmt: skip
 

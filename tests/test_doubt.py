@@ -6,12 +6,12 @@ import warnings
 
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.errors import InputError, OutputError, ParameterError
-from jaxfilter.reports.places import squares
 from jaxfilter.steps.doubt import FEATURES, MODEL, probability
 
 EPSG = 25832
@@ -29,18 +29,17 @@ def result(scene):
 
 
 def synthetic(doubt):
-    """A cloud of one point in the middle of each square of 10 m, f[rows, columns], with this doubt and a result."""
+    """A cloud of one point in the middle of each cell of 2 m, f[rows, columns], with this doubt; where it is large, no ground."""
     rows, columns = doubt.shape
-    y, x = (v.ravel() * 10.0 + 5.0 for v in np.mgrid[:rows, :columns])
-    corner = np.array([[0.0, 0.0], [columns * 10.0, rows * 10.0]])
-    xy = np.concatenate([np.stack([x, y], axis=1), corner]) + (500_000.0, 4_800_000.0)
+    y, x = (v.ravel() * 2.0 + 1.0 for v in np.mgrid[:rows, :columns])
+    xy = np.stack([x, y], axis=1) + (500_000.0, 4_800_000.0)
     cloud = jf.PointCloud.from_arrays(np.column_stack([xy, np.zeros(len(xy))]), crs=EPSG)
     n = len(xy)
     none = np.full(n, np.nan, np.float32)
     decision = np.full(n, jf.Decision.SURFACE, np.uint8)
-    values = np.append(doubt.ravel(), [np.nan, np.nan]).astype(np.float32)
+    values = doubt.ravel().astype(np.float32)
     made = jf.FilterResult(
-        np.zeros(n, bool),
+        values < 0.3,
         none,
         none,
         none,
@@ -98,72 +97,53 @@ def test_degenerate_clouds_have_doubt_without_numbers():
     assert np.isnan(result.doubt).all() and len(jf.review(flat, result)) == 0
 
 
-def test_squares_hold_the_sums_of_a_plain_loop(scene, result):
-    cloud, _ = scene
-    found = squares(cloud, result.doubt, 10.0)
-    sums: dict[tuple[int, int], float] = {}
-    for (x, y, _), value in zip(cloud.xyz.tolist(), result.doubt.tolist(), strict=True):
-        if np.isfinite(value):
-            row, column = int((y - found.grid.y0) // 10), int((x - found.grid.x0) // 10)
-            key = (
-                min(row, found.grid.ny - 1),
-                min(column, found.grid.nx - 1),
-            )  # the upper edge belongs to the last square
-            sums[key] = sums.get(key, 0.0) + value
-    got = {divmod(int(at), found.grid.nx): total for at, total in zip(found.at, found.total, strict=True)}
-    assert got.keys() == sums.keys() and all(got[k] == pytest.approx(sums[k]) for k in sums)
-    assert (np.diff(found.total[found.first]) <= 0).all()
-
-
-def test_places_join_squares_that_touch_and_come_most_errors_first():
-    doubt = np.full((10, 10), 0.01)
-    doubt[2, 2:5] = 0.5  # three in a row
-    doubt[8, 8], doubt[7, 7] = 0.9, 0.8  # touching at a corner only
+def test_places_join_cells_that_touch_and_come_largest_volume_first():
+    doubt = np.full((30, 30), 0.001)
+    doubt[4:10, 4:10] = 0.5
+    doubt[20:26, 20:28] = 0.5
+    doubt[26:29, 28:30] = 0.5  # touches the block before at a corner
+    doubt[4, 25] = 0.5  # too small for a place
     cloud, result = synthetic(doubt)
-    table = jf.review(cloud, result, area=5)
-    assert list(table["rank"]) == [1, 2, 3] and list(table["points"]) == [3, 1, 1]
-    assert table["expected_errors"].to_numpy() == pytest.approx([1.5, 0.9, 0.8], rel=1e-6)
-    assert table["mean_doubt"].to_numpy() == pytest.approx([0.5, 0.9, 0.8], rel=1e-6)
-    assert list(table["area"]) == [300.0, 100.0, 100.0] == [round(g.area, 3) for g in table.geometry]
-    assert table.crs.to_epsg() == EPSG and set(table["reason"]) == {"not ground: in a cell that is an object"}
-    assert table.geometry[0].bounds == pytest.approx((500_020, 4_800_020, 500_050, 4_800_030), abs=0.01)
-    assert len(jf.review(cloud, result, area=1)) == 1 and jf.review(cloud, result, area=100)["area"].sum() == 10_000
-
-
-def test_places_side_by_side_have_their_own_squares():
-    doubt = np.full((10, 10), 0.01)
-    doubt[2:6, 2], doubt[3, 6] = 0.5, 0.9
-    table = jf.review(*synthetic(doubt), area=5)
-    corner = np.array([500_000, 4_800_000, 500_000, 4_800_000])
-    for place, box in ((0, (20, 20, 30, 60)), (1, (60, 30, 70, 40))):
-        np.testing.assert_allclose(table.geometry[place].bounds - corner, box, atol=0.01)
+    table = jf.review(cloud, result)
+    assert list(table["rank"]) == [1, 2] and (table["volume"].diff()[1:] < 0).all()
+    assert table.crs.to_epsg() == EPSG and set(table["reason"]) == {"few ground points"}
+    assert list(table["area"]) == [round(shape.area, 3) for shape in table.geometry]
+    corner = np.array([500_000.0, 4_800_000.0])
+    boxes = [np.array(shape.bounds) - np.tile(corner, 2) for shape in table.geometry]
+    for box, (x0, y0, x1, y1) in zip(boxes, ((42, 42, 56, 54), (8, 8, 20, 20)), strict=True):
+        assert (box[:2] <= (x0, y0)).all() and (box[2:] >= (x1, y1)).all() and (box[2:] - box[:2] <= 24).all()
+    named = shapely.union_all(table.geometry)
+    xy = np.floor((np.array(table[["x", "y"]]) - corner) / 2) * 2 + 1
+    assert (
+        np.array_equal(xy + corner, np.array(table[["x", "y"]])) and shapely.contains_xy(named, *(xy + corner).T).all()
+    )
 
 
 @pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])
 def test_the_list_is_read_back_as_it_was_and_is_the_same_bytes_again(tmp_path, suffix):
     geopandas = pytest.importorskip("geopandas")
-    cloud, result = synthetic(np.linspace(0.0, 0.6, 60).reshape(6, 10))
+    cloud, result = synthetic(np.linspace(0.0, 0.6, 240).reshape(12, 20))
     path = tmp_path / f"places{suffix}"
-    table = jf.review(cloud, result, path, area=10)
+    table = jf.review(cloud, result, path)
     again = geopandas.read_file(path, engine="pyogrio")
     assert again.crs.to_epsg() == EPSG and list(again["rank"]) == list(table["rank"])
-    assert again["expected_errors"].to_numpy() == pytest.approx(table["expected_errors"].to_numpy(), rel=1e-9)
+    assert again["volume"].to_numpy() == pytest.approx(table["volume"].to_numpy(), rel=1e-9)
     assert again.geometry.geom_equals_exact(table.geometry, 1e-3).all()
     with pytest.raises(OutputError, match="exists"):
         jf.review(cloud, result, path)
     before = path.read_bytes()
-    jf.review(cloud, result, path, area=10, overwrite=True)
+    jf.review(cloud, result, path, overwrite=True)
     assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("suffix, words", [(".gpkg", "has none: set"), (".geojson", "for degrees: set")])
 def test_a_list_without_crs_is_written_with_one_warning(tmp_path, suffix, words):
     geopandas = pytest.importorskip("geopandas")
-    cloud, result = synthetic(np.linspace(0.0, 0.6, 60).reshape(6, 10))
+    cloud, result = synthetic(np.linspace(0.0, 0.6, 240).reshape(12, 20))
     path = tmp_path / f"places{suffix}"
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
-        table = jf.review(dataclasses.replace(cloud, crs=None), result, path, area=10)
+        table = jf.review(dataclasses.replace(cloud, crs=None), result, path)
     assert [one.category for one in given] == [jf.JaxfilterWarning]
     assert str(path) in str(given[0].message) and words in str(given[0].message)
     again = geopandas.read_file(path, engine="pyogrio").geometry.set_crs(None, allow_override=True)
@@ -175,27 +155,25 @@ def test_the_command_writes_places_and_doubt(tmp_path, scene, result):
     source, target, places = (tmp_path / name for name in ("in.laz", "out.laz", "places.geojson"))
     jf.write(source, cloud, None)
     command = ["ground", "ost", str(source), str(target), "--extra", "doubt", "--review", str(places), "--json"]
-    run = CliRunner().invoke(main, [*command, "--review-area", "10"])
+    run = CliRunner().invoke(main, command)
     assert run.exit_code == 0, run.output
     features = json.loads(places.read_text())["features"]
-    facts = json.loads(run.stdout)["review"]
-    assert facts["places"] == len(features) > 0
-    expected = [one["properties"]["expected_errors"] for one in features]
-    assert expected == sorted(expected, reverse=True) and sum(expected) == pytest.approx(
-        facts["expected_errors"], rel=1e-6
-    )
+    facts = json.loads(run.stdout)
+    assert facts["review"] == str(places) and len(facts["places"]) == len(features) > 0
+    volumes = [one["properties"]["volume"] for one in features]
+    assert volumes == sorted(volumes, reverse=True)
+    assert volumes == pytest.approx([one["volume"] for one in facts["places"]], rel=1e-6)
     laspy = pytest.importorskip("laspy")
     written = np.asarray(laspy.read(target)["doubt"])
     assert np.array_equal(np.isnan(written), ~jf.read(target, units="m").candidate)
     late = CliRunner().invoke(main, [*command[:-3], "--overwrite", "--review", str(tmp_path / "places.shp")])
     assert late.exit_code == 2 and ".gpkg" in late.output
-    assert "--review" not in CliRunner().invoke(main, ["ground", "smrf", "--help"]).output
+    assert "--review" in CliRunner().invoke(main, ["ground", "smrf", "--help"]).output
 
 
 def test_results_without_doubt_say_so(tmp_path, scene, result):
     cloud, without = scene[0], dataclasses.replace(result, doubt=None)
-    with pytest.raises(InputError, match="states no doubt"):
-        jf.review(cloud, without)
+    assert len(jf.review(cloud, without)) > 0 and jf.review(cloud, without.ground)["volume"].gt(0).all()
     with pytest.raises(ParameterError, match="no doubt"):
         jf.write(tmp_path / "out.las", cloud, without, extra=("doubt",))
     with pytest.raises(InputError, match="no doubt"):
@@ -204,11 +182,8 @@ def test_results_without_doubt_say_so(tmp_path, scene, result):
 
 def test_bad_arguments_are_refused():
     cloud, result = synthetic(np.full((3, 3), 0.1))
-    for wrong in ({"area": 0.0}, {"area": 101.0}, {"side": 0.0}, {"side": float("nan")}):
-        with pytest.raises(ParameterError, match=next(iter(wrong))):
-            jf.review(cloud, result, **wrong)
-    with pytest.raises(InputError, match="11 points"):
-        jf.review(np.zeros((4, 3)), result)
+    with pytest.raises(InputError, match=r"bool\[9\]|needed"):
+        jf.review(cloud, result.ground[:4])
     with pytest.raises(OutputError, match="suffix"):
         jf.review(cloud, result, "places.shp")
 

@@ -261,7 +261,7 @@ def test_faces_are_counted_as_scipy_counts_them(rng):
     part[3:12, 4:15], part[15:27, 5:12], part[8:20, 20:36] = 1, 2, 3
     z[part == 1] += 5
     high, seen, whole = z + rng.uniform(0, 1.2, z.shape).astype(np.float32), rng.random(z.shape) < 0.97, part == 2
-    found = shapes.faces(part, count, z, high, seen, whole, *np.float32([0.2, 1.8]))
+    found = shapes.faces(part, count, z, high, seen, whole, *np.float32([0.2, 0.2, 1.8]))
     five = {"size": 5, "mode": "constant"}
     outer = ndimage.minimum_filter(np.where(part == 0, z, np.inf), cval=np.inf, **five)
     bend = [ndimage.correlate(z.astype(float), k, mode="nearest") for k in _BENDS]
@@ -273,7 +273,7 @@ def test_faces_are_counted_as_scipy_counts_them(rng):
         border = mine & ndimage.binary_dilation(part == 0)
         inner = ndimage.maximum_filter(np.where(mine, z, -np.inf), cval=-np.inf, **five)
         walls = border & (np.where(border, z - outer, 0) - np.where(mine, inner - z, 0) > 1.8)
-        bare = mine & known & (bent <= 0.2) & (high - z <= rise + 0.2)
+        bare = mine & known & (rise >= np.float32(0.4)) & (bent <= 0.2) & (high - z <= rise + 0.2)
         expected = [one.sum() for one in (mine, mine & whole, mine & known, bare, border, walls)]
         assert found[:, name].tolist() == expected and min(expected[0], *expected[2:5]) > 0
     assert found[5, 1] > 20 and (found[5, 2:] <= found[4, 2:] // 4).all() and (found[:, 0] == 0).all()

@@ -197,9 +197,11 @@ def test_places_to_look_at_are_where_errors_are(cloud, result):
     wrong = result.ground.copy()
     corner = (cloud.xyz[:, 0] > 65) & (cloud.xyz[:, 1] > 55)
     wrong[corner] = ~cloud.reference[corner]
-    found = places(cloud, np.full(len(cloud), np.nan), wrong != cloud.reference, 1.0)
+    found = places(cloud, result, wrong != cloud.reference, 1.0)
     assert found[0]["what"] == "errors" and found[0]["x"] > 60 and found[0]["y"] > 50
-    assert places(cloud, doubt_per_point(result, len(cloud))[0], None, 1.0)[0]["what"] == "doubt"
+    listed, table = places(cloud, result, None, 1.0), jf.review(cloud, result)
+    assert [one["what"] for one in listed] == table["reason"].tolist()[:12]
+    assert [one["x"] for one in listed] == pytest.approx((table["x"] - cloud.origin[0]).tolist()[:12])
 
 
 # ---- the file ----

@@ -156,24 +156,17 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
 def test_places_to_look_at_are_listed_for_one_file_and_for_many(survey, tmp_path, several):
     pytest.importorskip("geopandas")
     where, out = (survey, tmp_path / "out") if several else (survey / "west.las", tmp_path / "west.las")
-    words = (
-        "--set-window" and "--window",
-        6,
-        "--landscape",
-        8,
-        "--review",
-        tmp_path / "places.geojson",
-        "--review-area",
-        10,
-    )
+    words = ("--window", 6, "--landscape", 8, "--slope", 0.01, "--relief", 0, "--max-angle", 1)  # much ground is lost
+    words += ("--review", tmp_path / "places.geojson")
     tiles = ("--tile", 60, "--workers", 1) if several else ()
     done = run("ground", "ost", where, out, *words, *tiles, "--json", "--quiet")
     assert done.exit_code == 0, done.output
-    listed = json.loads(done.stdout)["review"]
+    listed = json.loads(done.stdout)["places"]
     places = json.loads((tmp_path / "places.geojson").read_text())["features"]
-    assert len(places) == listed["places"] > 0 and listed["expected_errors"] > 0
-    expected = sum(place["properties"]["expected_errors"] for place in places)
-    assert listed["expected_errors"] == pytest.approx(expected, rel=1e-3)
+    assert len(places) == len(listed) > 0
+    assert [place["properties"]["volume"] for place in places] == pytest.approx(
+        [one["volume"] for one in listed], rel=1e-3
+    )
     refused = run("ground", "ost", where, tmp_path / "b", *words)
     assert refused.exit_code == 2 and "places.geojson exists" in refused.stderr
 

@@ -19,8 +19,6 @@ import jaxfilter as jf
 from experiments.default.search import every_cloud
 from experiments.defaults import clouds
 from experiments.report import write_csv
-from jaxfilter.reports.places import squares
-from jaxfilter.reports.review_list import AREA, SIDE
 from jaxfilter.steps import doubt, doubt_model
 from jaxfilter.sweeps import tables
 
@@ -155,15 +153,6 @@ def reliability(p: np.ndarray, wrong: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return count / len(p), np.bincount(of, p, BINS) / total, np.bincount(of, wrong, BINS) / total
 
 
-def listed(one: Judged, p: np.ndarray) -> tuple[int, int]:
-    """Errors in the squares that a list of the default area names, and all."""
-    weight = np.full(len(one.known.cloud), np.nan)
-    weight[one.rows] = p
-    found = squares(one.known.cloud, weight, SIDE)
-    errors = np.bincount(found.of[one.rows], one.wrong, len(found.at))
-    return int(errors[found.first[: max(1, round(len(found.at) * AREA / 100))]].sum()), int(one.wrong.sum())
-
-
 def left_out(parts: Sequence[Judged]) -> list[tuple[Judged, np.ndarray]]:
     """Each cloud with the doubt by a model that has not seen its source of tiles, or its layout."""
     groups = {one.known.name if one.kind == "scenes" else one.known.group for one in parts}
@@ -232,22 +221,15 @@ def main() -> None:
         for name, some in pooled.items()
     }
     rows = [{"what": name, **figures(p, wrong)} for name, (p, wrong) in tests.items()]
-    for row, some in zip(rows, pooled.values(), strict=True):
-        named = np.array([listed(one, p) for one, p in some]).sum(axis=0)
-        row["listed"] = 100 * named[0] / max(named[1], 1)
     each = [
         {"what": one.known.name, **figures(p, one.wrong), "unnamed": 100 * one.unnamed} for one, p in samples + apart
     ]
-    for row, (one, p) in zip(each, samples + apart, strict=True):
-        named = listed(one, p)
-        row["listed"] = 100 * named[0] / max(named[1], 1)
     results = HERE / "results"
     results.mkdir(exist_ok=True)
     write_csv(results / "doubt.csv", rows + each)
     columns = [
         ("what", "clouds", ""), ("points", "points", ",d"), ("errors", "errors %", ".2f"), ("doubt", "mean doubt %", ".2f"),
         ("ece", "ECE", ".3f"), ("found", "errors in the most doubtful 10 % of points, %", ".1f"),
-        ("listed", "errors in the first 5 % of the area, %", ".1f"),
     ]  # fmt: skip
     table = tables.markdown(columns, rows)
     (results / "doubt.md").write_text(

@@ -12,7 +12,7 @@ KINDS = ("tiles", "hard tiles", "scenes")
 def page(tables: dict[str, list[Row]], head: str) -> str:
     """All tables as Markdown, of the parts that have rows."""
     text = ["# Where methods fail", "", head, ""]
-    makers = {"measures": measures, "cuts": cuts, "places": places}
+    makers = {"measures": measures, "cuts": cuts, "places": places, "spots": spots}
     for part, rows in tables.items():
         if rows:
             text += makers[part](pd.DataFrame(rows))
@@ -105,6 +105,46 @@ def places(table: pd.DataFrame) -> list[str]:
         "same for all methods: mean total error and kappa, least and largest mean, standard deviation of the means, and the "
         "sample whose error moves most. Percent.", "", markdown(columns, rows), "",
     ]  # fmt: skip
+
+
+def spots(table: pd.DataFrame) -> list[str]:
+    """What named places hold, over all clouds of a kind, and of each cloud with much that is off."""
+    columns: list[Column] = [
+        ("method", "method", ""), ("kind", "clouds", ""), ("off", "off, m2", ",.0f"), ("found", "of it named, %", ".0f"),
+        ("judged", "places", ",.0f"), ("hit", "that hold some, %", ".0f"), ("tenths", "a tenth, %", ".0f"),
+        ("times", "named area / off", ".2f"), ("whole", "all named / off", ".2f"), ("volume", "expected, m3", ",.0f"),
+        ("volume_true", "true, m3", ",.0f"),
+    ]  # fmt: skip
+    rows: list[Row] = []
+    for method, own in table.groupby("method", sort=False):
+        for kind in (*KINDS, "all three", "samples"):
+            part = own[own["kind"] != "samples"] if kind == "all three" else own[own["kind"] == kind]
+            if len(part):
+                rows.append({"method": method, "kind": kind, **_shares(part.sum(numeric_only=True))})
+    single: list[Row] = [
+        {"method": row["cloud"], "kind": row["first"], **_shares(pd.Series(row))}
+        for row in _records(table)
+        if row["off"] >= 200
+    ]
+    one: list[Column] = [("method", "cloud", ""), ("kind", "first place", ""), *columns[2:]]
+    return [
+        "## Named places", "",
+        "Area off: cells of 1 m within 3 m of reference ground whose terrain is off by more than 0.5 m. A place is right if it "
+        "holds some of it (or a tenth of its own area); places without any cell near reference ground are not judged. Named "
+        "area: its cells near reference ground, and all of it. Volumes: of cells near reference ground in places. Weights were "
+        "fitted to the tiles, hard tiles and scenes, and limits chosen on them; samples were looked at, and not fitted to.", "",
+        markdown(columns, rows), "", "Clouds with 200 m2 or more that are off:", "", markdown(one, single), "",
+    ]  # fmt: skip
+
+
+def _shares(counts: pd.Series) -> Row:
+    """Figures of :func:`spots` from sums over clouds."""
+    off, judged = max(float(counts["off"]), 1.0), max(float(counts["judged"]), 1.0)
+    return {
+        "off": counts["off"], "found": 100 * counts["off_named"] / off, "judged": counts["judged"],
+        "hit": 100 * counts["right"] / judged, "tenths": 100 * counts["tenth"] / judged, "times": counts["named"] / off,
+        "whole": counts["area"] / off, "volume": counts["volume"], "volume_true": counts["volume_true"],
+    }  # fmt: skip
 
 
 def _records(table: pd.DataFrame) -> list[Row]:

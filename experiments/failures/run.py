@@ -1,8 +1,10 @@
-"""Where methods fail: terrain along borders and inside, cuts through clouds, and the place of the grid. See README.md.
+"""Where methods fail: terrain along borders and inside, cuts through clouds, the place of the grid, and named places. See
+README.md.
 
     python experiments/failures/run.py measures
     python experiments/failures/run.py cuts --methods ost smrf --count 200
     python experiments/failures/run.py places --methods ost
+    python experiments/failures/run.py spots --methods ost
 
 Every row is kept in a file of ``--out`` and not made again; ``--fresh`` makes the rows of the given methods anew.
 """
@@ -21,11 +23,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.defaults.clouds import Known, tile
-from experiments.failures import cuts, pages, places
+from experiments.failures import cuts, pages, places, spots
 from experiments.isprs import samples
 from experiments.report import Row, machine, read_csv, write_csv
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
+from jaxfilter.scoring import reference_labels
 
 HERE = Path(__file__).parent
 SCENES = ("coast", "gorge", "benches", "vineyard", "canopy")
@@ -59,10 +62,18 @@ def main(arguments: list[str] | None = None) -> None:
         table = Rows(options.out / "places.csv", options)
         for number, method in table.open(options.samples, options.methods, options.places):
             table.add(*places.rows(samples.sample_path(folder, number), number, method, options.places))
+    if options.part in ("spots", "all"):
+        table = Rows(options.out / "spots.csv", options)
+        every = [*spot_names(folder, options.clouds), *(f"samp{number}" for number in options.samples)]
+        for name, method in table.open(every, options.methods):
+            table.add(*spots.rows(load(folder, name), method))
+    if options.part == "fit":
+        clouds = (load(folder, name) for name in spot_names(folder, options.clouds))
+        print(spots.fitted((known, jf.default_filter(known.cloud)(known.cloud)) for known in clouds).round(2).tolist())
     command = shlex.join(["python", "experiments/failures/run.py", *given])
     tables = {
         part: read_csv(path)
-        for part in ("measures", "cuts", "places")
+        for part in ("measures", "cuts", "places", "spots")
         if (path := options.out / f"{part}.csv").exists()
     }
     (options.out / "results.md").write_text(pages.page(tables, f"`{command}` on {machine()}.") + "\n")
@@ -110,6 +121,12 @@ def _short(value: object) -> object:
     return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
+def spot_names(folder: Path, only: list[str]) -> list[str]:
+    """Tiles, hard tiles, and all scenes at 2 pulses per m2: what the places that are named are calibrated on."""
+    files = [name for name in names(folder, only) if " " not in name]
+    return files + [name for layout in jf.scenes.LAYOUTS if _wanted(name := f"{layout} 2", only)]
+
+
 def _wanted(name: object, only: list[str]) -> bool:
     return not only or any(str(name).startswith(one) for one in only)
 
@@ -117,7 +134,10 @@ def _wanted(name: object, only: list[str]) -> bool:
 def load(folder: Path, name: str) -> Known:
     """A cloud of :func:`names`. Of scenes last echoes are filtered and scored."""
     layout, _, density = name.partition(" ")
-    if layout in SCENES:
+    if name.startswith("samp"):
+        cloud = jf.read(samples.sample_path(folder, name[4:]))
+        return Known(name, "samples", cloud, *reference_labels(cloud))
+    if layout in jf.scenes.LAYOUTS:
         scene = jf.scenes.make(layout, size=SIZES[float(density)], density=float(density), seed=SEED, swath=SWATH)
         return Known(name, "scenes", scene.cloud, scene.truth, scene.cloud.candidate)
     group, path = next(
@@ -144,7 +164,7 @@ def measured(known: Known, method: str) -> Row:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["measures", "cuts", "places", "all", "page"])
+    parser.add_argument("part", choices=["measures", "cuts", "places", "spots", "fit", "all", "page"])
     parser.add_argument("--data", type=Path, help="folder with isprs/, tiles/ and tiles_hard/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
     parser.add_argument("--methods", nargs="+", choices=list(jf.FILTERS), default=list(jf.FILTERS), metavar="METHOD")

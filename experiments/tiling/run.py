@@ -20,6 +20,7 @@ from experiments.report import Column, Row, machine, markdown, write_csv
 from experiments.tiles.run import TILES
 from experiments.tiling import country, labels, robustness, scale
 from jaxfilter.core.compilation import keep_compilations
+from jaxfilter.reports.places import REASONS
 
 HERE = Path(__file__).parent
 PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning", "country", "tiles")
@@ -102,23 +103,23 @@ def _border(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
     folder = samples.data_folder(options.data) / "tiles"
     for name in TILES:
         cloud = jf.read(next(folder.glob(f"{name}.la[sz]")), units="m")
-        objects = jf.cut_objects(cloud, cloud.classification == 2)
-        row: Row = {"survey": name, "objects": len(objects), "reference": sum(one.is_ground for one in objects)}
+        row: Row = {"survey": name, "reference": _cut(cloud, cloud.classification == 2)}
         for method in options.methods:
             result = jf.FILTERS[method].for_cloud(cloud)(cloud)
             start = time.perf_counter()
-            row[method] = sum(one.is_ground for one in jf.cut_objects(cloud, result))
+            row[method] = _cut(cloud, result)
             row["seconds"] = time.perf_counter() - start
         rows.append(row)
         print(row, file=sys.stderr, flush=True)
-    columns: list[Column] = [
-        ("survey", "survey", ""),
-        ("objects", "objects", "d"),
-        ("reference", "ground by reference", "d"),
-    ]
+    columns: list[Column] = [("survey", "survey", ""), ("reference", "by reference", "d")]
     columns += [(method, f"by {method.upper()}", "d") for method in options.methods]
     columns.append(("seconds", "seconds to find them", ".2f"))
-    return rows, columns, "Objects that the border of the data cuts"
+    return rows, columns, "Places named as canopies or roofs cut by the edge of the data"
+
+
+def _cut(cloud: jf.PointCloud, result: jf.FilterResult | np.ndarray) -> int:
+    """How many places are named as cut."""
+    return int((jf.review(cloud, result)["reason"] == REASONS[0]).sum())
 
 
 _LABELS: list[Column] = [

@@ -36,13 +36,7 @@ if TYPE_CHECKING:
     from ..scoring import Scores
     from ..surveys.measures import Recipe
 
-REVIEW = [
-    option("--review", "Also write the places to look at, most expected errors first, as .gpkg or .geojson.", OUTPUT),
-    option(
-        "--review-area", "Per cent of the area that they cover.", click.FloatRange(0, 100, min_open=True), default=5.0
-    ),
-]
-"""What makes a Review, of methods that state their doubt."""
+REVIEW = option("--review", "Also write the places where the terrain may be wrong, as .gpkg or .geojson.", OUTPUT)
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
@@ -168,7 +162,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         option("--only-ground", "Mark ground and leave every other class as it is.", bool),
         option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
         option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
-        *(REVIEW if method is None or method.DOUBTS else ()),
+        REVIEW,
         *RUN,
         *session_options(),
     ]
@@ -182,12 +176,12 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     """Run ``ground``."""
     recipe.alone()  # what is wrong with the parameters is said before anything is read
     from ..files.writing import Classes
-    from ..surveys.ground import Review, ground
+    from ..surveys.ground import ground
 
-    places = options.get("review")
-    review = None if places is None else Review(places, options["review_area"])
-    if places is not None:
-        check_target(places, options["overwrite"] or options["resume"])
+    if (review := options["review"]) is not None:
+        from ..reports.review_list import DRIVERS
+
+        check_target(review, options["overwrite"] or options["resume"], tuple(DRIVERS))
     classes, extra = take(Classes, options), options["extra"]
     files = open_files(session, paths, options, bare=recipe.method is None)
     with session.step("run", files.collection.count):

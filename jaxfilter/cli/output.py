@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..surveys.report import RunReport
     from .options import Files
 
-_CUT_LISTED = 5
+_PLACES_LISTED = 5
 
 
 def run_facts(session: Session, report: RunReport, files: Files | None = None) -> dict[str, Any]:
@@ -56,8 +56,9 @@ def print_report(report: dict[str, Any]) -> None:
     click.echo(f"{report['method']}: {ended}; {times(report['seconds'])}; {made}")
     if report["tiles"] > 1:
         click.echo(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
-    if listed := report["review"]:
-        click.echo(f"{listed['output']}: {listed['places']:,} places, {listed['expected_errors']:,.0f} expected errors")
+    if report["review"]:
+        volume = sum(place["volume"] for place in report["places"])
+        click.echo(f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect")
     if labels := report.get("labels"):
         click.echo("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
     marked = report["overlap"]
@@ -75,7 +76,7 @@ def tell(session: Session, report: RunReport) -> None:
     """Lines on the steps of a run, on what it warned of, and on what it could not do."""
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
-    tell_cut(session, report.cut_objects)
+    tell_places(session, report.places)
     for remark, times in report.remarks.items():
         session.warn_of(remark + (f" ({times} times)" if times > 1 else ""))
     for one in report.set_aside:
@@ -88,21 +89,16 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"{one['file']} was not written: {one['reason']}")
 
 
-def tell_cut(session: Session, objects: Sequence[dict[str, Any]]) -> None:
-    """Lines on objects that the border of the data cuts, given as dicts of ``jaxfilter.CutObject``."""
-    wrong = sorted((one for one in objects if one["ground"] >= 0.5), key=lambda one: -one["area"])
-    if rest := len(objects) - len(wrong):
-        were, them = ("was", "it") if rest == 1 else ("were", "them")
+def tell_places(session: Session, places: Sequence[dict[str, Any]]) -> None:
+    """A line on the places where the terrain may be wrong, with the largest ones."""
+    if places:
+        listed = [
+            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
+            for one in places[:_PLACES_LISTED]
+        ]
+        more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
         session.note(
-            f"{count(rest, 'object')} cut by the edge of the data {were} classified as non-ground; please check {them}"
-        )
-    if wrong:
-        listed = [f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g}" for one in wrong[:_CUT_LISTED]]
-        more = f" and {len(wrong) - len(listed):,} more (--json lists all)" if len(wrong) > len(listed) else ""
-        were, may = ("was", "a cut roof") if len(wrong) == 1 else ("were", "cut roofs")
-        session.warn(
-            f"{count(len(wrong), 'object')} at the edge of the data may be {may} and {were} classified as ground: "
-            f"{'; '.join(listed)}{more}"
+            f"{count(len(places), 'place')} where the terrain may be wrong, please check: {'; '.join(listed)}{more}"
         )
 
 

@@ -12,7 +12,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.grid import Grid, grid_over
 from ..core.result import Decision, FilterResult
 from ..plots.maps import rasterise, shade
-from .places import squares
+from .places import places_of, suspects
 
 MAX_PIXELS = 2_000_000
 _DOUBTFUL = 0.2
@@ -108,22 +108,30 @@ def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarr
     return out, "margin"
 
 
-def places(cloud: PointCloud, doubt: np.ndarray, wrong: np.ndarray | None, cell: float) -> list[dict[str, float | str]]:
-    """Where to look first: squares with most errors, or without any known with most doubt; local metres of their centres.
+def places(
+    cloud: PointCloud, found: FilterResult | np.ndarray, wrong: np.ndarray | None, cell: float
+) -> list[dict[str, float | str]]:
+    """Where to look first: squares with most errors, or without any known the places of :func:`jaxfilter.review`.
 
     Args:
-        cloud: with at least one valid point. doubt: f32[n], see :func:`doubt_per_point`.
+        cloud: with at least one valid point. found: a result, or bool[n], what is ground.
         wrong: bool[n], errors against a reference, or None. cell: of the maps, metres.
+
+    Returns: for each ``x`` and ``y``, local metres, the ``side`` of a square around it, and ``what``: why it is shown.
     """
+    least = max(_PLACE * cell, _SIDE)
     if wrong is not None and wrong.any():
-        what, weight = "errors", wrong.astype(np.float32)
-    else:
-        what, weight = "doubt", doubt
-    side = max(_PLACE * cell, _SIDE)
-    found = squares(cloud, weight, side)
-    rows = found.first[:_PLACES]
-    rows = rows[found.total[rows] > 0]
-    return [{"x": float(x), "y": float(y), "side": side, "what": what} for x, y in found.centres(rows)]
+        grid = grid_over(cloud.xyz, least, name="side")
+        at, count = np.unique(grid.flat(cloud.xyz[wrong]), return_counts=True)
+        row, column = np.divmod(at[np.argsort(-count, kind="stable")[:_PLACES]], grid.nx)
+        x, y = grid.x0 + (column + 0.5) * least, grid.y0 + (row + 0.5) * least
+        return [{"x": float(a), "y": float(b), "side": least, "what": "errors"} for a, b in zip(x, y, strict=True)]
+    listed = places_of(suspects(cloud, found), cloud.units.xy)[:_PLACES]
+    local = [(np.array([one.x, one.y]) - cloud.origin[:2]) * cloud.units.xy for one in listed]
+    return [
+        {"x": float(x), "y": float(y), "side": max(math.sqrt(one.area), least), "what": one.reason}
+        for (x, y), one in zip(local, listed, strict=True)
+    ]
 
 
 def _cell(xyz: np.ndarray) -> float:

@@ -94,12 +94,13 @@ function listPlaces() {
   const {places} = facts;
   if (!places.length) return;
   el("places-section").hidden = false;
-  const doubts = facts.doubt_of === "probability" ? "Squares with most errors to expect." : "Squares with most points near to their threshold.";
-  el("places-hint").textContent = places[0].what === "errors" ? "Squares with most cells in error." : doubts;
+  const errors = places[0].what === "errors";
+  el("places-hint").textContent = errors ? "Squares with most cells in error." : "Places where the terrain may be wrong, largest expected error volume first.";
   el("places").replaceChildren(...places.map((place, i) => {
     const button = document.createElement("button"), reach = .7 * place.side;
     button.type = "button";
     button.textContent = `${i + 1} · ${toFile([place.x, place.y]).map(v => number(v)).join(", ")}`;
+    if (!errors) button.textContent += ` · ${place.what}`;
     button.addEventListener("click", () => {
       state.view = {x: place.x, y: place.y, scale: Math.min(...size()) / (2.5 * place.side)};
       drawMap();

@@ -26,7 +26,7 @@ from ..files.disk import new_file
 from ..files.reading import class_changes
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
-from .layers import Layers, doubt_per_point, layers_of, places
+from .layers import Layers, layers_of, places
 from .packing import pack, script_json
 from .steps import Steps, steps_of
 
@@ -181,7 +181,7 @@ def _contents(
     if what.truth is not None and what.counted is not None:
         wrong = (what.ground != what.truth) & what.counted
         flags = flags + what.truth * np.uint8(_TRUE) + what.counted * np.uint8(_COUNTED)
-    facts["places"] = places(cloud, doubt_per_point(what.found, len(cloud))[0], wrong, layers.grid.cell)
+    facts["places"] = places(cloud, what.found, wrong, layers.grid.cell)
     arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
     facts["doubt_of"] = layers.doubt_of
     if layers.doubt_of:

@@ -1,56 +1,295 @@
-"""Where to look first: the squares of a cloud with the largest sum of a weight, such as doubt or errors."""
+"""Places where a terrain model may be wrong: what speaks for that in each cell, and connected cells where it is likely."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ..core.cloud import PointCloud
-from ..core.grid import Grid, grid_over
+from ..core.grid import most_cells
+from ..core.result import FilterResult
+from ..engines.neighbours import groups
+from ..files.disk import Bounds
+from ..terrain.models import extent_of, ground_of, heights_of
+from ..terrain.outline import cells_of, inward, occupied
+from ..terrain.raster import RasterGrid
+
+SIDE = 2.0
+"""Metres: side of the cells that places are made of."""
+OFF = 0.5
+"""Metres from which on terrain counts as off, as in :func:`jaxfilter.dtm_rmse`."""
+LIKELY = 0.06
+"""Cells whose terrain is off by more than half a metre with this chance, or a larger one, are named."""
+LEAST = 40.0
+"""Square metres that a place has at least."""
+MODEL = np.array([[0.11, 1.67, -1.48, -0.47, 0.52], [-3.27, 0.0, -1.06, -0.48, 1.2]])
+"""f64[2, 5]: constant and weights of :func:`evidence`, for results with doubt and without (experiments/failures)."""
+REACH = 30.0
+"""Metres that an object which the outline of the data cuts reaches into the data at most: wider ones are hills and terraces."""
+STEP = 0.7
+"""Rise over run between neighbouring cells of one object, at most: roofs are seldom steeper than 35 degrees."""
+DROP, DROP_SHARE = 2.5, 0.5
+"""Metres that the surface falls by within two cells, and the share of the inner border of an object where it falls so."""
+AREA, TOUCH = 20.0, 3.0
+"""Square metres, and metres along the outline of the data, that a cut object has at least."""
+UNKNOWN = 0.5
+"""The chance that a cut object which is ground is none, and that a smooth steep face which is none is ground."""
+STEEPEST = 1.0
+"""Rise over run: terrain between ground points that are far from each other is taken to rise by no more, and few roofs do."""
+_WIDE = 1 << 31  # cells that a row may have
+REASONS = (
+    "canopy or roof cut by the edge of the data",
+    "steep face taken as an object",
+    "low points left out",
+    "few ground points",
+    "doubtful points",
+)
+"""Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
+
+
+class Surface(NamedTuple):
+    """Cells of a cloud, arrays [rows, columns], row 0 in the north.
+
+    Attributes:
+        low: f64, elevation of the lowest candidate, metres, that of the nearest cell with one where there is none.
+        height: f64, metres of it over the terrain model, zero where it is ground.
+        ground: bool, the lowest candidate is ground; points, grounds: f64, number of candidates, and of ground points.
+        doubt: f64, sum of the doubt; None if the result states none. noise: bool, cells with low outliers.
+    """
+
+    low: np.ndarray
+    height: np.ndarray
+    ground: np.ndarray
+    points: np.ndarray
+    grounds: np.ndarray
+    doubt: np.ndarray | None
+    noise: np.ndarray
+
+    @classmethod
+    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, grid: RasterGrid) -> Surface:
+        """With at least one candidate. ``result``: a FilterResult, or bool[n], what is ground."""
+        full = result if isinstance(result, FilterResult) else None
+        ground, size = ground_of(cloud, result), grid.rows * grid.columns
+        rows = np.flatnonzero(cloud.candidate if cloud.valid is None else cloud.candidate & cloud.valid)
+        every = cells_of(cloud, grid)
+        at, z = every[rows], cloud.xyz[rows, 2].astype(np.float64)
+        low, height = np.full(size, np.inf), np.full(size, np.inf)
+        np.minimum.at(low, at, z)
+        least = np.flatnonzero(z == low[at])
+        own = rows[least]
+        above = np.zeros(len(own)) if full is None else full.height[own].astype(np.float64)
+        if full is None and ground.any():
+            above = heights_of(cloud, ground, own, workers=None) * cloud.units.z
+        above[ground[own] | ~np.isfinite(above)] = 0
+        np.minimum.at(height, at[least], above)
+        is_ground, noise = np.zeros(size, bool), np.zeros(size, bool)
+        is_ground[at[least][ground[own]]] = True
+        if full is not None:
+            noise[every[full.low_noise]] = True
+        doubt = None if full is None or full.doubt is None else np.nan_to_num(full.doubt[rows])
+        sums = [None if one is None else np.bincount(at, one, size) for one in (None, ground[rows], doubt)]
+        empty = np.isinf(low).reshape(grid.shape)
+        nearest = tuple(ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True))
+        shaped = [None if one is None else one.reshape(grid.shape) for one in (low, height, is_ground, *sums, noise)]
+        low, height, is_ground, _, grounds, doubt, noise = shaped  # type: ignore[assignment]
+        points = np.bincount(at, minlength=size).reshape(grid.shape).astype(np.float64)
+        return cls(low[nearest], height[nearest], is_ground, points, grounds, doubt, noise)  # type: ignore[arg-type]
+
+
+def evidence(surface: Surface) -> np.ndarray:
+    """f64[rows, columns, 4]: what speaks for an error, over a cell and the eight around it, as logarithms.
+
+    Mean doubt of the points; share of ground points; ground points per square metre; slope of the terrain, rise over run. Small
+    numbers are added, so that none is infinite. Without any doubt the first is zero.
+    """
+    points, grounds = np.maximum(around(surface.points), 1), around(surface.grounds)
+    doubt = np.ones(points.shape) if surface.doubt is None else around(surface.doubt) / points + 0.01
+    density, slope = grounds / (9 * SIDE**2), _slope(surface.low - surface.height)
+    return np.log(np.stack([doubt, grounds / points + 0.05, density + 0.05, slope + 0.05], axis=-1))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Squares:
-    """Sums of a weight over the squares of a lattice.
+class Suspects:
+    """Cells where the terrain model may be wrong, of a lattice from the zero of the coordinates.
 
     Attributes:
-        grid: the lattice, local metres; row 0 is the southern edge.
-        at: i64[k], the squares that hold points with a weight, ascending, as places in the grid, row by row.
-        total: f64[k], sum of the weights; points: i64[k], how many.
-        first: i64[k], rows of the above by total, largest first; equal ones as in the grid.
-        of: i64[n], the row of each point's square; -1 = the point has no weight.
+        cell: i64[k, 2], columns and rows. chance: f64[k], that it is off by more than half a metre.
+        error: f64[k], expected error, metres. reason: i64[k], place in :data:`REASONS`. filled: bool[k], holds points.
     """
 
-    grid: Grid
-    at: np.ndarray
-    total: np.ndarray
-    points: np.ndarray
-    first: np.ndarray
-    of: np.ndarray
+    cell: np.ndarray
+    chance: np.ndarray
+    error: np.ndarray
+    reason: np.ndarray
+    filled: np.ndarray
 
-    def centres(self, rows: np.ndarray) -> np.ndarray:
-        """f64[k, 2]: x and y of the centres of these squares, local metres."""
-        row, column = np.divmod(self.at[rows], self.grid.nx)
-        return np.stack([column + 0.5, row + 0.5], axis=1) * self.grid.cell + (self.grid.x0, self.grid.y0)
+    @classmethod
+    def none(cls) -> Suspects:
+        """No cell."""
+        return cls(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
+
+    @classmethod
+    def together(cls, parts: Sequence[Suspects]) -> Suspects:
+        """Of parts of a scene that share no cell; there is at least one."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def squares(cloud: PointCloud, weight: np.ndarray, side: float) -> Squares:
-    """The squares of a cloud with at least one valid point, by the sum of ``weight``, f[n]; NaN = does not count.
+def suspects(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    *,
+    footprints: Iterable[Bounds] | None = None,
+    window: Bounds | None = None,
+    core: Bounds | None = None,
+) -> Suspects:
+    """The cells of a cloud whose terrain is wrong with a chance of :data:`LIKELY` or more.
 
-    ``side``: metres. Raises InputError if there would be too many squares.
+    Args:
+        cloud: n points. result: a FilterResult, or bool[n], what is ground.
+        footprints: rectangles that are known to hold data, file coordinates, where the cloud was cut out of more data.
+        window: the box that was read then; its edges are no outline. core: only cells with their centre in this box.
+
+    Raises: InputError for labels that do not fit, or if the extent is too large.
     """
-    import pandas as pd
+    ground_of(cloud, result)
+    if not (cloud.candidate if cloud.valid is None else cloud.candidate & cloud.valid).any():
+        return Suspects.none()
+    side, metre = SIDE / cloud.units.xy, cloud.units.xy
+    grid = RasterGrid.over(extent_of(cloud) if window is None else window, side, metre, most_cells(len(cloud)))
+    grid = RasterGrid(side, grid.left - 1, grid.bottom - 1, grid.columns + 2, grid.rows + 2)
+    data = occupied(cloud, grid)
+    for box in footprints or ():
+        if window is not None:
+            data |= _cells_in(grid, box) & ~_cells_in(grid, window)
+    surface = Surface.of(cloud, result, grid)
+    filled, figures, inner = surface.points > 0, evidence(surface), inward(data, SIDE)
+    seen = (around(surface.points) > 0) & (inner > 0)
+    weights = MODEL[int(surface.doubt is None)]
+    chance = np.where(seen, 1 / (1 + np.exp(-(weights[0] + figures @ weights[1:]))), 0)
+    spacing, slope = np.exp(-figures[..., 2] / 2), np.exp(figures[..., 3]) - 0.05
+    error = np.maximum(OFF, np.minimum(slope, STEEPEST) * spacing)
+    fall, face = _cut(surface, filled, inner), _faces(surface, filled)
+    rise = np.where(face, surface.height, np.where(surface.ground, fall, 0))
+    chance, error = np.where(rise > 0, np.maximum(chance, UNKNOWN), chance), np.maximum(error, rise)
+    reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4)
+    named = chance >= LIKELY
+    if core is not None:
+        named &= _cells_in(grid, core)
+    row, column = np.nonzero(named)
+    cell = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1)
+    return Suspects(cell, chance[named], (chance * error)[named], reason[named], filled[named])
 
-    counted = np.isfinite(weight)
-    if cloud.valid is not None:
-        counted &= cloud.valid
-    rows = np.flatnonzero(counted)
-    grid = grid_over(cloud.xyz if cloud.valid is None else cloud.xyz[cloud.valid], side, name="side")
-    flat = grid.flat(cloud.xyz if len(rows) == len(cloud) else cloud.xyz[rows])
-    member, at = pd.factorize(flat, sort=True)  # by hashes: a fifth of the time that numpy.unique sorts for
-    total = np.bincount(member, weights=weight[rows], minlength=len(at))
-    of = np.full(len(cloud), -1, np.int64)
-    of[rows] = member
-    points = np.bincount(member, minlength=len(at))
-    return Squares(grid, at.astype(np.int64), total, points, np.argsort(-total, kind="stable"), of)
+
+def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
+    """f64[rows, columns]: sums over each cell and the eight around it."""
+    return np.asarray(
+        ndimage.correlate1d(ndimage.correlate1d(values, np.ones(3), 0, mode=mode), np.ones(3), 1, mode=mode)
+    )
+
+
+def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:
+    """bool[rows, columns]: cells whose centre is in a box."""
+    x = (grid.left + 0.5 + np.arange(grid.columns)) * grid.cell
+    y = (grid.bottom + grid.rows - 0.5 - np.arange(grid.rows)) * grid.cell
+    return ((x >= box[0]) & (x < box[2]))[None, :] & ((y >= box[1]) & (y < box[3]))[:, None]
+
+
+def _slope(z: np.ndarray) -> np.ndarray:
+    """f64[rows, columns]: rise over run, by the cells before and after."""
+    wide = np.pad(z, 1, mode="edge")
+    return np.hypot(wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]) / (2 * SIDE)
+
+
+def _faces(surface: Surface, filled: np.ndarray) -> np.ndarray:
+    """bool[rows, columns]: steep ground that was taken as an object, with the cells beside it. Of a cell and the eight around it
+    most have no ground, are steeper than :data:`STEEPEST`, and lie between their neighbours: walls and canopies do not."""
+    slope, bend = _slope(surface.low), np.abs(around(surface.low, "nearest") / 9 - surface.low)
+    steep = filled & (surface.grounds == 0) & (slope > STEEPEST) & (bend < slope * SIDE / 4)
+    return np.asarray(filled & (around((around(steep * 1.0) >= 5) * 1.0) > 0))
+
+
+def _cut(surface: Surface, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """f64[rows, columns]: metres that objects which the outline cuts stand above what surrounds them; zero in other cells.
+
+    An object is a segment of the surface of lowest points whose neighbouring cells differ by less than :data:`STEP` times the
+    cell. It touches the outline, reaches no further than :data:`REACH` into the data, and the surface falls along its border
+    inside the data. ``inner``: metres to the outline.
+    """
+    strip = filled & (inner <= REACH + SIDE)
+    number = np.cumsum(strip).reshape(strip.shape) - 1
+    wall, links = np.zeros(strip.shape, bool), []
+    for one, other in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
+        both = strip[one] & strip[other]
+        level = both & (np.abs(surface.low[one] - surface.low[other]) < STEP * SIDE)
+        links.append((number[one][level], number[other][level]))
+        wall[one] |= both & ~level
+        wall[other] |= both & ~level
+    out = np.zeros(strip.shape)
+    if not strip.any():
+        return out
+    ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
+    segment = groups(ends, others, int(strip.sum()))
+    fall = (surface.low - ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
+    wall, inner = wall[strip], inner[strip]
+    cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)
+    border, falling = np.bincount(segment, wall), np.bincount(segment, wall & (fall > DROP))
+    cut = (cells * SIDE**2 >= AREA) & (touching * SIDE >= TOUCH) & (np.bincount(segment, inner > REACH) == 0)
+    cut &= (border > 0) & (falling >= DROP_SHARE * border)
+    height = np.bincount(segment, np.where(wall & (fall > DROP), fall, 0)) / np.maximum(falling, 1)
+    out[strip] = np.where(cut, height, 0)[segment]
+    return out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Place:
+    """A connected area where the terrain model may be wrong.
+
+    Attributes:
+        x, y: file coordinates of the middle of a cell that holds points.
+        area: square metres. volume: expected error, cubic metres. chance: that a square metre of it is off by more than 0.5 m.
+        reason: in words. cells: i64[k, 2], columns and rows from the zero of the coordinates.
+    """
+
+    x: float
+    y: float
+    area: float
+    volume: float
+    chance: float
+    reason: str
+    cells: np.ndarray
+
+    def facts(self) -> dict[str, float | str]:
+        """All but the cells, by name."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "cells"}
+
+
+def places_of(found: Suspects, metre: float) -> list[Place]:
+    """Cells that touch, at a corner too, are a place if they have :data:`LEAST`; largest volume first. ``metre``: per unit."""
+    order = np.lexsort(found.cell.T)
+    cell, reason, chance, filled = (one[order] for one in (found.cell, found.reason, found.chance, found.filled))
+    volume, key = found.error[order] * SIDE**2, cell[:, 1] * _WIDE + cell[:, 0]
+    links = []
+    for step in (1, _WIDE - 1, _WIDE, _WIDE + 1):
+        beside = np.searchsorted(key, key + step).clip(max=max(len(key) - 1, 0))
+        rows = np.flatnonzero(key[beside] == key + step)
+        links.append((rows, beside[rows]))
+    ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
+    of = groups(ends, others, len(cell))
+    count = np.bincount(of)
+    parts = np.split(np.argsort(of, kind="stable"), np.cumsum(count)[:-1])
+    places = []
+    for number in np.flatnonzero(count * SIDE**2 >= LEAST).tolist():
+        at = parts[number]
+        held = cell[at[filled[at]]]
+        if not len(held):
+            continue
+        middle = np.average(cell[at], axis=0, weights=volume[at])
+        x, y = ((held[np.square(held - middle).sum(axis=1).argmin()] + 0.5) * SIDE / metre).tolist()
+        why = REASONS[int(np.bincount(reason[at], volume[at]).argmax())]
+        places.append(Place(x, y, len(at) * SIDE**2, float(volume[at].sum()), float(chance[at].mean()), why, cell[at]))
+    return sorted(places, key=lambda place: -place.volume)

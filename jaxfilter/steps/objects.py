@@ -75,7 +75,7 @@ class Segments:
 
     def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells that are steep ground though openings cut them: parts of the objects, joined over edges,
-        that are bare and no roofs, and have no walls, as the rocks and faces of a coast.
+        that are steep, bare and no roofs, and have no walls, as the rocks and faces of a coast.
 
         Of their cells half at least must have points as all around them do, and half of these be bare; few may be in segments
         that are objects as a whole, and fewer than half of those on their border walls, from which the surface falls farther, by
@@ -88,7 +88,7 @@ class Segments:
         from ..engines.grid.shapes import faces, segments
 
         part, count = segments(np.where(objects, self.z, np.float32(np.nan)), np.float32(np.inf), self.least)
-        limits = np.float32(SMOOTH), np.float32(2 * self.roofs.step)
+        limits = (np.float32(limit) for limit in (self.roofs.step, SMOOTH, 2 * self.roofs.step))
         cells, roofs, known, bare, border, walls = faces(part, count, self.z, high, seen, whole, *limits)
         ground = (2 * known >= cells) & (2 * bare >= known) & (roofs <= ROOFS * cells) & (walls <= WALLS * border)
         return (ground & (cells > 0))[part]

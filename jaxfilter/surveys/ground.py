@@ -22,35 +22,12 @@ from .executors import LOCAL
 from .labels import collected, packed
 from .measures import Recipe, recipe_of
 from .options import RunOptions
+from .places import places_in, suspects_in
 from .product import FileTask, Product
 from .report import RunReport, Summary
-from .store import KEPT
 from .survey import Cut, Survey, open_files
 from .targets import Targets, targets_of
-from .tiles import Around, Tile, TileReader, objects_at_border, part_of
-
-
-@dataclasses.dataclass(frozen=True)
-class Review:
-    """A list of the places to look at, see :func:`jaxfilter.review`: the file, per cent of the area that they cover, and metres
-    of the squares that they are made of.
-
-    Raises: OutputError for another suffix than .gpkg and .geojson; ParameterError.
-
-    >>> review = jf.Review("places.geojson", area=10.0)
-    >>> report = jf.ground("survey", "classified", jf.OST(), reading=jf.Reading(units="m"), review=review)
-    >>> report.review["places"] > 0
-    True
-    """
-
-    path: str | Path
-    area: float = 5.0
-    side: float = 10.0
-
-    def __post_init__(self) -> None:
-        from ..reports.review_list import check_settings
-
-        check_settings(Path(self.path), self.area, self.side)
+from .tiles import Around, Tile, TileReader, part_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +35,7 @@ class GroundProduct(Product):
     """Files with the classes of their points changed.
 
     Attributes:
-        classes: that are written; extra: quantities that are written along; review: the list of places to look at.
+        classes: that are written; extra: quantities that are written along; review: a file for the list of places to look at.
         into_text: the output is text, which has classes only if the lines of the input had.
     """
 
@@ -67,7 +44,7 @@ class GroundProduct(Product):
     """Names of further columns, which ``columns`` of a subclass makes."""
     classes: Classes
     extra: tuple[str, ...]
-    review: Review | None
+    review: Path | None
     into_text: bool
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
@@ -80,17 +57,9 @@ class GroundProduct(Product):
         summary.seconds["filter"] = (done := time.perf_counter()) - read
         bare = self.into_text and (around.cloud.classification is None or tile.sources[0].format != "text")
         summarise(summary, around, result, None if bare else self.classes)
-        cut = objects_at_border(around.cloud, result.ground, tile, self.reader.reading.bounds)
-        summary.cut_objects = [dataclasses.asdict(one) for one in cut]
-        summary.seconds["border"] = time.perf_counter() - done
-        arrays = packed(around, result.ground, self.columns(around, result), result.low_noise)
-        if self.review is not None:
-            from ..reports.review_list import (
-                DoubtSquares,  # late: it brings SciPy's image functions, a quarter of a second
-            )
-
-            squares = DoubtSquares.of(around.cloud, result, self.review.side, around.core)
-            arrays |= {f"{KEPT}{name}": getattr(squares, name) for name in ("square", "points", "doubt")}
+        kept = suspects_in(around, result, tile, self.reader.reading.bounds)
+        summary.seconds["places"] = time.perf_counter() - done
+        arrays = packed(around, result.ground, self.columns(around, result), result.low_noise) | kept
         return arrays, summary
 
     def columns(self, around: Around, result: FilterResult) -> dict[str, np.ndarray]:
@@ -107,26 +76,19 @@ class GroundProduct(Product):
         write_cloud(task.target, found.cloud, result, self.classes, additions, overwrite=True, in_place=task.in_place)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Write the list of places to look at. Raises: InputError, OutputError."""
-        if self.review is None:
-            return
-        from ..reports.review_list import DoubtSquares, list_places, write_places
+        """List the places to look at, and write them. Raises: InputError, OutputError."""
+        places = places_in(self, report, collection.metre)
+        report.places = [place.facts() for place in places]
+        if self.review is not None:
+            from ..reports.review_list import table_of, write_places
 
-        review = self.review
-        stored = [self.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
-        columns = [[one[f"{KEPT}{name}"] for name in ("square", "points", "doubt")] for one in stored]
-        anchor = np.array(self.reader.reading.anchor)
-        parts = [DoubtSquares(review.side, anchor, *arrays) for arrays in columns]
-        if parts:
-            table = list_places(DoubtSquares.together(parts), review.area, collection.crs, collection.metre)
-            write_places(table, Path(review.path), overwrite=options.overwrite or options.resume)
-            expected = float(table["expected_errors"].sum())
-            report.review = {"output": str(review.path), "places": len(table), "expected_errors": expected}
+            table = table_of(places, collection.metre, collection.crs)
+            write_places(table, self.review, overwrite=options.overwrite or options.resume)
+            report.review = str(self.review)
 
     def facts(self) -> dict[str, Any]:
         """Classes and quantities."""
-        review = None if self.review is None else self.review.side
-        return {"classes": dataclasses.asdict(self.classes), "extra": self.extra, "review": review}
+        return {"classes": dataclasses.asdict(self.classes), "extra": self.extra}
 
 
 def summarise(summary: Summary, around: Around, result: FilterResult, classes: Classes | None) -> None:
@@ -157,7 +119,7 @@ def ground(
     reading: Reading = Reading(),
     classes: Classes = Classes(),
     extra: Iterable[str] = (),
-    review: Review | None = None,
+    review: str | Path | None = None,
     run: RunOptions = RunOptions(),
 ) -> RunReport:
     """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
@@ -174,7 +136,7 @@ def ground(
         filter_: by default the default method, set up for the data.
         reading: which points are read and judged, see :class:`Reading`; with ``bounds`` only points within are written.
         classes: that are written, see :class:`Classes`; extra: quantities that are written along, as in :func:`jaxfilter.write`.
-        review: a list of places to look at that is written as well, of methods that state their doubt.
+        review: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the places to look at, see :func:`jaxfilter.review`.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it.
@@ -187,15 +149,18 @@ def ground(
     """
     recipe = recipe_of(filter_)
     recipe.alone()  # what is wrong with parameters is said before anything is read
-    if review is not None and not (recipe.method is None or recipe.method.DOUBTS):
-        raise ParameterError(f"review: {recipe.method.__name__} states no doubt; OST does")
+    listed = None if review is None else Path(review)
+    if listed is not None:
+        from ..reports.review_list import check_suffix
+
+        check_suffix(listed)
     collection = open_files(what, out, reading, run)
     targets = targets_of(None if run.in_place else out, collection.uris, run)
     survey, quantities = Survey(collection, targets, recipe, reading, run), tuple(Additions(extra).extra)
 
     def product_for(reader: TileReader, filter_: Filter | None) -> GroundProduct:
         text = all(place.suffix.lower() in TEXT for place in targets.places)
-        return GroundProduct(reader, targets.store.path, filter_, classes, quantities, review, text)
+        return GroundProduct(reader, targets.store.path, filter_, classes, quantities, listed, text)
 
     return survey.run(cut_by_filter, product_for)
 

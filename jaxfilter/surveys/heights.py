@@ -16,16 +16,18 @@ from ..core.reading import Reading
 from ..core.result import Status
 from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, Classes, write_cloud
 from ..terrain.models import heights_of
+from .collection import Collection
 from .executors import LOCAL
 from .ground import summarise
 from .labels import collected, packed
 from .options import RunOptions
+from .places import places_in, suspects_in
 from .product import FileTask
 from .report import RunReport, Summary
 from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, cut_around, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
-from .targets import targets_of
-from .tiles import Tile, TileReader, objects_at_border
+from .targets import Targets, targets_of
+from .tiles import Tile, TileReader
 
 _GRAIN = 1.0  # metres
 
@@ -40,6 +42,7 @@ class HeightProduct(GroundNeeded):
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Heights of the points of a tile. Raises: InputError if there is no ground within the widest halo."""
         summary, heights, doubt, threads = Summary(), None, None, LOCAL.get().threads
+        kept: dict[str, np.ndarray] = {}
         for found in self.surroundings(tile, summary):
             around, start = found.around, time.perf_counter()
             own = around.own
@@ -59,15 +62,14 @@ class HeightProduct(GroundNeeded):
         cloud, result = around.cloud, found.result
         if result is not None:
             summarise(summary, around, result, Classes())
-            cut = objects_at_border(cloud, result.ground, found.tile, self.reader.reading.bounds)
-            summary.cut_objects = [dataclasses.asdict(one) for one in cut]
+            kept = suspects_in(around, result, found.tile, self.reader.reading.bounds)
         else:
             summary.points, summary.read, summary.unread = len(own), len(cloud), around.left_out
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
             summary.statuses[Status.CONVERGED.name] = 1
         summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None
         summary.uncertain = 0 if doubt is None else doubt.count
-        return packed(around, found.ground, {HEIGHT: heights}), summary
+        return packed(around, found.ground, {HEIGHT: heights}) | kept, summary
 
     def file(self, task: FileTask) -> None:
         """Write a file with the heights of its tiles, and classes if a filter found the ground.
@@ -78,6 +80,10 @@ class HeightProduct(GroundNeeded):
         result = found.ground if self.classes_of_ground is None else None
         additions = Additions.of_heights(found.quantities[HEIGHT], self.replace_z)
         write_cloud(task.target, found.cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
+
+    def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """List the places to look at. Raises: InputError."""
+        report.places = [place.facts() for place in places_in(self, report, collection.metre)]
 
     def facts(self) -> dict[str, Any]:
         """Classes of ground points, and where heights go."""

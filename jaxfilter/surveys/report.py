@@ -35,7 +35,6 @@ class Summary:
             ``ground``.
         statuses: tiles by the filter's status; remarks: what was warned of, with how often; halos: tiles by the metres
             around them whose ground points took part.
-        cut_objects: objects that the border of the data cuts, a dict of a :class:`jaxfilter.CutObject` each.
         heights: lowest and highest height above ground, units of Z, where these were asked for.
         counts: what the filter counted; of the last tile.
         unread: numbers of files that could not be read, with the reason.
@@ -55,7 +54,6 @@ class Summary:
     statuses: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     remarks: collections.Counter[str] = dataclasses.field(default_factory=collections.Counter)
     halos: collections.Counter[float] = dataclasses.field(default_factory=collections.Counter)
-    cut_objects: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     heights: tuple[float, float] | None = None
     counts: dict[str, Any] = dataclasses.field(default_factory=dict)
     unread: dict[int, str] = dataclasses.field(default_factory=dict)
@@ -68,8 +66,6 @@ class Summary:
                 setattr(self, field.name, mine + others)
             elif isinstance(mine, (collections.Counter, dict)):
                 mine.update(others)
-            elif isinstance(mine, list):
-                mine += others
             elif others is not None:
                 self.heights = others if mine is None else (min(mine[0], others[0]), max(mine[1], others[1]))
 
@@ -111,7 +107,8 @@ class RunReport(Summary):
             read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
             when this one went on, which made them again, with what was wrong.
         elapsed: seconds of this process.
-        review: ``output``, ``places`` and ``expected_errors`` of the list of places to look at, if one was asked for.
+        places: where the terrain may be wrong, largest expected error volume first: a dict each of ``x``, ``y``, ``area``,
+            ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`. review: the file of the list, if one was written.
         method, parameters: of the filter; None if the ground was taken from classes.
         measures: of the scene, which the parts share: see :class:`jaxfilter.core.cloud.Whole`; None for a single tile.
         cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
@@ -125,7 +122,8 @@ class RunReport(Summary):
     left_out: list[dict[str, str]] = dataclasses.field(default_factory=list)
     again: list[dict[str, str]] = dataclasses.field(default_factory=list)
     elapsed: float = 0.0
-    review: dict[str, Any] | None = None
+    places: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    review: str | None = None
     method: str | None = None
     parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     measures: dict[str, Any] | None = None
@@ -152,8 +150,8 @@ class RunReport(Summary):
             part.write_text(json.dumps(self.as_dict(), indent=1, default=_plain) + "\n")
 
     def draw(self, place: Place) -> None:
-        """Write a map: share of ground of each tile, those set aside with dashes, and objects that the
-        border cuts as dots, large ones for those that are ground. Raises: OutputError."""
+        """Write a map: share of ground of each tile, those set aside with dashes, and places where the terrain may be wrong as
+        dots, large ones for large volumes. Raises: OutputError."""
         if not 0 < len(self.cores) <= _MOST_DRAWN:
             return
         from ..plots import footprints
@@ -161,11 +159,10 @@ class RunReport(Summary):
         shares = np.where(self.state >= 0, 100 * self.state, np.nan)
         aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
         ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)
-        for is_ground, size, name in ((False, 6.0, "cut by the border"), (True, 30.0, "the same, and ground")):
-            shown = [(one["x"], one["y"]) for one in self.cut_objects if (one["ground"] >= 0.5) == is_ground]
-            if shown:
-                ax.scatter(*zip(*shown, strict=True), s=size, c="red", edgecolors="black", linewidths=0.5, label=name)
-        if self.cut_objects:
+        if self.places:
+            x, y, volume = np.array([[one["x"], one["y"], one["volume"]] for one in self.places]).T
+            size, words = 5 + 55 * volume / volume.max(), "terrain may be wrong"
+            ax.scatter(x, y, s=size, c="red", edgecolors="black", linewidths=0.5, label=words)
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
         with new_file(place, overwrite=True) as part:
             ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")

@@ -223,7 +223,6 @@ class Run:
         report.failed += [{"file": name, "reason": reason} for name, reason in self.collection.unreadable]
         report.files.sort()
         report.classes = collections.Counter(dict(sorted(report.classes.items())))
-        report.cut_objects.sort(key=lambda one: (one["y"], one["x"]))
         filter_ = self.product.filter
         if filter_ is not None:
             report.method, report.parameters = type(filter_).__name__, dataclasses.asdict(filter_)  # type: ignore[call-overload]

@@ -20,7 +20,6 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
-from .border import CutObject, cut_objects
 from .plan import window_around
 
 
@@ -212,15 +211,3 @@ def part_of(cloud: PointCloud, rows: np.ndarray) -> PointCloud:
     arrays = {name: getattr(cloud, name) for name in ("xyz", *COLUMNS, "candidate", "reference", "valid")}
     parts: dict[str, Any] = {name: None if array is None else array[rows] for name, array in arrays.items()}
     return dataclasses.replace(cloud, source=None, **parts)
-
-
-def objects_at_border(cloud: PointCloud, ground: np.ndarray, tile: Tile, bounds: Bounds | None) -> list[CutObject]:
-    """Objects of a tile and its halo that the border of the data cuts, as far as they are this tile's to list.
-
-    ``ground``: bool[n]; ``bounds``: of the reading.
-    """
-    boxes = None
-    if tile.core is not None or len(tile.sources) > 1:
-        known = [source.bounds for source in tile.sources if source.count]
-        boxes = known if bounds is None else [common(box, bounds) for box in known]
-    return cut_objects(cloud, ground, footprints=boxes, window=tile.window, core=tile.core)

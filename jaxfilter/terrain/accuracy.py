@@ -13,12 +13,11 @@ from ..core.errors import ParameterError
 from ..core.result import FilterResult
 from .interpolation import Interpolation
 from .models import extent_of, ground_of, interpolated
+from .outline import inward, occupied
 from .raster import RasterGrid
 
 OFF, FAR_OFF = 0.5, 1.0
 """Metres from which on a cell counts as off, and as far off."""
-INLET = 10.0
-"""Metres: voids that are up to twice as wide are no outside of the data, even where they open to it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,24 +174,5 @@ def differences(
     truth = interpolated(cloud, ground_of(cloud, reference), grid, known).values
     model = interpolated(cloud, ground_of(cloud, result), grid, interpolation).values
     metres = (model.astype(np.float64) - truth) * cloud.units.z
-    return Differences(metres, np.isfinite(truth) & ~np.isfinite(model), inward(cloud, grid) <= rim, grid)
-
-
-def inward(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
-    """f64[rows, columns]: metres from the centres of cells to the outline of the data, negative outside of it.
-
-    Outside is what is further than :data:`INLET` from all cells with points and connected to the surroundings.
-    """
-    from scipy import ndimage
-
-    xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
-    column, row = (np.floor((cloud.origin[:2] + xy / cloud.units.xy) / grid.cell) - (grid.left, grid.bottom)).T.astype(
-        int
-    )
-    side = grid.cell * cloud.units.xy
-    inlet = math.ceil(INLET / side)
-    free = np.ones((grid.rows + 2 * inlet + 4, grid.columns + 2 * inlet + 4), bool)
-    within = np.s_[inlet + 2 : -inlet - 2, inlet + 2 : -inlet - 2]
-    free[within][grid.rows - 1 - np.clip(row, 0, grid.rows - 1), np.clip(column, 0, grid.columns - 1)] = False
-    data = ndimage.binary_fill_holes(ndimage.distance_transform_edt(free) <= inlet)
-    return np.asarray((ndimage.distance_transform_edt(data)[within] - inlet - 0.5) * side)
+    border = inward(occupied(cloud, grid), cell * cloud.units.xy) <= rim
+    return Differences(metres, np.isfinite(truth) & ~np.isfinite(model), border, grid)

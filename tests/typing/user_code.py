@@ -68,7 +68,7 @@ def from_elsewhere(points: np.ndarray, raster: jf.Raster) -> jf.Filter:
     jf.write("out.laz", cloud, result, noise_class=7)
     print(result.low_noise.sum(), jf.class_changes(cloud, result, jf.Classes(noise_class=7)), raster.to_xarray().sizes)
     jf.read("in.laz", progress=lambda fraction, step: print(f"{step} {fraction:.0%}"))
-    report = jf.ground("survey/", "classified/", classes=jf.Classes(noise_class=7), review=jf.Review("places.gpkg"))
+    report = jf.ground("survey/", "classified/", classes=jf.Classes(noise_class=7), review="places.gpkg")
     print(report.complete, report.seconds["filter"], report.measures)
     run = jf.RunOptions(tile=500.0, workers=2, progress=lambda standing: print(f"{standing.rate:.0f}"))
     print(jf.heights("classified/", Path("heights/"), replace_z=True, run=run).uncertain)

@@ -126,19 +126,19 @@ def census(segment, count, marked, fall, slope, inside, drop, run):
 
 
 @compiled(allocates=True)
-def faces(segment, count, z, high, seen, whole, smooth, drop):
+def faces(segment, count, z, high, seen, whole, step, smooth, drop):
     """i32[6, 1 + count]: for each segment the numbers of its cells, of those that are ``whole``, of those that have points as
     their eight neighbours do, of the bare ones among these, of the cells on its border with cells of no segment, and of the
     latter that are walls; zero for the cells that are in none.
 
-    A cell is bare if its elevation is within ``smooth`` of the middle of two opposite neighbours, and its highest point within
-    ``smooth`` of what the slope explains. It is a wall if the surface falls farther outward than it rises inward, each within two
-    cells, by more than ``drop``.
+    A cell is bare if the surface rises there, by ``step`` from one cell to the next at least, its elevation is within ``smooth``
+    of the middle of two opposite neighbours, and its highest point within ``smooth`` of what the slope explains. It is a wall if
+    the surface falls farther outward than it rises inward, each within two cells, by more than ``drop``.
 
     Args:
         segment: i32[rows, columns], and how many there are. z, high: f32[rows, columns], lowest and highest points, metres.
         seen: bool[rows, columns], cells with points; whole: bool[rows, columns].
-        smooth, drop: metres.
+        step, smooth, drop: metres.
     """
     rows, columns = segment.shape
     found = np.zeros((6, count + 1), np.int32)
@@ -172,7 +172,7 @@ def faces(segment, count, z, high, seen, whole, smooth, drop):
                     bent = min(bent, abs(level - across) / np.sqrt(2.0))
                 rise = np.hypot(east - west, north - south)  # over two cells, across one and its corners
                 found[2, name] += 1
-                found[3, name] += bent <= smooth and high[row, column] - level <= rise + smooth
+                found[3, name] += rise >= 2 * step and bent <= smooth and high[row, column] - level <= rise + smooth
             found[4, name] += border
             found[5, name] += border and (level - outer) - (inner - level) > drop
     return found

@@ -1,0 +1,46 @@
+"""Places where the terrain model of a survey may be wrong: found tile by tile, and joined across tiles."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import InputError, warn
+from ..core.result import FilterResult
+from ..files.disk import Bounds
+from .product import Product
+from .report import RunReport
+from .store import KEPT
+from .tiles import Around, Tile, common
+
+if TYPE_CHECKING:
+    from ..reports.places import Place
+
+
+def suspects_in(around: Around, result: FilterResult, tile: Tile, bounds: Bounds | None) -> dict[str, np.ndarray]:
+    """Arrays to keep of a tile: its cells whose terrain may be wrong. ``bounds``: of the reading.
+
+    Warns: if the extent of the points is too large for a grid, and lists none.
+    """
+    from ..reports.places import Suspects, suspects  # late: it brings SciPy's image functions, a quarter of a second
+
+    boxes = [source.bounds for source in tile.sources if source.count]
+    boxes = boxes if bounds is None else [common(box, bounds) for box in boxes]
+    try:
+        found = suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
+    except InputError as error:  # labels are none the worse for it
+        warn(f"places where the terrain may be wrong are not looked for: {error}")
+        found = Suspects.none()
+    return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
+
+
+def places_in(product: Product, report: RunReport, metre: float) -> list[Place]:
+    """The places of a run, largest expected error volume first. ``metre``: metres per unit of the file."""
+    from ..reports.places import Suspects, places_of
+
+    names = [field.name for field in dataclasses.fields(Suspects)]
+    stored = [product.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
+    parts = [Suspects(*(arrays[f"{KEPT}{name}"] for name in names)) for arrays in stored if f"{KEPT}cell" in arrays]
+    return places_of(Suspects.together(parts), metre) if parts else []

@@ -1,0 +1,46 @@
+"""Where data end: which cells of a raster hold points, and how far cells lie from the outline of all of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..core.cloud import PointCloud
+from .raster import RasterGrid
+
+INLET = 10.0
+"""Metres: voids that are up to twice as wide are no outside of the data, even where they open to it."""
+
+
+def cells_of(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
+    """i64[n]: the cell of each point, row by row from the north; points outside go to the nearest cell."""
+    out = np.zeros(len(cloud), np.int64)
+    for axis, first, count in ((0, grid.left, grid.columns), (1, grid.bottom, grid.rows)):
+        place = np.floor((cloud.origin[axis] + cloud.xyz[:, axis] / cloud.units.xy) / grid.cell) - first
+        place = np.clip(place, 0, count - 1).astype(np.int64)
+        out += place if axis == 0 else (count - 1 - place) * grid.columns
+    return out
+
+
+def occupied(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
+    """bool[rows, columns]: cells that hold valid points."""
+    out = np.zeros(grid.shape, bool)
+    at = cells_of(cloud, grid)
+    out.flat[at if cloud.valid is None else at[cloud.valid]] = True
+    return out
+
+
+def inward(data: np.ndarray, side: float) -> np.ndarray:
+    """f64[rows, columns]: metres from the centres of cells to the outline of the data, negative outside of it.
+
+    Outside is what is further than :data:`INLET` from all cells with ``data``, bool[rows, columns], and connected to the
+    surroundings. ``side``: of a cell, metres.
+    """
+    from scipy import ndimage
+
+    inlet = math.ceil(INLET / side)
+    free = np.pad(~data, inlet + 2, constant_values=True)
+    filled = ndimage.binary_fill_holes(ndimage.distance_transform_edt(free) <= inlet)
+    within = np.s_[inlet + 2 : -inlet - 2, inlet + 2 : -inlet - 2]
+    return np.asarray((ndimage.distance_transform_edt(filled)[within] - inlet - 0.5) * side)
