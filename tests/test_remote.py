@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from las_files import OFFSETS, make_copc, make_deep_copc, make_las
 from servers import Faulty, RangeServer
-from test_border import ROOF, field
-from test_border import write as write_field
 from test_cli_runs import run
+from test_places import ROOF, field
+from test_places import write as write_field
 from test_read_window import assert_is_mask, boxes_of
 from test_tiles_run import Here
 
