@@ -12,8 +12,8 @@ import numpy as np
 from .core.cloud import QUANTUM, PointCloud
 from .core.compilation import bucket
 from .core.errors import InputError
-from .core.forks import need_threads
 from .core.inputs import class_numbers, is_laspy
+from .core.process import need_threads
 from .core.result import Decision, FilterResult
 from .metrics import confusion_counts
 

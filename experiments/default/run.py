@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 KINDS = ("samples", "tiles", "scenes")
 ABLATIONS: dict[str, dict[str, float]] = {
     "all steps": {},
-    "1 without low points": {"low_points": 0},
+    "1 without barred low points": {"low_points": 0},
     "2 voids filled like gaps": {"void": 1e6},
     "4 one slope for all landscapes": {"relief": 0.0, "slope": 0.15},
     "5 without whole segments": {"roof_area": 1e9},

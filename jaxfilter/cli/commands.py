@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..core.forks import collect_seldom
+from ..core.process import collect_seldom
 from ..core.version import __version__
 from .options import (
     BY_DATA,

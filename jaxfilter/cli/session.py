@@ -140,9 +140,9 @@ class Session:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
-        from ..core import compilation, forks
+        from ..core import compilation, process
 
-        forks.share_heaps()
+        process.share_heaps()
         compilation.watch_compilations()
         if self.log is not None:
             self._stack.enter_context(_logged(self.log))

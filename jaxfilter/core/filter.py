@@ -16,10 +16,10 @@ import numpy as np
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn
 from .errors import InputError, ParameterError, warn
-from .forks import need_threads
 from .markup import table
 from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, plain_points
+from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
 
 _BYTES = 1000

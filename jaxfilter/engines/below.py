@@ -6,6 +6,9 @@ import numpy as np
 
 from .compiled import compiled
 
+_FEW = 64
+"""Points that are counted without a look at whether they are enough."""
+
 
 @compiled(allocates=True)
 def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
@@ -38,9 +41,11 @@ def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
         for place in range(start[cell], start[cell + 1]):
             top, below = np.float64(z[place]) + depth, -1  # the point itself is not counted
             for lag in (1, 0, 2):  # cells that touch the own one are within the radius
-                if below <= most:
-                    for near in range(touching[lag, 0], touching[lag, 1]):
+                first, end = touching[lag]
+                while first < end and below <= most:  # few at a time: of dense points most have enough others at once
+                    for near in range(first, min(first + _FEW, end)):
                         below += z[near] < top
+                    first += _FEW
             if below > most:
                 continue
             below, above, step = -1, 0, 0

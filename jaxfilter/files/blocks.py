@@ -18,7 +18,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, warn
-from ..core.forks import need_threads
+from ..core.process import need_threads
 from .disk import Bounds, new_file
 from .header import Header, chunk_table
 from .storage import Remote, read_ranges

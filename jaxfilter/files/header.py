@@ -21,8 +21,8 @@ import numpy as np
 import psutil
 
 from ..core.errors import InputError, OutputError, warn
-from ..core.forks import need_threads
 from ..core.frame import check_scales
+from ..core.process import need_threads
 from .disk import CHANGED_IN_READING, Identity
 from .storage import Place, Remote, read_ranges
 

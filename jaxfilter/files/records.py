@@ -12,7 +12,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
-from ..core.forks import need_threads
+from ..core.process import need_threads
 from .blocks import Blocks, nodes, read_blocks, runs, sound
 from .disk import Bounds
 from .header import Header

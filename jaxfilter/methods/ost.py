@@ -219,7 +219,7 @@ class OST(Filter):
         return labels
 
     @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
-    def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Scene:
+    def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Openings:
         """Steps 1 to 3, which do not depend on what counts as steep."""
         progress(0.0, "outliers")
         low = self.low(points)
@@ -234,7 +234,7 @@ class OST(Filter):
             triangulated(points.xyz[lowest], workers), cells, math.ceil(RIM / self.cell - 1e-6), longest
         )
         progress(0.2, "openings")
-        return Scene(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
+        return Openings(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
 
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
@@ -267,7 +267,7 @@ class OST(Filter):
         objects = steepest > np.float32(FIRST_SLOPE * self.cell)
         return steepest, segments, Landscape.of(z, cells, objects, float(self.landscape))
 
-    def objects(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, Landscape]:
+    def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
         on they are marked; and the slope of the landscape (steps 4 and 5)."""
         _, _, cells, z, _, steepest, segments, landscape = scene
@@ -290,7 +290,7 @@ class OST(Filter):
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), landscape
 
 
-class Scene(NamedTuple):
+class Openings(NamedTuple):
     """What OST finds out about a cloud whatever counts as steep (steps 1 to 3).
 
     Attributes:

@@ -51,7 +51,7 @@ REASONS = (
 """Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
 
 
-class Surface(NamedTuple):
+class ReviewCells(NamedTuple):
     """Cells of a cloud, arrays [rows, columns], row 0 in the north.
 
     Attributes:
@@ -70,7 +70,7 @@ class Surface(NamedTuple):
     noise: np.ndarray
 
     @classmethod
-    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, grid: RasterGrid) -> Surface:
+    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, grid: RasterGrid) -> ReviewCells:
         """With at least one candidate. ``result``: a FilterResult, or bool[n], what is ground."""
         full = result if isinstance(result, FilterResult) else None
         ground, size = ground_of(cloud, result), grid.rows * grid.columns
@@ -100,7 +100,7 @@ class Surface(NamedTuple):
         return cls(low[nearest], height[nearest], is_ground, points, grounds, doubt, noise)  # type: ignore[arg-type]
 
 
-def evidence(surface: Surface) -> np.ndarray:
+def evidence(surface: ReviewCells) -> np.ndarray:
     """f64[rows, columns, 4]: what speaks for an error, over a cell and the eight around it, as logarithms.
 
     Mean doubt of the points; share of ground points; ground points per square metre; slope of the terrain, rise over run. Small
@@ -166,7 +166,7 @@ def suspects(
     for box in footprints or ():
         if window is not None:
             data |= _cells_in(grid, box) & ~_cells_in(grid, window)
-    surface = Surface.of(cloud, result, grid)
+    surface = ReviewCells.of(cloud, result, grid)
     filled, figures, inner = surface.points > 0, evidence(surface), inward(data, SIDE)
     seen = (around(surface.points) > 0) & (inner > 0)
     weights = MODEL[int(surface.doubt is None)]
@@ -205,7 +205,7 @@ def _slope(z: np.ndarray) -> np.ndarray:
     return np.hypot(wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]) / (2 * SIDE)
 
 
-def _faces(surface: Surface, filled: np.ndarray) -> np.ndarray:
+def _faces(surface: ReviewCells, filled: np.ndarray) -> np.ndarray:
     """bool[rows, columns]: steep ground that was taken as an object, with the cells beside it. Of a cell and the eight around it
     most have no ground, are steeper than :data:`STEEPEST`, and lie between their neighbours: walls and canopies do not."""
     slope, bend = _slope(surface.low), np.abs(around(surface.low, "nearest") / 9 - surface.low)
@@ -213,7 +213,7 @@ def _faces(surface: Surface, filled: np.ndarray) -> np.ndarray:
     return np.asarray(filled & (around((around(steep * 1.0) >= 5) * 1.0) > 0))
 
 
-def _cut(surface: Surface, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def _cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndarray:
     """f64[rows, columns]: metres that objects which the outline cuts stand above what surrounds them; zero in other cells.
 
     An object is a segment of the surface of lowest points whose neighbouring cells differ by less than :data:`STEP` times the

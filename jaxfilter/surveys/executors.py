@@ -278,7 +278,7 @@ def _serve(connection: Connection) -> None:
     os.environ.setdefault("RAYON_NUM_THREADS", "1")  # of the LAZ codec: one processor a worker
     threading.Thread(target=_die_with_parent, daemon=True).start()
     from ..core.compilation import keep_compilations
-    from ..core.forks import collect_seldom, share_heaps
+    from ..core.process import collect_seldom, share_heaps
 
     collect_seldom()
     share_heaps()
