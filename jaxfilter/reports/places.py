@@ -117,8 +117,8 @@ class Suspects:
     """Cells where the terrain model may be wrong, of a lattice from the zero of the coordinates.
 
     Attributes:
-        cell: i64[k, 2], columns and rows. chance: f64[k], that it is off by more than half a metre.
-        error: f64[k], expected error, metres. reason: i64[k], place in :data:`REASONS`. filled: bool[k], holds points.
+        cell: i32[k, 2], columns and rows. chance: f32[k], that it is off by more than half a metre.
+        error: f32[k], expected error, metres. reason: i8[k], place in :data:`REASONS`. filled: bool[k], holds points.
     """
 
     cell: np.ndarray
@@ -130,7 +130,8 @@ class Suspects:
     @classmethod
     def none(cls) -> Suspects:
         """No cell."""
-        return cls(np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, bool))
+        empty = np.zeros(0, np.float32)
+        return cls(np.zeros((0, 2), np.int32), empty, empty, np.zeros(0, np.int8), np.zeros(0, bool))
 
     @classmethod
     def together(cls, parts: Sequence[Suspects]) -> Suspects:
@@ -176,13 +177,14 @@ def suspects(
     fall, face = _cut(surface, filled, inner), _faces(surface, filled)
     rise = np.where(face, surface.height, np.where(surface.ground, fall, 0))
     chance, error = np.where(rise > 0, np.maximum(chance, UNKNOWN), chance), np.maximum(error, rise)
-    reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4)
+    reason = np.select([face, fall > 0, surface.noise, surface.grounds == 0], [1, 0, 2, 3], 4).astype(np.int8)
     named = chance >= LIKELY
     if core is not None:
         named &= _cells_in(grid, core)
     row, column = np.nonzero(named)
-    cell = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1)
-    return Suspects(cell, chance[named], (chance * error)[named], reason[named], filled[named])
+    cell = np.stack([grid.left + column, grid.bottom + grid.rows - 1 - row], axis=1).astype(np.int32)
+    chance, error = chance[named].astype(np.float32), (chance * error)[named].astype(np.float32)
+    return Suspects(cell, chance, error, reason[named], filled[named])
 
 
 def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
@@ -252,7 +254,7 @@ class Place:
     Attributes:
         x, y: file coordinates of the middle of a cell that holds points.
         area: square metres. volume: expected error, cubic metres. chance: that a square metre of it is off by more than 0.5 m.
-        reason: in words. cells: i64[k, 2], columns and rows from the zero of the coordinates.
+        reason: in words. cells: i32[k, 2], columns and rows from the zero of the coordinates.
     """
 
     x: float
@@ -272,7 +274,7 @@ def places_of(found: Suspects, metre: float) -> list[Place]:
     """Cells that touch, at a corner too, are a place if they have :data:`LEAST`; largest volume first. ``metre``: per unit."""
     order = np.lexsort(found.cell.T)
     cell, reason, chance, filled = (one[order] for one in (found.cell, found.reason, found.chance, found.filled))
-    volume, key = found.error[order] * SIDE**2, cell[:, 1] * _WIDE + cell[:, 0]
+    volume, key = found.error[order] * SIDE**2, cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0]
     links = []
     for step in (1, _WIDE - 1, _WIDE, _WIDE + 1):
         beside = np.searchsorted(key, key + step).clip(max=max(len(key) - 1, 0))
