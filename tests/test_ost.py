@@ -72,6 +72,7 @@ def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, e
     for size in (1, 5, 6, 7):
         near = np.argsort(np.hypot(*(xyz[:, :2] - rng.uniform(0, extent, 2)).T))[:size]
         xyz[near, 2] -= 20
+    xyz = np.concatenate([xyz, [[9 * extent + i / 4, 0, i / 2] for i in range(9)]])  # few in all: below or above
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
     p = points.xyz.astype(np.float64)
     radius = max(window, 8 * points.spacing())
