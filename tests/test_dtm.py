@@ -468,6 +468,8 @@ def test_only_cells_near_reference_ground_count(rng):
     errors = jf.dtm_rmse(cloud, np.ones(len(x), bool), ~hall)
     beyond = (np.abs(x - 50) < 17) & (np.abs(y - 50) < 17)
     assert errors.cells == len(x) - beyond.sum()
+    feet = jf.PointCloud.from_arrays(level / (foot := 1200 / 3937), units="us-ft")
+    assert jf.dtm_rmse(feet, np.ones(len(x), bool), ~hall, cell=1 / foot).cells == errors.cells
     assert jf.dtm_rmse(cloud, np.ones(len(x), bool), ~hall, near=None).cells == len(x)
     west = x < 40
     assert jf.dtm_rmse(cloud, west, ~hall).missing == (~west & ~beyond).sum()

@@ -16,7 +16,7 @@ from jaxfilter.engines.grid import shapes
 from jaxfilter.engines.ground import grow
 from jaxfilter.engines.tin import rings
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Growth, Outliers, Vertices, lowest_of_each
+from jaxfilter.engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
 from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.methods import ost
@@ -422,6 +422,26 @@ def test_barred_points_join_by_densification_only():
     bottom = np.hypot(x - 15, y - 15) < 1
     assert seeded.barred[bottom].all() and not seeded.barred[np.hypot(x - 15, y - 15) > 4.5].any()
     assert seeded.ground.any() and not (seeded.ground & seeded.barred).any() and grown.ground[bottom].all()
+
+
+def test_outside_the_hull_the_rise_from_its_nearest_place_is_limited(rng):
+    """Around a level square; the rule itself would take all points. The distance to a square is known."""
+    flat, around = nodes(10, 0.0) + np.float32([15, 15, 0]), rng.uniform(0, 40, (600, 3))
+    around[:, 2], around[0, :2] = rng.uniform(-3, 3, 600), 0
+    around = around[(np.abs(around[:, :2] - 20) > 4.6).any(axis=1)]
+    xyz = points_of(np.concatenate([flat, around]))
+    away = np.hypot(*np.maximum(np.abs(xyz[:, :2].astype(np.float64) - 20) - 4.5, 0).T)
+    slope = np.where(xyz[:, 0] < 20, np.float32(0.3), np.float32(0.1))
+    seeds, none = np.flatnonzero(away == 0), np.zeros(len(xyz), bool)
+    assert len(seeds) == len(flat)
+    network = one_network(rows_of(xyz), seeds, np.zeros((0, 2)), Outliers(none, none))
+    growth = Growth(HeightRule(100.0, 1.0), vertices=Vertices(sinks=False), beyond=Beyond(0.5, slope), kept=("margin",))
+    with GroundTin.start(network, growth, workers=1) as ground:
+        over = np.abs(xyz[:, 2] - xyz[seeds[0], 2]) - 0.5 - slope * away
+        far = over > 0
+        assert 100 < far.sum() < len(around) - 100
+        np.testing.assert_array_equal(ground.test(), np.setdiff1d(np.flatnonzero(~far), seeds))
+        np.testing.assert_allclose(ground.margin[far], over[far], atol=1e-5)
 
 
 def test_what_the_border_cuts_is_not_climbed():

@@ -73,6 +73,22 @@ def test_what_reaches_far_into_the_data_is_terrain():
         assert len(cut(field((0, 60, length, 80), size=160.0, step=1.0))) == count
 
 
+def test_a_ledge_is_an_object_if_it_falls_along_most_of_its_border():
+    """Higher land lies behind it: along a third of the border inside the data, or along two."""
+    for higher, count in ((((0, 30, 100, 100),), 1), (((0, 30, 100, 100), (12, 0, 100, 30)), 0)):
+        assert len(cut(field(ROOF, *higher, *higher, size=100.0))) == count
+
+
+def test_cells_that_touch_at_a_corner_are_one_place():
+    step = np.arange(12)
+    for beside, count in ((1, 1), (2, 0)):  # the second: each alone is too small
+        cell = np.column_stack([beside * step, step, beside * step, step]).reshape(-1, 2).astype(np.int32)
+        cell = np.unique(cell * [1, -1] + [-5, 3], axis=0)
+        ones = np.ones(len(cell), np.float32)
+        places = places_of(Suspects(cell, ones, ones, np.zeros(len(cell), np.int8), ones > 0), 1.0)
+        assert [len(place.cells) for place in places] == [12] * count
+
+
 def test_a_slope_is_no_object_and_hides_none():
     assert cut(field(slope=0.5)) == []
     assert len(cut(field(ROOF, slope=0.5))) == 1
