@@ -175,7 +175,8 @@ def test_the_census_counts_as_numpy_does(rng):
     segment, count = shapes.segments(rng.integers(0, 2, (18, 22)).astype(np.float32), np.float32(0.5), 3)
     marked = rng.random(segment.shape) < 0.4
     fall, slope = rng.random((2, *segment.shape)).astype(np.float32)
-    falls = fall > 0.25 + 0.5 * slope
+    fall *= rng.choice([-1, 1], segment.shape)
+    falls = np.abs(fall) > 0.25 + 0.5 * slope
     inside = rng.random(segment.shape) < 0.9
     wide = np.pad(np.where(inside, segment, -1), 1, constant_values=-1)
     border, edge = np.zeros((2, *segment.shape), bool)
@@ -184,8 +185,10 @@ def test_the_census_counts_as_numpy_does(rng):
         border |= (beside != segment) & (beside >= 0)
         edge |= beside < 0
     found = shapes.census(segment, count, marked, fall, slope, inside, np.float32(0.25), np.float32(0.5))
-    assert (found[:, 0] == 0).all() and found.shape == (5, count + 1)
-    for k, cells in enumerate((np.ones_like(marked), marked, border, border & falls, edge & ~border)):
+    assert (found[:, 0] == 0).all() and found.shape == (6, count + 1)
+    falling = border & falls
+    counted = np.ones_like(marked), marked, border, falling, falling & (fall < 0), edge & ~border
+    for k, cells in enumerate(counted):
         np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
 
@@ -286,26 +289,43 @@ for _number, (_one, _other) in enumerate((((1, 0), (1, 2)), ((0, 1), (2, 1)), ((
     _BENDS[_number][_one] = _BENDS[_number][_other] = -0.5
 
 
-def whole_of(z, roofs=ROOFS, inside=None, largest=1e9):
-    return Segments(z, np.ones(z.shape, bool) if inside is None else inside, 1.0, roofs, largest)
+def whole_of(z, roofs=ROOFS, inside=None, largest=1e9, seen=None):
+    inside, seen = (np.ones(z.shape, bool) if given is None else given for given in (inside, seen))
+    return Segments(z, inside, seen, 1.0, roofs, largest)
+
+
+def test_falls_equal_those_of_scipy(rng):
+    z = np.cumsum(rng.choice(np.float32([0, 0, 0, 0.3, 2, 5, -6]), (40, 50)), axis=1, dtype=np.float32)
+    segment, count = shapes.segments(z, np.float32(0.4), 4)
+    seen = rng.random(z.shape) < np.linspace(0.6, 1, 50)
+    found = shapes.falls(segment, z, seen, np.float32(1.6), np.float32(0.8))
+    near, far = (z - ndimage.minimum_filter(z, size, mode="nearest") for size in (5, 9))
+    share = ndimage.generic_filter(seen.astype(float), np.nanmean, 9, mode="constant", cval=np.nan)
+    edge = ndimage.maximum_filter(segment, footprint=PLUS) != ndimage.minimum_filter(segment, footprint=PLUS)
+    border, face = (segment > 0) & edge, (share >= 0.8) & (far >= np.float32(1.6) * near)
+    np.testing.assert_array_equal(found, np.where(border, np.where(face, -near, near), 0))
+    assert count > 20 and 20 < (border & face).sum() < border.sum() / 2
+
+
+PLUS = ndimage.generate_binary_structure(2, 1)
 
 
 def test_a_rock_is_terrain_and_a_roof_and_a_crown_are_none(rng):
     """Cones of 60 degrees: bare; with a storey below; with echoes at any height. All of them are marked."""
     row, column = np.mgrid[:60, :60].astype(np.float32)
     cone = np.maximum(0, 20 - 1.7 * np.hypot(row - 30, column - 30)).astype(np.float32)
-    marked, none, seen = cone > 0, np.zeros((60, 60), bool), np.ones((60, 60), bool)
+    marked, none = cone > 0, np.zeros((60, 60), bool)
     bare = cone + np.float32(1.7) * marked
-    np.testing.assert_array_equal(whole_of(cone).terrain(marked, none, bare, seen), marked)
+    np.testing.assert_array_equal(whole_of(cone).terrain(marked, none, bare), marked)
     house = np.where(marked, cone / 4 + 5, 0).astype(np.float32)
-    assert not whole_of(house).terrain(marked, none, house + np.float32(0.5), seen).any()
-    assert not whole_of(cone).terrain(marked, none, bare + 3 * marked, seen).any()
+    assert not whole_of(house).terrain(marked, none, house + np.float32(0.5)).any()
+    assert not whole_of(cone).terrain(marked, none, bare + 3 * marked).any()
     crown = cone + np.where(marked, rng.uniform(0, 3, cone.shape), 0).astype(np.float32)
-    assert not whole_of(crown).terrain(marked, none, crown + np.float32(2), seen).any()
-    assert not whole_of(cone).terrain(marked, marked, bare, seen).any()  # roofs as a whole
+    assert not whole_of(crown).terrain(marked, none, crown + np.float32(2)).any()
+    assert not whole_of(cone).terrain(marked, marked, bare).any()  # roofs as a whole
     low = np.where(marked, 1.5, 0).astype(np.float32)
-    assert not whole_of(low).terrain(marked, none, low, seen).any()  # level
-    assert not whole_of(cone).terrain(marked, none, bare, seen & (column % 2 == 0)).any()  # too few points to tell
+    assert not whole_of(low).terrain(marked, none, low).any()  # level
+    assert not whole_of(cone, seen=column % 2 == 0).terrain(marked, none, bare).any()  # too few points to tell
 
 
 def test_a_headland_of_steep_rock_at_the_edge_of_the_data_is_ground(rng):
@@ -315,6 +335,18 @@ def test_a_headland_of_steep_rock_at_the_edge_of_the_data_is_ground(rng):
     result = jf.OST.for_cloud(np.column_stack([xy, z]))(np.column_stack([xy, z]))
     steep = np.hypot(*xy.T) < 19
     assert steep.sum() > 2000 and result.ground[steep].mean() > 0.97
+
+
+def test_near_steep_terrain_that_is_given_back_rough_rock_is_ground(rng, monkeypatch):
+    """A slope of 45 degrees with bumps of up to 1 m, of which the western end is said to be given back."""
+    xy = rng.uniform((0, 0), (90, 30), (27_000, 2))
+    up = rng.uniform(0, 1, len(xy))
+    points = np.column_stack([xy, xy[:, 0] + up])
+    filter_, bumps = jf.OST(window=20, scaling=0, distance_relief=0, rounds=2), up > 0.7
+    monkeypatch.setattr(Segments, "terrain", lambda self, *_: np.mgrid[: self.z.shape[0], : self.z.shape[1]][1] < 10)
+    near, far = bumps & (xy[:, 0] < 29), bumps & (xy[:, 0] > 31)  # the window lies around the first ten metres
+    ground = filter_(points).ground
+    assert ground[near].mean() > 0.9 and ground[far].mean() < 0.2
 
 
 def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the_largest_building():
@@ -328,6 +360,17 @@ def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the
     corner = np.hypot(*np.mgrid[:80, :80]) < 100  # the data end along a circle; nothing beyond is judged
     found = whole_of(z, inside=corner, largest=1e9).objects(none, flat)
     np.testing.assert_array_equal(found, plateau & corner)
+
+
+def test_a_narrow_headland_with_faces_is_ground_and_a_hall_with_walls_is_none():
+    """Both are level, 40 m wide and 30 m high, and cut by the data at their ends; the faces are 70 degrees steep."""
+    away = abs(np.mgrid[:90, :90][1].astype(np.float32) - 45) - 20
+    none, flat = np.zeros(away.shape, bool), np.zeros(away.shape, np.float32)
+    headland, hall = np.clip(30 - 2.75 * away, 0, 30), np.where(away <= 0, np.float32(30), 0)
+    assert not whole_of(headland).objects(none, flat)[headland == 30].any()
+    np.testing.assert_array_equal(whole_of(hall).objects(none, flat), hall > 0)
+    few = ~none & (np.arange(90) % 4 > 0)  # where a quarter of the cells is empty, a face may be a wall
+    assert whole_of(headland, seen=few).objects(none, flat)[headland == 30].all()
 
 
 def test_a_gable_roof_and_a_bridge_go_as_a_whole_and_a_terrace_stays():
@@ -390,20 +433,56 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
 def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     xy = rng.uniform(0, 50, (2000, 2)).round(2)
     plane = points_of(np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 2000)]))
+    limit = np.ones(len(plane), np.float32)
     with ground_of(plane, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         before = ground.tin.vertex.sum()
         scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0) == 0
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, limit) == 0
         assert ground.tin.vertex.sum() == before and ground.ground.all()
     spiked = plane.copy()
     spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
     spiked[spike, 2] += 0.8
     with ground_of(spiked, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0) == 1
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, limit) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
         residual, roughness = scatter.of_all(ground)  # it is no vertex any more
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
+
+
+@pytest.mark.parametrize("edges", [0, 1, 3])
+def test_surroundings_are_means_over_steps_in_scipys_triangulation(rng, pool, edges):
+    xyz = points_of(np.column_stack([rng.uniform(0, 40, (400, 2)), np.zeros(400)]).round(3))
+    count, values = len(xyz), rng.normal(size=(len(xyz), 2)).astype(np.float32)
+    tin, nodes = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool), rng.permutation(count)[:150]
+    out = np.empty((len(nodes), 2), np.float32)
+    rings.surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, values, out)
+    beside = np.eye(count, dtype=int)
+    for corners in Delaunay(xyz[:, :2].astype(float)).simplices:
+        beside[np.ix_(corners, corners)] = 1
+    near = np.linalg.matrix_power(beside, edges)[nodes] > 0
+    np.testing.assert_allclose(out, near @ values / near.sum(axis=1)[:, None], atol=1e-5)
+
+
+@pytest.mark.parametrize("case", ["plants", "no canopy", "rocks that are few", "within limits"])
+def test_vertices_that_stick_out_are_dropped_where_most_scatter_under_a_canopy(rng, case):
+    """Half of a field of plants is left out, from above, only where the canopy hides what is below and most vertices scatter."""
+    xy = rng.uniform(0, 40, (1200, 2)).round(2)
+    rough = np.ones(1200, bool) if case != "rocks that are few" else rng.random(1200) < 0.1
+    plants = np.where(rough, rng.uniform(0, 1.2, 1200), 0)
+    above = np.column_stack([rng.uniform(0, 40, (6000, 2)).round(2), rng.uniform(8, 12, 6000)])
+    xyz = points_of(np.concatenate([np.column_stack([xy, plants]), above[: 600 if case == "no canopy" else 6000]]))
+    low = xyz[:, 2] < xyz[:, 2].min() + 2
+    limit = np.full(len(xyz), 4.0 if case == "within limits" else 0.3, np.float32)
+    with ground_of(xyz, np.flatnonzero(low), HeightRule(0.1, 0.1), 2) as ground:
+        scatter = Scatter.of(ground.tin)
+        dropped = prune(ground, scatter, 1e9, 1.0, limit)
+        left = xyz[ground.ground, 2] - xyz[:, 2].min()
+        assert (dropped > 200) == (case == "plants") and (case == "plants" or dropped == 0)
+        if dropped:
+            assert left.mean() < 0.5 and dropped < 500
+            gone = low & ~ground.ground
+            assert (scatter.residual[gone] > scatter.roughness[gone]).all() and (ground.margin[gone] > 0).all()
 
 
 def test_low_roofs_close_together_do_not_pass_for_relief():

@@ -14,7 +14,7 @@ from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patc
 
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
-from jaxfilter.core.units import Units
+from jaxfilter.core.units import Stated, Units
 from jaxfilter.files import blocks, windows
 from jaxfilter.files.blocks import Blocks
 from jaxfilter.files.disk import Identity
@@ -137,7 +137,7 @@ def test_windows_of_text(tmp_path, monkeypatch):
     classes = rng.integers(0, 8, 500)
     lines = [f"{x:.2f},{y:.2f},{z:.2f},{c}" for (x, y, z), c in zip(xyz, classes, strict=True)]
     path.write_text("\n".join(["x,y,z,class", *lines]) + "\n")
-    source = describe_file(path, Units())
+    source = describe_file(path, Stated(Units()))
     assert source.format == "text" and source.count == 500 and source.crs is None
     assert source.bounds == (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
     assert source.z == (xyz[:, 2].min(), xyz[:, 2].max())
@@ -178,7 +178,7 @@ def test_a_file_is_written_without_its_cloud(tmp_path, name, bounds, suffix):
         path.write_text("\n".join(["x,y,z,class,return_number", *lines]) + "\n")
     else:
         make_copc(path) if "copc" in name else make_las(path, 6, n=400)
-    source = describe_file(path, Units())
+    source = describe_file(path, Stated(Units()))
     window = read_window(source, bounds)
     ground = np.arange(len(window.cloud)) % 2 == 0
     write_cloud(tmp_path / f"one{suffix}", window.cloud, ground)

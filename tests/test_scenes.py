@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from jaxfilter import scenes
 from jaxfilter.core.errors import ParameterError
 from jaxfilter.scenes import LAYOUTS, Kind, SceneLayout, lattice, scan
+from jaxfilter.scenes.objects import Town
 
 BARE = SceneLayout(relief=20, forest=0, trees=0, low_vegetation=0)
 
@@ -47,7 +49,7 @@ def test_every_name_makes_a_scene_with_ground_and_objects(ready):
     for name, scene in ready.items():
         assert 0.1 < scene.truth.mean() < 0.95, name
         assert np.isfinite(scene.xyz).all()
-    assert set(np.unique(ready["mixed"].kind)) == {k.value for k in Kind}
+    assert set(np.unique(ready["mixed"].kind)) == {k.value for k in Kind} - {Kind.WATER}
 
 
 def test_scenes_are_the_same_in_every_version(ready):
@@ -71,7 +73,9 @@ def test_scenes_are_the_same_in_every_version(ready):
     }
     assert set(figures) == set(ready)
     for name, (points, middle) in figures.items():
-        found = np.bincount(ready[name].kind, minlength=len(Kind))
+        found = np.bincount(ready[name].kind)
+        assert len(found) <= Kind.WATER, name
+        found = np.append(found, np.zeros(Kind.WATER - len(found), int))
         np.testing.assert_allclose(found, points, atol=2, err_msg=name)  # one system's sines may differ from another's
         np.testing.assert_allclose(
             (ready[name].xyz - ready[name].origin).mean(axis=0), middle, atol=0.002, err_msg=name
@@ -307,6 +311,92 @@ def test_bridges_stand_over_the_cutting_and_join_the_land():
         assert clear[index[group == g]].min() < 1.5
 
 
+WET = dataclasses.replace(BARE, water_echoes=0.8, scan_angle=20)
+
+
+@pytest.mark.parametrize("shape", [{"river": 60}, {"river": 60, "quay": True}, {"lake": 60}], ids=str)
+def test_water_is_level_and_returns_less_at_an_angle(shape):
+    scene = scenes.make(dataclasses.replace(WET, **shape), size=(520, 300), density=2, noise=0, swath=100)
+    x, y, z = scene.xyz.T
+    wet = scene.kind == Kind.WATER
+    assert np.ptp(z[wet]) < 0.011 and (scene.classes == 9).sum() == wet.sum() > 1000
+    assert scene.water(x, y)[wet].all() and np.abs(scene.water_level(x, y) - z)[wet].max() < 0.006
+    assert (scene.terrain(x, y) < z)[wet].all()  # the bed
+    bank = ~scene.water(x, y) & (ndimage.distance_transform_edt(~wet_cells(scene))[cells_of(scene)] < 3)
+    assert (z[bank & scene.truth] > z[wet].min() - 0.01).all()
+    heading, share = np.radians(8), []
+    across = ((x - scene.origin[0]) * np.cos(heading) - (y - scene.origin[1]) * np.sin(heading)) % 100
+    for low, high in ((0, 0.3), (0.7, 1)):
+        there = np.abs(across / 50 - 1)
+        lattice = np.stack(np.meshgrid(*(scene.origin[k] + np.arange(0.5, scene.size[k]) for k in (0, 1))))
+        u, v = lattice[0] - scene.origin[0], lattice[1] - scene.origin[1]
+        strip = np.abs(((u * np.cos(heading) - v * np.sin(heading)) % 100) / 50 - 1)
+        area = (scene.water(*lattice) & (strip >= low) & (strip < high)).sum()
+        share.append((wet & (there >= low) & (there < high)).sum() / (2 * area))
+    assert 0.3 < share[0] < 0.8 and share[1] < 0.06
+
+
+def cells_of(scene):
+    return tuple(
+        np.floor(scene.xyz[:, k] - scene.origin[k]).astype(int).clip(0, int(scene.size[k]) - 1) for k in (1, 0)
+    )
+
+
+def wet_cells(scene):
+    out = np.zeros((int(scene.size[1]), int(scene.size[0])), bool)
+    out[tuple(i[scene.kind == Kind.WATER] for i in cells_of(scene))] = True
+    return out
+
+
+def test_boats_reeds_and_weirs_stand_on_the_water():
+    layout = dataclasses.replace(WET, river=80, boats=0.3, reeds=0.5, weir=True, bridges=False)
+    scene = scenes.make(layout, size=(520, 300), density=4, noise=0)
+    x, y, z = scene.xyz.T
+    above, wet = z - scene.water_level(x, y), scene.water(x, y)
+    for kind, least, most in ((Kind.CAR, 1, 3), (Kind.WALL, 1, 1), (Kind.LOW_VEGETATION, 0.3, 2)):
+        found = above[wet & (scene.kind == kind)]
+        assert len(found) > 100 and found.min() > least - 0.01 and found.max() < most + 0.01
+
+
+@pytest.mark.parametrize(
+    ("shape", "width", "clear"),
+    [
+        ({"road": 30, "bridge_rise": 6, "bridge_width": 20}, 20, 6),
+        ({"river": 30, "bridge_rise": 3, "bridge_width": 4}, 4, 7),
+        ({"cutting": 7, "bridge_skew": 45}, 10, 6),
+    ],
+    ids=str,
+)
+def test_decks_have_their_width_and_join_ramps_without_a_step(shape, width, clear):
+    scene = scenes.make(dataclasses.replace(BARE, relief=0, **shape), size=(520, 300), density=8, noise=0)
+    index, group = components(scene, Kind.BRIDGE, 2.0)
+    largest = index[group == 1 + np.bincount(group)[1:].argmax()]
+    x, y, z = scene.xyz[largest].T
+    np.testing.assert_allclose(scene.deck(x, y), z, atol=0.006)
+    assert np.median(z - scene.terrain(x, y)) == pytest.approx(clear, abs=1.5)
+    spread = scene.xyz[largest, :2] - scene.xyz[largest, :2].mean(axis=0)
+    along = np.linalg.svd(spread, full_matrices=False)[2][0]
+    middle = np.abs(spread @ along) < 6
+    assert np.ptp((spread @ (-along[1], along[0]))[middle]) == pytest.approx(width, rel=0.15, abs=0.8)
+    ends = scene.truth & (np.hypot(*(scene.xyz[:, :2] - scene.xyz[largest, :2].mean(axis=0)).T) < 60)
+    step, _ = cKDTree(scene.xyz[ends]).query(scene.xyz[largest])
+    assert np.count_nonzero(step < 0.6) > 4  # ground beside the deck at its level
+
+
+def test_causeways_are_ground_and_jetties_end_over_water():
+    dam, jetty = (
+        scenes.make(dataclasses.replace(WET, river=40, relief=0, **more), size=(520, 300), density=4, noise=0)
+        for more in ({"causeway": True}, {"jetty": 25, "bridges": False})
+    )
+    assert not (dam.kind == Kind.BRIDGE).any()
+    x, y, z = dam.xyz.T
+    over = dam.truth & (z > dam.origin[2] - 1.01) & (z < dam.origin[2] - 0.99) & (np.abs(dam.terrain(x, y) - z) < 0.01)
+    assert over.sum() > 500 and not dam.water(x, y)[over].any()
+    deck = jetty.kind == Kind.BRIDGE
+    assert jetty.water(*jetty.xyz[deck, :2].T).mean() > 0.8
+    assert 0.6 * 4 * 25 * 4 < deck.sum() < 2.2 * 4 * 30 * 4
+
+
 def test_objects_have_the_heights_of_their_kind(ready):
     for name, scene in ready.items():
         height = above_terrain(scene)
@@ -399,6 +489,72 @@ def test_terrain_grid_samples_cell_centres_of_the_clouds_grid(ready):
         scene.terrain_grid(0)
 
 
+PLAIN = SceneLayout(relief=0, forest=0, trees=0, low_vegetation=0, low_clusters=0)
+
+
+def test_errors_of_photographs_are_those_of_their_neighbours():
+    scene = scenes.make(PLAIN, size=60, sensor="image matching", seed=2, noise=0.08, rounding=0.001)
+    wrong = np.isin(scene.kind, (Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER))
+    assert 0.0005 < wrong.mean() < 0.02 and (scene.kind[~wrong] == Kind.GROUND).all()
+    error, xy = above_terrain(scene)[~wrong], scene.xyz[~wrong, :2]
+    assert error.std() == pytest.approx(0.08, rel=0.15) and len(scene) == pytest.approx(50 * 3600, rel=0.02)
+    pairs = cKDTree(xy)
+    alike = {}
+    for metres in (0.15, 6.0):
+        _, other = pairs.query(xy + (metres, 0))
+        near = np.hypot(*(xy[other] - xy - (metres, 0)).T) < 0.1
+        alike[metres] = np.corrcoef(error[near], error[other[near]])[0, 1]
+    assert alike[0.15] > 0.8 and abs(alike[6.0]) < 0.1
+    assert (np.abs(above_terrain(scene)[wrong]) > 0.2).mean() > 0.9
+
+
+def test_photographs_see_one_surface_and_no_water():
+    scene = scenes.make("city", size=(200, 120), sensor="image matching", seed=3)
+    cell = np.floor(scene.xyz[:, :2] / 0.12).astype(int) @ (1, 1_000_000)
+    assert (scene.number_of_returns == 1).all()
+    right = ~np.isin(scene.kind, (Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER))
+    order = np.lexsort((scene.xyz[:, 2], cell))[right[np.lexsort((scene.xyz[:, 2], cell))]]
+    same = cell[order][1:] == cell[order][:-1]
+    steps = np.diff(scene.xyz[order, 2])[same]
+    lidar = scenes.make("city", size=(200, 120), density=50, seed=3)
+    assert (steps > 6).mean() < 0.002  # walls are ramps
+    assert (lidar.number_of_returns > 1).mean() > 0.01
+    roof, wall = scene.kind == Kind.BUILDING, scene.kind == Kind.WALL
+    assert right.mean() > 0.99 and roof.any() and wall.sum() > 0.02 * roof.sum()
+    assert above_terrain(scene)[wall].min() > -0.2
+    assert np.abs(above_terrain(scene)[scene.truth]).mean() < 0.15
+    sea = scenes.make("coast", size=(200, 60), density=10, sensor="image matching", seed=3)
+    x, y = (sea.origin[k] + np.arange(0.5, sea.size[k]) for k in (0, 1))
+    assert 0.3 < sea.water(x[:, None], y[None, :]).mean() < 1
+    assert sea.water(*sea.xyz[:, :2].T).mean() < 0.001  # but for the rounding
+
+
+def test_mobile_points_thin_out_and_stop_at_what_stands_in_the_way():
+    bare = scenes.make(PLAIN, size=100, sensor="mobile", seed=1, noise=0.02, rounding=0.001)
+    assert above_terrain(bare)[bare.truth].std() == pytest.approx(0.02, rel=0.05)
+    terrain = bare._terrain
+    streets = Town(terrain.patch((0.0, 0.0, 100.0, 100.0))).streets(50.0, 50.0)
+    xy = bare.xyz[:, :2] - bare.origin[:2]
+    away = np.min([np.abs((xy - place) @ (way[1], -way[0])) for place, way in streets], axis=0)
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.5, 100), np.arange(0.5, 100)))
+    area = np.min([np.abs((np.stack([x, y], 1) - place) @ (way[1], -way[0])) for place, way in streets], axis=0)
+    rings = [(3, 6), (6, 12), (12, 24)]
+    density = [((away >= a) & (away < b)).sum() / ((area >= a) & (area < b)).sum() for a, b in rings]
+    assert density[0] > 2 * density[1] > 4 * density[2] > 0  # rays at equal angles: with the square of the distance
+    city = scenes.make("city", size=100, sensor="mobile", seed=101)
+    assert (city.kind == Kind.WALL).sum() > 5 * (city.kind == Kind.BUILDING).sum()  # walls are seen, roofs hardly
+    lidar = scenes.make("city", size=100, density=60, seed=101)
+    cells = [np.unique(np.floor(s.xyz[s.truth, :2]).astype(int), axis=0) for s in (city, lidar)]
+    assert len(cells[0]) < 0.8 * len(cells[1])  # behind them is no ground
+
+
+def test_drone_lidar_is_dense_and_thin():
+    scene = scenes.make("forest", size=40, sensor="drone lidar", seed=3)
+    assert last_echoes(scene).sum() / 1600 == pytest.approx(200, rel=0.1)
+    assert above_terrain(scene)[scene.truth].std() == pytest.approx(0.015, rel=0.05)
+    assert (scene.number_of_returns > 1).mean() > 0.3
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -407,7 +563,7 @@ def test_terrain_grid_samples_cell_centres_of_the_clouds_grid(ready):
         ({"size": (100, -1)}, "size=-1"),
         ({"size": (1, 2, 3)}, r"size=\(1, 2, 3\)"),
         ({"density": 0}, "density=0"),
-        ({"density": 80}, "between 0.1 and 50"),
+        ({"density": 2000}, "between 0.1 and 1000"),
         ({"seed": -1}, "seed=-1"),
         ({"seed": 1.5}, "seed=1.5"),
         ({"noise": float("nan")}, "noise=nan"),
@@ -416,6 +572,7 @@ def test_terrain_grid_samples_cell_centres_of_the_clouds_grid(ready):
         ({"overlap": 0.9}, "overlap=0.9"),
         ({"rounding": 0.1}, "rounding=0.1"),
         ({"origin": (0, 0)}, "origin="),
+        ({"sensor": "radar"}, "sensor='radar'"),
     ],
 )
 def test_bad_arguments_are_named(options, message):

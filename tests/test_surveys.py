@@ -337,3 +337,29 @@ def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monk
     first = seen[0], seen[len(seen) // 2]
     widths = [window[2] - window[0] for window in first]
     assert widths[1] - widths[0] == pytest.approx(40.0, abs=2.0)
+
+
+def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
+    before, names = sorted(tmp_path.rglob("*")), ["east.las", "west.las"]
+    how = {"tile": 80.0, "workers": 1}
+    runs = {
+        "ground": lambda **more: jf.ground(survey, tmp_path / "out", PMF, run=jf.RunOptions(**how, **more)),
+        "heights": lambda **more: jf.heights(survey, tmp_path / "heights", PMF, run=jf.RunOptions(**how, **more)),
+        "model": lambda **more: jf.terrain_model(survey, tmp_path / "dtm.tif", PMF, run=jf.RunOptions(**how, **more)),
+    }
+    for name, run in runs.items():
+        plan = run(dry_run=True).forecast
+        assert sorted(tmp_path.rglob("*")) == before, name
+        done = run()
+        assert (plan.points, plan.tiles, sorted(plan.files)) == (done.points, done.tiles, done.files), name
+        assert plan.times_read == pytest.approx(done.read / done.points, rel=0.25), "by mean densities of the files"
+        assert 0 < plan.seconds < 60 and plan.memory > 3e8 and plan.workers == 1 and done.forecast is None
+        assert name == "model" or [path.rsplit("/")[-1] for path in sorted(plan.files)] == names
+        before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(jf.OutputError, match="exists"):
+        runs["model"](dry_run=True)
+    result = CliRunner().invoke(
+        main, ["ground", "pmf", str(survey), str(tmp_path / "new"), "--tile", "80", "--dry-run"]
+    )
+    assert result.exit_code == 0 and "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
+    assert sorted(tmp_path.rglob("*")) == before

@@ -11,7 +11,7 @@ from experiments.defaults.clouds import Known
 from experiments.report import Row
 from jaxfilter.reports import places as named
 from jaxfilter.terrain.accuracy import OFF, Differences, differences
-from jaxfilter.terrain.models import extent_of
+from jaxfilter.terrain.layer import extent_of
 from jaxfilter.terrain.raster import RasterGrid
 
 FILLED = jf.Interpolation(fill=True)

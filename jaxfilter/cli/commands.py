@@ -1,6 +1,6 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
-Terrain models and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
+Rasters, products and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
 ``report.py``, pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``. Options that they share are in
 ``options.py``, what they print in ``output.py``, and how they begin and end in ``session.py``.
 
@@ -27,7 +27,17 @@ from .options import (
     open_files,
     take,
 )
-from .output import Answer, in_session, json_text, print_report, print_table, run_facts, session_options, tell
+from .output import (
+    Answer,
+    in_session,
+    json_text,
+    plan_answer,
+    print_report,
+    print_table,
+    run_facts,
+    session_options,
+    tell,
+)
 from .session import Session, logger, stoppable
 from .values import CLASS, INPUT, OUTPUT, option, with_options
 
@@ -42,14 +52,9 @@ _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
     "--resolution": "the side of a grid's cells is --cell, of jaxfilter dtm and of methods on grids, jaxfilter ground smrf "
     "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
-    "--dry-run": "jaxfilter info IN says what would be read, and nothing is replaced without --overwrite or --in-place",
     "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
     "review": "jaxfilter ground IN OUT --review places.gpkg lists the places to look at, jaxfilter report IN page.html shows "
     "them",
-    "dsm": "jaxfilter dtm makes a model of the ground, jaxfilter height says how high each point lies above it; PDAL's "
-    "writers.gdal with output_type=max makes a model of the highest points",
-    "hillshade": "jaxfilter report IN page.html shows one; or jaxfilter dtm IN dtm.tif, and then GDAL's gdaldem hillshade "
-    "dtm.tif hillshade.tif",
     "classify": "that is jaxfilter ground IN OUT",
     "filter": "that is jaxfilter ground IN OUT",
 }
@@ -179,7 +184,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     from ..surveys.ground import ground
 
     if (review := options["review"]) is not None:
-        from ..reports.review_list import DRIVERS
+        from ..files.vectors import DRIVERS
 
         check_target(review, options["overwrite"] or options["resume"], tuple(DRIVERS))
     classes, extra = take(Classes, options), options["extra"]
@@ -195,6 +200,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
             review=review,
             run=files.run,
         )
+    if report.forecast is not None:
+        return plan_answer(report.forecast)
     units, of_class = files.collection.units, classes.ground_class
     tell(session, report)
     logger.info(

@@ -21,10 +21,20 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 UNITS = option("--units", "Units of X, Y and Z: m, ft, us-ft, or a pair XY,Z.  [default: as the CRS says]", "UNIT")
+CRS = option(
+    "--crs", "CRS of files that state none, such as EPSG:25832. Outputs state it; nothing is reprojected.", "CRS"
+)
+STATED = [UNITS, CRS]
 BOUNDS = option("--bounds", "Take only the points within this box, in file units.", float, nargs=4, metavar=BOX)
+AOI = option(
+    "--aoi",
+    "Polygons, such as a .gpkg, whose points are written. The labels are those of the whole.",
+    click.Path(exists=True, path_type=Path),
+)
 READING = [
-    UNITS,
+    *STATED,
     BOUNDS,
+    AOI,
     option("--returns", "Echoes to judge: first, intermediate, last, only, or all.", default="last,only"),
     option(
         "--ignore-class ignore_classes",
@@ -51,7 +61,7 @@ FINDER = option("--filter", "Find the ground with this filter instead of by clas
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 CLASSES = option("--ground-class ground_classes", "Class of the ground points.", CLASS, multiple=True, default=(2,))
-GROUND = [*FILTER, CLASSES, UNITS]
+GROUND = [*FILTER, CLASSES, *STATED, AOI]
 """What is ground."""
 RUN = [
     option("--tile", "Side of the tiles of large data.  [default: as holds about 5 million points]", METRES),
@@ -64,12 +74,13 @@ RUN = [
     option("--work", "Local folder for what a run keeps to go on; several files into a URL need one.", "FOLDER"),
     option("--resume", "Go on with the run that was begun for OUT.", bool),
     option("--overwrite", "Replace OUT if it exists, and begin the run anew.", bool),
+    option("--dry-run", "Write nothing; say which tiles, files, memory and time the run would need.", bool),
     option("--in-place", "Replace the files IN. Then all names are IN; there is no OUT.", bool),
 ]
 """Fields of RunOptions."""
 THREADS = option("--workers", "Number of threads for triangulation.  [default: one per core]", COUNT)
 MEMORY = option("--memory", "Memory for sets that are computed at the same time, such as 4GB.", Bytes(), default="2GB")
-SWEPT = [FIELDS, PRESET, WIDTH, UNITS, MEMORY, THREADS]
+SWEPT = [FIELDS, PRESET, WIDTH, *STATED, MEMORY, THREADS]
 """What sweeps and calibrations share."""
 REPLACE = option("--overwrite", "Replace what exists.", bool)
 
@@ -202,7 +213,7 @@ def open_files(
         else:
             check_out(out, inputs, run)
     with session.step("headers"):
-        collection = open_collection(inputs, units=reading.units)
+        collection = open_collection(inputs, units=reading.units, crs=reading.crs)
         findings = [] if len(collection) < 2 else dataclasses.replace(collection.check(), mixed=None).lines()
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")

@@ -18,10 +18,10 @@ from .session import BadUsage, Session, logger
 from .values import OUTPUT, option
 
 if TYPE_CHECKING:
-    from ..surveys.report import RunReport
+    from ..surveys.report import Forecast, RunReport
     from .options import Files
 
-_PLACES_LISTED = 5
+_PLACES_LISTED, _FILES_LISTED = 5, 5
 
 
 def run_facts(session: Session, report: RunReport, files: Files | None = None) -> dict[str, Any]:
@@ -53,7 +53,8 @@ def print_report(report: dict[str, Any]) -> None:
         click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
     made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
-    click.echo(f"{report['method']}: {ended}; {times(report['seconds'])}; {made}")
+    sensor = (report["parameters"] or {}).get("sensor")
+    click.echo(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
     if report["tiles"] > 1:
         click.echo(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report["review"]:
@@ -100,6 +101,32 @@ def tell_places(session: Session, places: Sequence[dict[str, Any]]) -> None:
         session.note(
             f"{count(len(places), 'place')} where the terrain may be wrong, please check: {'; '.join(listed)}{more}"
         )
+
+
+def plan_answer(plan: Forecast) -> Answer:
+    """What a run would do."""
+    each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"
+    read = "" if plan.tiles == 1 else f", each point read {plan.times_read:.1f} times"
+    time = (
+        "unknown: the piece that was tried has no result"
+        if math.isnan(plan.seconds)
+        else f"about {_span(plan.seconds)}"
+    )
+    more = ", ..." * (len(plan.files) > _FILES_LISTED)
+    lines = [
+        f"points  {plan.points:,} in {count(plan.tiles, 'tile')}{each}{read}",
+        f"memory  {plan.memory / 1e9:.1f} GB for {count(plan.workers, 'worker')}",
+        f"time    {time}",
+        f"files   {len(plan.files):,} to write: {', '.join(plan.files[:_FILES_LISTED])}{more}",
+        "nothing was written, since --dry-run was given",
+    ]
+    return Answer(plan._asdict(), "\n".join(lines), always=True)
+
+
+def _span(seconds: float) -> str:
+    if seconds < 120:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def times(seconds: Mapping[str, float]) -> str:

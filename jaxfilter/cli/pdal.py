@@ -71,7 +71,7 @@ def _units_of(inputs: tuple[str, ...]) -> Units | None:
     if not inputs or not Path(inputs[0]).is_file() or Path(inputs[0]).suffix.lower() not in _SUFFIXES:
         return None
     try:
-        return linear_units(open_las(Path(inputs[0])).reference, None, inputs[0])
+        return linear_units(open_las(Path(inputs[0])).reference, inputs[0])
     except JaxfilterError:
         return None
 

@@ -9,7 +9,7 @@ import click
 
 from ..core.reading import Reading
 from .commands import main
-from .options import BOUNDS, FILTER, REPLACE, THREADS, UNITS, check_target, take, take_recipe
+from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
 from .output import Answer, in_session, times
 from .session import BadUsage, Session
 from .values import CLASS, COUNT, INPUT, OUTPUT, option, with_options
@@ -39,7 +39,7 @@ OWN = "own"
     ),
     option("--max-points", "Draw at most this many points.", COUNT, default=1_500_000),
     option("--title", "Title of the page.  [default: the name of IN]"),
-    *(BOUNDS, UNITS, THREADS, REPLACE),
+    *(BOUNDS, *STATED, THREADS, REPLACE),
 )
 @in_session
 def report(
@@ -70,7 +70,7 @@ def report(
     if reference not in (None, OWN) and not Path(str(reference)).is_file():
         raise BadUsage(f"--reference {reference}: there is no such file; the labels of IN are called own")
     with session.reading(source):
-        cloud = read(source, units=how.units, bounds=how.bounds, progress=session.progress)
+        cloud = read(source, units=how.units, crs=how.crs, bounds=how.bounds, progress=session.progress)
         truth = None if reference is None else _reference(cloud, source, reference, how)
     result: Any
     if recipe is not None:

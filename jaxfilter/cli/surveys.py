@@ -10,7 +10,7 @@ import click
 
 from ..core.reading import Reading
 from .commands import main
-from .options import REPLACE, UNITS, check_inputs, check_target
+from .options import REPLACE, STATED, check_inputs, check_target
 from .output import Answer, count, in_session, print_table
 from .session import Session, in_flags
 from .values import OUTPUT, option, with_options
@@ -25,14 +25,20 @@ _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"
 @main.command()
 @click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
 @with_options(
-    UNITS,
+    *STATED,
     option("--vpc", "Write the survey as a virtual point cloud.", OUTPUT),
     option("--map picture", "Draw a map of the files as PNG, PDF or SVG.", OUTPUT),
     REPLACE,
 )
 @in_session
 def info(
-    session: Session, names: tuple[str, ...], units: str | None, vpc: Path | None, picture: Path | None, overwrite: bool
+    session: Session,
+    names: tuple[str, ...],
+    units: str | None,
+    crs: str | None,
+    vpc: Path | None,
+    picture: Path | None,
+    overwrite: bool,
 ) -> Answer:
     """What a file says of itself: points, extent, CRS, units, classes and echoes.
 
@@ -44,7 +50,7 @@ def info(
     from ..files.storage import place_of
     from ..surveys.collection import open as open_survey
 
-    Reading(units=units)  # checks them
+    Reading(units=units, crs=crs)  # checks them
     check_inputs(names)
     for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
         if target is not None:
@@ -53,12 +59,12 @@ def info(
     one_file = len(names) == 1 and isinstance(place, Path) and place.is_file() and place.suffix.lower() != ".vpc"
     if one_file and vpc is None and picture is None:
         with session.reading(place):
-            about = reading.info(place, units=units)
+            about = reading.info(place, units=units, crs=crs)
         lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in about.items()}
         width = max(len(k) for k in lines)
         return Answer(about, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
     with session.step("headers"):
-        survey = open_survey(names, units=units)
+        survey = open_survey(names, units=units, crs=crs)
     with session.step("check"):
         findings = survey.check()
     if vpc is not None:

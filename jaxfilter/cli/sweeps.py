@@ -195,7 +195,7 @@ def calibrate(
     if out is not None:
         check_target(out, overwrite)
     with session.reading(source):
-        cloud = read(source, units=reading.units, progress=session.progress)
+        cloud = read(source, units=reading.units, crs=reading.crs, progress=session.progress)
         some = cloud if labels_file is None else read(labels_file, units=reading.units or cloud.units)
         labels = labelling.point_labels(some, unlabelled, str(labels_file or source))
         if some is not cloud:

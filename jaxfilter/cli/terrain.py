@@ -1,7 +1,8 @@
-"""The commands ``dtm``, from points to a GeoTIFF of their terrain, and ``height``, to heights above it."""
+"""From points to rasters and contours of their terrain, a command for each; ``products``, to all of them; ``height``."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -10,40 +11,74 @@ import click
 from .commands import main
 from .options import (
     BOUNDS,
+    FILTER,
     GROUND,
+    READING,
     RUN,
     Files,
     open_files,
     take,
     take_recipe,
 )
-from .output import Answer, count, in_session, run_facts, tell, times
-from .session import Session, logger
-from .values import BOX, option, with_options
+from .output import Answer, count, in_session, plan_answer, run_facts, tell, times
+from .session import BadUsage, Session, logger
+from .values import BOX, CLASS, METRES, option, with_options
 
 if TYPE_CHECKING:
+    from ..surveys.model import TerrainReport
     from ..surveys.report import RunReport
     from ..surveys.surroundings import GroundSource
 
 
-@main.command()
-@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-@with_options(
-    option("--cell", "Side of a cell, in file units.", float, default=1.0),
+CELL = option("--cell", "Side of a cell, in file units.", float, default=1.0)
+_MODEL = [
     option("--method", "Interpolation: tin, natural, idw or kriging.", default="tin"),
-    *GROUND,
     option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float),
     option("--fill", "Give cells outside the hull of the ground points a height too.", bool),
     option("--neighbours", "Number of nearest ground points that idw and kriging use.", int, default=12),
     option("--power", "Power of the distance that idw uses.", float, default=2.0),
+]
+_LEVELS, _GAP = (0.0, 2.0, 5.0, 10.0, 15.0), 10.0
+_SURFACE = [
     option(
-        "--bounds", "Bounds of the raster, in file units.  [default: the extent of IN]", float, nargs=4, metavar=BOX
+        "--level levels",
+        "Metres above the ground from which echoes make a surface.",
+        float,
+        multiple=True,
+        default=_LEVELS,
     ),
-    *RUN[:-1],
-)
-@in_session
-def dtm(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
-    """Make a terrain model, a Cloud Optimized GeoTIFF of ground heights.
+    option("--gap", "Radius of the circle of triangles up to which voids are bridged.", METRES, default=_GAP),
+    option("--radius", "The same for levels above 0.  [default: one and a half cells]", METRES),
+]
+_LAYERS: dict[str, tuple[str, list[click.Option]]] = {
+    "dtm": ("a terrain model: ground heights", _MODEL),
+    "dsm": ("a surface model without pits: trees, roofs and ground, from the first echoes", _SURFACE),
+    "chm": ("a canopy height model: how high the surface without pits lies above the ground", _SURFACE),
+    "hillshade": (
+        "a shaded relief of the terrain model, 1 to 255, as GDAL has it",
+        [
+            option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
+            option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
+            *_MODEL,
+        ],
+    ),
+    "density": ("a raster of the number of ground points per square metre", []),
+    "count": ("a raster of the number of ground points in each cell", []),
+    "voids": (
+        "a mask of voids: 1 where no ground point is near the centre of a cell, and 0 elsewhere",
+        [option("--distance", "How far the nearest ground point may be.", METRES, default=5.0)],
+    ),
+    "contours": (
+        "contour lines of the terrain model, a GeoPackage or GeoJSON of lines with their elevation",
+        [option("--interval", "Difference of elevation between lines, in units of Z.", float, default=1.0), *_MODEL],
+    ),
+}
+"""What each command makes, and its own options."""
+
+
+def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
+    kind = "" if name == "contours" else ", as a Cloud Optimized GeoTIFF"
+    help = f"""Make {what}{kind}.
 
     IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. Large data are made in
     tiles that see the ground around them.
@@ -51,20 +86,98 @@ def dtm(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to
     multiples of --cell, in the coordinate system and units of IN.
     """
-    from ..surveys.model import terrain_model
-    from ..terrain.interpolation import Interpolation
-    from ..terrain.raster import SUFFIXES
+    area = "Bounds of the raster, in file units.  [default: the extent of IN]"
+    shared = (*GROUND, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN[:-1])
 
-    how, cell = take(Interpolation, options), options["cell"]
-    ground = _ground(options)
-    files = open_files(session, names, options, SUFFIXES)
+    @main.command(name, help=help)
+    @click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
+    @with_options(CELL, *own, *shared)
+    @in_session
+    def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
+        from ..files.storage import place_of
+        from ..files.vectors import DRIVERS
+        from ..surveys.model import make_rasters
+        from ..terrain.interpolation import Interpolation
+        from ..terrain.layers import LAYERS
+        from ..terrain.raster import SUFFIXES
+
+        layer = take(type(LAYERS[name]), options)
+        how, cell = take(Interpolation, options), options["cell"]
+        ground = _ground(options)
+        files = open_files(session, names, options, SUFFIXES if layer.SUFFIX in SUFFIXES else tuple(DRIVERS))
+        assert files.out is not None
+        outputs = {layer: place_of(files.out)}
+        with session.step("run", files.collection.count):
+            report = make_rasters(
+                files.collection, outputs, ground, cell=cell, interpolation=how, reading=files.reading, run=files.run
+            )
+        if report.forecast is not None:
+            return plan_answer(report.forecast)
+        return _answer(session, report, files, f"{_cells(report, cell)}\n{name}: ", "cell")
+
+
+for _name, (_what, _own) in _LAYERS.items():
+    _layer_command(_name, _what, _own)
+
+
+def _cells(report: TerrainReport, cell: float) -> str:
+    """What rasters are, in words."""
+    text = f"{report.rows:,} x {report.columns:,} cells of {cell:g} through {report.ground:,} ground points"
+    return f"{text}, {report.empty:,} cells without a value"
+
+
+@main.command()
+@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
+@with_options(
+    *FILTER,
+    *READING,
+    option(
+        "--classified classes", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True
+    ),
+    option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
+    CELL,
+    *RUN[:-1],
+)
+@in_session
+def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
+    """Classify a survey, and make all rasters and contour lines of it, each as one file in the folder OUT.
+
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs. OUT then holds the folder
+    classified/, as jaxfilter ground makes it, dtm.tif, dsm.tif, chm.tif, hillshade.tif, density.tif, count.tif, voids.tif,
+    contours.gpkg, and survey.html, a page that shows them.
+
+    The ground is found by the default method, set up for the data, unless --filter names another one. A run that was stopped
+    goes on with --resume.
+    """
+    from ..surveys.products import products as make_products
+    from ..terrain.layers import LAYERS
+
+    recipe, classes, cell = take_recipe(options), options["classes"], options["cell"]
+    if recipe is not None and classes:
+        raise BadUsage("--filter and --classified: the ground is found, or it is known: name one of the two")
+    only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
+    files = open_files(session, names, options)
     assert files.out is not None
     with session.step("run", files.collection.count):
-        report = terrain_model(
-            files.collection, files.out, ground, cell=cell, interpolation=how, reading=files.reading, run=files.run
+        made = make_products(
+            files.collection,
+            files.out,
+            recipe or classes or None,
+            only=only,
+            cell=cell,
+            reading=files.reading,
+            run=files.run,
         )
-    text = f"{report.rows:,} x {report.columns:,} cells of {cell:g} through {report.ground:,} ground points"
-    return _answer(session, report, files, f"{text}, {report.empty:,} cells without height\n{how.method}: ", "cell")
+    plan = made.rasters.forecast
+    if plan is not None:
+        more = [] if made.ground is None or made.ground.forecast is None else made.ground.forecast.files
+        return plan_answer(plan._replace(files=[*more, *plan.files, str(made.page)]))
+    if made.ground is not None:
+        tell(session, made.ground)
+    answer = _answer(session, made.rasters, files, f"{_cells(made.rasters, cell)}\n", "cell")
+    answer.facts["classified"] = None if made.ground is None else run_facts(session, made.ground)
+    answer.facts["page"] = str(made.page)
+    return dataclasses.replace(answer, complete=made.complete)
 
 
 @main.command()
@@ -93,6 +206,8 @@ def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     files = open_files(session, names, options)
     with session.step("run", files.collection.count):
         report = heights(files.collection, files.out, ground, replace_z=replace_z, reading=files.reading, run=files.run)
+    if report.forecast is not None:
+        return plan_answer(report.forecast)
     low, high = report.heights or (math.nan, math.nan)
     dimension = "Z" if replace_z else HEIGHT
     text = f"{report.points:,} points above {report.ground:,} ground points, {low:.2f} to {high:.2f}, in {dimension}\n"

@@ -210,7 +210,7 @@ class PointCloud:
         (True, True)
         """
         reading = Reading(units=units, **options)
-        scale, placed, columns = laspy_parts(las, None if units is None else reading.metres, name)
+        scale, placed, columns = laspy_parts(las, reading.stated, name)
         return cls.from_integers(*placed, dataclasses.replace(reading, units=scale), name=name, **columns)
 
     @classmethod

@@ -107,8 +107,18 @@ class Filter:
         if largest_building is not None and not largest_building > 0:
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud), keep=not cls.ORDER_FREE)
-        changes = {**cls.from_spacing(points.spacing(), largest_building), **changes}
+        changes = {**cls.from_points(points, largest_building), **changes}
         return cls(**changes) if preset is None else cls.preset(preset, **changes)
+
+    @classmethod
+    def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
+        """Field values for distinct candidates and a largest building, metres: those of :meth:`from_spacing`, and what a method
+        tells from the points besides.
+
+        >>> jf.SMRF.from_points(jf.SMRF().points_of(cloud), 30.0)
+        {'window': 15.0, 'cell': 1.0}
+        """
+        return cls.from_spacing(points.spacing(), largest_building)
 
     @classmethod
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:

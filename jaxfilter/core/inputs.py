@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .errors import InputError
-from .units import GEOKEYS, PROJECTION, WKT, Units, linear_units, not_metric, reference_of, sampled
+from .units import STATED, Stated, Units, linear_units, not_metric, reference_of, sampled
 
 GROUND_CLASS = 2
 """ASPRS class ground."""
@@ -92,20 +92,20 @@ def is_structured(points: Any) -> bool:
 
 
 def laspy_parts(
-    las: Any, asked: Units | None, name: str
+    las: Any, asked: Stated, name: str
 ) -> tuple[Units, tuple[np.ndarray, np.ndarray, np.ndarray], dict[str, Any]]:
     """Units, then integer coordinates i32[n, 3], scales and offsets f64[3], then what else ``PointCloud.from_integers`` takes."""
     evlrs = las.evlrs if las.header.version.minor >= 4 else None
     stated = {
         vlr.record_id: vlr.record_data_bytes()
         for vlr in [*las.header.vlrs, *(evlrs or ())]
-        if vlr.user_id == PROJECTION and vlr.record_id in (WKT, GEOKEYS)
+        if (vlr.user_id, vlr.record_id) in STATED
     }
-    reference = reference_of(stated, name)
-    scale = linear_units(reference, asked, name)
+    reference = asked.of(reference_of(stated, name), name)
+    scale = linear_units(reference, name)
     ticks = np.stack([np.asarray(las[axis], np.int32) for axis in "XYZ"], axis=1)
     scales, offsets = np.asarray(las.header.scales, np.float64), np.asarray(las.header.offsets, np.float64)
-    if asked is None:
+    if asked.units is None:
         some = ticks[sampled(len(ticks))] * scales + offsets
         if reason := not_metric(some, len(ticks), reference.units is not None):
             raise InputError(f"{name}: {reason}")

@@ -9,7 +9,7 @@ from typing import Any
 from .errors import InputError
 from .frame import checked_anchor
 from .inputs import class_numbers
-from .units import Units, parse_units
+from .units import Reference, Stated, Units, parse_crs, parse_units
 
 Bounds = tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax in file units; half open: xmin <= x < xmax, ymin <= y < ymax."""
@@ -42,8 +42,12 @@ class Reading:
         units: of the coordinates; None = what the CRS says, and metres where it says nothing.
         anchor: (x, y) in file units from which all grids count.
         bounds: (xmin, ymin, xmax, ymax) in file units; points of files with xmin <= x < xmax and ymin <= y < ymax are read.
+        crs: that of files which state none, as ``pyproj.CRS.from_user_input`` takes it (``"EPSG:25832"``). Outputs state it.
+            Nothing is reprojected.
+        aoi: the area of interest, of surveys: a vector file (``"area.gpkg"``), a GeoDataFrame, or a polygon in file coordinates.
+            Points in it are written; those around it take part, so that they get the labels that they have in the whole.
 
-    Raises: InputError for returns, classes, units or an anchor that there are not.
+    Raises: InputError for returns, classes, units, a CRS or an anchor that there are not.
 
     >>> jf.Reading(returns="all", ignore_classes=[7]).ignore_classes
     (7,)
@@ -57,6 +61,8 @@ class Reading:
     units: str | Units | None = None
     anchor: Iterable[float] = (0.0, 0.0)
     bounds: Bounds | None = None
+    crs: Any = None
+    aoi: Any = None
 
     def __post_init__(self) -> None:
         words = self.returns.lower().split(",") if isinstance(self.returns, str) else []
@@ -71,19 +77,32 @@ class Reading:
             "units": None if self.units is None else parse_units(self.units),
             "anchor": tuple(checked_anchor(self.anchor).tolist()),
         }
+        if (crs := parse_crs(self.crs)) is not None:
+            checked["crs"] = crs.to_string()
+            if (problem := Stated(checked["units"], crs).of(Reference(), "crs").problem) is not None:
+                raise InputError(f"crs={checked['crs']!r}: {problem}")
         if self.bounds is not None:
             checked["bounds"] = check_bounds(self.bounds)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     @property
+    def stated(self) -> Stated:
+        """Units and CRS as far as they are given.
+
+        >>> jf.Reading(units="ft").stated.units.xy, jf.Reading(crs=25832).stated.crs.name
+        (0.3048, 'ETRS89 / UTM zone 32N')
+        """
+        return Stated(None if self.units is None else parse_units(self.units), parse_crs(self.crs))
+
+    @property
     def metres(self) -> Units:
-        """The units, and metres where none are given.
+        """The units, of the given CRS if there is one, and metres where nothing is given.
 
         >>> jf.Reading().metres.xy, jf.Reading(units="ft").metres.xy
         (1.0, 0.3048)
         """
-        return Units() if self.units is None else parse_units(self.units)
+        return self.stated.of(Reference(), "points").units or Units()
 
     @property
     def echoes(self) -> frozenset[str]:

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyproj
@@ -19,6 +19,9 @@ METRES_PER_UNIT = (1e-3, 1e4)
 PROJECTION = "LASF_Projection"
 WKT, GEOKEYS = 2112, 34735
 """User and numbers of the records of a LAS file that state its CRS, LAS 1.4 R15 section 3."""
+
+STATED = ((PROJECTION, WKT), (PROJECTION, GEOKEYS))
+"""Keys of these records."""
 
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR, _VERTICAL, _VERTICAL_UNITS = 1024, 2048, 3072, 3076, 4096, 4099
 _GEOCENTRIC = 3  # value of the key _MODEL
@@ -169,17 +172,38 @@ def reference_of(records: dict[int, bytes], name: str) -> Reference:
     return Reference()
 
 
-def linear_units(reference: Reference, asked: Units | None, name: str) -> Units:
-    """The units to read coordinates with: those asked for, else those of the CRS, else metres with a warning.
+class Stated(NamedTuple):
+    """What a user states of coordinates: ``units`` go before those of any CRS, and ``crs`` holds where a file states none."""
+
+    units: Units | None = None
+    crs: pyproj.CRS | None = None
+
+    def of(self, reference: Reference, name: str) -> Reference:
+        """What is known of a file that says ``reference``. Raises: InputError if it states another CRS."""
+        if self.crs is None:
+            pass
+        elif reference.crs is None:
+            reference = _from_crs(self.crs, f"crs={self.crs.to_string()!r}")
+        elif not same_system(horizontal(self.crs), horizontal(reference.crs)):
+            raise InputError(
+                f"{name}: crs={self.crs.to_string()!r}: the file states another CRS, {reference.crs.name}: leave out crs=, since "
+                "nothing is reprojected"
+            )
+        return reference if self.units is None else dataclasses.replace(reference, units=self.units, problem=None)
+
+
+NOTHING = Stated()
+
+
+def linear_units(reference: Reference, name: str) -> Units:
+    """The units to read coordinates with: as they are known, else metres with a warning.
 
     Raises: InputError if the CRS is geographic or geocentric, or has an absurd unit.
     """
-    if asked is not None:
-        return asked
     if reference.problem is not None:
         raise InputError(f"{name}: {reference.problem}, or pass units= if the CRS record is wrong")
     if reference.units is None:
-        warn(f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong")
+        warn(f"{name}: no CRS states the units, metres are assumed; pass units= if that is wrong, or pass crs=")
         return Units()
     return reference.units
 
@@ -282,6 +306,18 @@ def _from_geokeys(data: bytes, name: str) -> Reference:
     if found.units is not None and abs(xy[0] / found.units.xy - 1) > 1e-12:
         warn(f"{name}: its CRS is in {found.units.name}, but its key of linear units says {xy[1]}: used")
     return dataclasses.replace(found, units=_units(xy, z or xy))
+
+
+def geokeys(crs: pyproj.CRS) -> bytes | None:
+    """The data of a record :data:`GEOKEYS` that states a projected CRS, with or without heights, by EPSG codes; None without."""
+    parts = crs.sub_crs_list if crs.is_compound else [crs]
+    codes = [part.to_epsg() for part in parts]
+    if None in codes or not parts[0].is_projected:
+        return None
+    keys = [(_MODEL, 1), *zip((_PROJECTED, _VERTICAL), codes, strict=False)]
+    return struct.pack(
+        f"<{4 + 4 * len(keys)}H", 1, 1, 0, len(keys), *(v for key, code in keys for v in (key, 0, 1, code))
+    )
 
 
 def _vertical_unit(code: int) -> tuple[float, str] | None:

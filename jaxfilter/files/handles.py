@@ -30,6 +30,7 @@ class Handle:
         identity: of the file when it was read.
         checksum: of the coordinates of the points, see :class:`jaxfilter.files.disk.Tally`: labels can so never get to
             other points, even if a file is changed and its time set back. None where the points were read in windows.
+        rows: bool of all points of a LAS file, those that were taken; None = those inside the bounds.
         blocks: of a file that was read in windows, all its runs of records with their checksums, which do the same.
     """
 
@@ -41,6 +42,7 @@ class Handle:
     identity: Identity
     checksum: int | None
     blocks: Any = None
+    rows: np.ndarray | None = None
 
     def layout(self) -> text.Layout:
         """That of a text file. Raises InputError."""
@@ -53,7 +55,8 @@ class Handle:
 
     def records(self, header: Header, tally: Tally, every_field: bool = True) -> Iterator[np.ndarray]:
         """The records of a LAS file, u8[k, record_length], read once more and added to ``tally``. Raises InputError."""
-        for chunk, _ in records.read_records(header, self.bounds, every_field, self.blocks):
+        for chunk, number in records.read_records(header, self.bounds, every_field, self.blocks):
+            chunk = chunk if self.rows is None else chunk[self.rows[number]]
             tally.add(chunk[:, :12].view("V12"))  # in one piece, which is copied faster
             yield chunk
 

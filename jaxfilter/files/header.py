@@ -23,6 +23,7 @@ import psutil
 from ..core.errors import InputError, OutputError, warn
 from ..core.frame import check_scales
 from ..core.process import need_threads
+from ..core.units import PROJECTION, WKT
 from .disk import CHANGED_IN_READING, Identity
 from .storage import Place, Remote, read_ranges
 
@@ -208,10 +209,15 @@ class Header:
         return found if at <= self.record_length else None
 
     def rewritten(
-        self, compressor: bytes | None, extra: Mapping[str, str] | None = None, drop: tuple[str, ...] = ()
+        self,
+        compressor: bytes | None,
+        extra: Mapping[str, str] | None = None,
+        drop: tuple[str, ...] = (),
+        crs: tuple[int, bytes] | None = None,
     ) -> Header:
         """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
-        float32 dimensions ``extra`` (names and descriptions), and without the records of the users in ``drop``."""
+        float32 dimensions ``extra`` (names and descriptions), and without the records of the users in ``drop``; ``crs``: number
+        and data of a record that is added."""
         kept = [r for r in self.vlrs if r.key != _LASZIP and r.key[0] not in drop]
         blocks = [self.head[r.start : r.end] for r in kept]
         length = self.record_length
@@ -234,12 +240,16 @@ class Header:
             else:
                 blocks.append(vlr(*_EXTRA_BYTES, payload))
             length += 4 * len(extra)
+        if crs is not None:
+            blocks.append(vlr(PROJECTION, *crs))
         if compressor is not None:
             blocks.append(vlr(*_LASZIP, compressor))
         gap = self.head[self.vlrs[-1].end if self.vlrs else self.size :]
         head = bytearray(self.head[: self.size] + b"".join(blocks) + gap)
         kind = self.point_format | (0x80 if compressor is not None else self.head[104] & 0x40)  # LASzip's bits
         struct.pack_into("<IIBH", head, 96, len(head), len(blocks), kind, length)
+        if crs is not None and crs[0] == WKT:
+            head[6] |= 16
         return _parse(self.path, bytes(head), len(head))
 
 
@@ -486,7 +496,7 @@ def new_header(
     path: Place, scales: np.ndarray, offsets: np.ndarray, wkt: str | None, created: tuple[int, int]
 ) -> Header:
     """A header of LAS 1.4, point format 6, without points yet; ``created`` is day of the year and year."""
-    record = b"" if wkt is None else vlr("LASF_Projection", 2112, wkt.encode() + b"\0", "OGC WKT")
+    record = b"" if wkt is None else vlr(PROJECTION, WKT, wkt.encode() + b"\0", "OGC WKT")
     block = bytearray(HEADER_LENGTHS[4])
     struct.pack_into("<4sHH", block, 0, b"LASF", 0, 1 | 16)  # global encoding: adjusted GPS time, CRS as WKT
     struct.pack_into("<BB32s32sHH", block, 24, 1, 4, b"OTHER", b"jaxfilter", *created)

@@ -19,7 +19,7 @@ from ..core.inputs import COLUMNS, is_laspy
 from ..core.points import canonical_points
 from ..core.reading import Reading
 from ..core.result import Progress, silent
-from ..core.units import GEOKEYS, PROJECTION, WKT, Reference, Units, linear_units, not_metric, reference_of, sampled
+from ..core.units import STATED, Reference, Units, linear_units, not_metric, reference_of, sampled
 from . import records, text
 from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
 from .handles import Handle
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
+_OF_FILES = ("bounds", "aoi")  # fields of Reading that say which points of a file are read
 Suspect = Callable[[str], None] | None
 """Is told why coordinates cannot be lengths."""
 
@@ -43,6 +44,7 @@ def read(
     *,
     bounds: Iterable[float] | None = None,
     units: str | Units | None = None,
+    crs: Any = None,
     returns: str = "last,only",
     ignore_classes: Iterable[int] = KEPT_CLASSES,
     ignore_overlap: bool = False,
@@ -70,6 +72,8 @@ def read(
         units: ``"m"``, ``"ft"``, ``"us-ft"``, or XY and Z apart (``"us-ft,m"``); by default what the CRS says. Where
             it says nothing of Z, Z has the unit of XY. Text is in metres unless told otherwise. Units that are given
             are believed; without them, coordinates that look like degrees are refused.
+        crs: that of a file which states none, as ``pyproj.CRS.from_user_input`` takes it (``"EPSG:25832"``). Outputs state it.
+            Nothing is reprojected.
         returns, ignore_classes, ignore_overlap, keep_withheld: which points are candidates, see :meth:`PointCloud.select`.
         drop_invalid: label points with NaN or infinite coordinates (text only), or far from all others (docs/conventions.md,
             Range), non-ground instead of raising.
@@ -77,7 +81,7 @@ def read(
         progress: called with the fraction of a LAS file that was read, and "read".
 
     Raises: InputError naming file and field: damaged or truncated, not a point cloud, angular or geocentric coordinates,
-    scales, units or extents that cannot be true.
+    scales, units or extents that cannot be true, another CRS than ``crs``.
     Warns: JaxfilterWarning where something was assumed: no CRS, damaged CRS or extra bytes, odd echoes, no points,
     counts that contradict each other.
 
@@ -85,7 +89,7 @@ def read(
     >>> 0 < len(west) < len(cloud), float(west.xyz[:, 0].max()) < 30
     (True, True)
     """
-    reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor)
+    reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor, crs=crs)
     cut = None if bounds is None else check_bounds(bounds)
     reading = dataclasses.replace(reading, bounds=cut)
     if is_laspy(path):
@@ -98,8 +102,10 @@ def read(
     return _warn_if_empty(place, file.cloud(reading, _refuse if units is None else None, progress or silent), cut)
 
 
-def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict[str, Any]:
+def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: Any = None) -> dict[str, Any]:
     """What is in a file, for people and for JSON; angular, geocentric and far-off coordinates are no error here.
+
+    ``units``, ``crs``: as of :func:`read`.
 
     Returns: ``path``, ``format``, ``points``, ``crs``, ``units``, ``metres_per_unit`` [XY, Z], ``bounds`` and ``z``
     (file units, to 1 mm), ``scales`` and ``offsets`` (LAS), ``extra_bytes`` (names of extra dimensions), ``classes`` and
@@ -110,10 +116,11 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None) -> dict
     >>> facts["points"] == len(cloud), facts["format"]
     (True, 'LAZ 1.4, point format 6')
     """
-    place, reading = place_of(path), Reading(drop_invalid=True, units=units)
+    place, reading = place_of(path), Reading(drop_invalid=True, units=units, crs=crs)
     file = _opened(place, reading)
     header, reference = (file.header, file.reference) if isinstance(file, LasFile) else (None, Reference())
-    if angular := units is None and reference.problem is not None:
+    reference = reading.stated.of(reference, str(place))
+    if angular := reference.problem is not None:
         reading = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown))
     cloud = _warn_if_empty(place, file.cloud(reading, warn if units is None and not angular else None), None)
     corners = None
@@ -187,9 +194,10 @@ class LasFile:
 
         Raises: InputError.
         """
-        header, reference = self.header, self.reference
+        header = self.header
         path, number, scales, offsets = header.path, header.point_format, header.scales, header.offsets
-        units = linear_units(reference, cast("Units | None", reading.units), str(path))
+        reference = reading.stated.of(self.reference, str(path))
+        units = linear_units(reference, str(path))
         most = header.count if most is None else most
         with reading_errors(
             path
@@ -237,7 +245,7 @@ def open_las(path: Place, tables: bool = True) -> LasFile:
         with header.open() as file:
             for record in header.vlrs + header.evlrs:
                 size = record.end - record.payload
-                if record.key in ((PROJECTION, WKT), (PROJECTION, GEOKEYS)) and size <= _LARGEST_CRS:
+                if record.key in STATED and size <= _LARGEST_CRS:
                     file.seek(record.payload)
                     stated[record.key[1]] = file.read(size)
         for remark in header.remarks():
@@ -311,7 +319,9 @@ def _opened(place: Place, reading: Reading) -> LasFile | TextFile:
 
 
 def _fields(reading: Reading) -> dict[str, Any]:
-    return {field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name != "bounds"}
+    return {
+        field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name not in _OF_FILES
+    }
 
 
 def _look(path: Place, some: np.ndarray, n: int, stated: bool, suspect: Suspect) -> None:

@@ -13,7 +13,7 @@ import pyproj
 
 from ..core.errors import InputError
 from ..core.frame import ends
-from ..core.units import UNITS, Reference, Units, not_metric, sampled
+from ..core.units import NOTHING, UNITS, Reference, Stated, Units, not_metric, sampled
 from .disk import Bounds
 from .reading import is_text, kept_text, open_las
 from .storage import Place, place_of
@@ -74,10 +74,11 @@ def _crs_of(wkt: str) -> pyproj.CRS:
     return pyproj.CRS.from_wkt(wkt)
 
 
-def describe_file(place: Place, units: Units | None = None) -> Source:
+def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
     """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
 
-    Raises: InputError if it cannot be read, or if its coordinates cannot be lengths, unless ``units`` are given.
+    Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
+    states another CRS.
     """
     facts: dict[str, Any]
     if is_text(place):
@@ -96,17 +97,18 @@ def describe_file(place: Place, units: Units | None = None) -> Source:
             )
         facts = {
             "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
-            "wkt": None if reference.crs is None else reference.crs.to_wkt(),
             "point_format": header.point_format,
             "scales": tuple(header.scales.tolist()),
             "offsets": tuple(header.offsets.tolist()),
             "date": header.date,
             "identity": header.fingerprint,
         }
-    if units is None and reference.problem is not None:
+    reference = stated.of(reference, str(place))
+    if reference.problem is not None:
         raise InputError(f"{place}: {reference.problem}, or pass units= if the CRS record is wrong")
-    if units is None and count and (problem := not_metric(some, count, reference.units is not None)):
+    if stated.units is None and count and (problem := not_metric(some, count, reference.units is not None)):
         raise InputError(f"{place}: {problem}")
     (x0, y0, z0), (x1, y1, z1) = (extent if count else np.full((2, 3), math.nan)).tolist()
-    facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": units or reference.units or Units()}
+    facts |= {"bounds": (x0, y0, x1, y1), "z": (z0, z1), "units": reference.units or Units()}
+    facts["wkt"] = None if reference.crs is None else reference.crs.to_wkt()
     return Source(str(place), count=count, **facts)

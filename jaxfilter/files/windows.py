@@ -99,13 +99,14 @@ def file_cloud(
     index: Path | None = None,
     *,
     bounds: Bounds | None = None,
+    rows: np.ndarray | None = None,
     checksum: int | None = None,
 ) -> PointCloud:
     """A cloud that stands for the points of a file when they are written, and whose coordinates stay in the file.
 
     Args:
-        candidate: bool[n], of the points of the file inside ``bounds``, in its order.
-        bounds: points outside are not written; None = all are.
+        candidate: bool[n], of the points of the file inside ``bounds``, or of its ``rows``, in its order.
+        bounds: points outside are not written; None = all are. rows: bool of all points of a LAS file; others are not written.
         checksum: what ``cloud.source.checksum`` of these points was when they were read in one piece: writing refuses others.
             By default the runs of records are known by their checksums in the ``index``.
 
@@ -118,7 +119,7 @@ def file_cloud(
         _check_identity(source, file.fingerprint)
         if kind == "las" and checksum is None:
             blocks = blocks_of(place, identity, index)
-    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks)
+    handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks, rows)
     corner = np.floor([*source.bounds[:2], source.z[0]]) if source.count else np.zeros(3)
     xyz = np.broadcast_to(np.zeros(3, np.float32), (len(candidate), 3))
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)

@@ -16,6 +16,7 @@ from ..core.cloud import GROUND_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
+from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import records, text
 from .disk import Tally, new_file
 from .handles import Handle
@@ -292,8 +293,9 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if header.is_copc:
         kind = "LAS" if compressor is None else "LAZ"
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
-    recount = las is None or las.bounds is not None
-    writer = Writer(file, header.rewritten(compressor, added, drop), recount, labels.z is not None)
+    recount = las is None or las.bounds is not None or las.rows is not None
+    crs = None if las is None else _crs_record(path, header, cloud)
+    writer = Writer(file, header.rewritten(compressor, added, drop, crs), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
     channels = 0
     for chunk in chunks:
@@ -330,14 +332,33 @@ def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3))
     return ticks
 
 
+def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, bytes] | None:
+    """Number and data of the record that states the CRS of a cloud whose file states none: WKT where LAS knows it, and else the
+    EPSG codes as GeoTIFF keys."""
+    if cloud.crs is None or any(record.key in STATED for record in (*header.vlrs, *header.evlrs)):
+        return None
+    if header.minor >= 4:
+        wkt = _wkt(path, cloud.crs)
+        return None if wkt is None else (WKT, wkt.encode() + b"\0")
+    keys = geokeys(cloud.crs)
+    if keys is None:
+        warn(
+            f"{path}: its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out: convert the input to LAS 1.4"
+        )
+    return None if keys is None else (GEOKEYS, keys)
+
+
+def _wkt(path: Place, crs: pyproj.CRS) -> str | None:
+    try:
+        return str(crs.to_wkt("WKT1_GDAL"))
+    except pyproj.exceptions.CRSError as error:
+        warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}")
+        return None
+
+
 def _fresh_header(path: Place, cloud: PointCloud) -> Header:
     decimals = 4 if cloud.source is not None and cloud.source.layout().decimals > 3 else 3
-    wkt = None
-    if cloud.crs is not None:
-        try:
-            wkt = cloud.crs.to_wkt("WKT1_GDAL")
-        except pyproj.exceptions.CRSError as error:
-            warn(f"{path}: its CRS cannot be written as WKT 1 and is left out: {error}")
+    wkt = None if cloud.crs is None else _wkt(path, cloud.crs)
     today = datetime.date.today()
     created = (today.timetuple().tm_yday, today.year)
     return new_header(path, np.full(3, 10.0**-decimals), np.floor(cloud.origin), wkt, created)

@@ -14,17 +14,20 @@ from ..core.filter import Filter, Labels, of_scene, stage
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
+from ..engines.grid.morphology import dilation
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
+from ..steps.crowd import Crowd, spacing_of
 from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
-from ..steps.outliers import lowest_few
+from ..steps.outliers import lowest_few, pits
 from ..steps.pruning import Scatter, prune
+from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, steepest_drops
 from ..steps.voids import filled_by
 from .papers import bibtex
@@ -47,6 +50,19 @@ TESTED = 60.0
 """Metres around what labels are asked for in which points are tested; further away the lowest ones alone are vertices."""
 _SAMPLE = 2_000_000
 """Points from which the scatter of a scene is measured that is too large to be one tile."""
+SHEET = {AIRBORNE: 0.0, MATCHING: 4.0, DRONE: 6.0, MOBILE: 6.0}
+"""The tolerance in terms of the thickness of the sheet: the lowest of 100 points lies 2.5 below its middle, the highest above.
+Errors of photographs are mostly shared by neighbours."""
+THINNEST = 0.03
+"""Metres that it is at least: terrain is rough."""
+MATCHED_ROUNDS = 3
+"""Of densification, which climbs the ramps that photographs make of walls."""
+CLUSTER = 2.0
+"""Square metres that few points around a low one cover in dense clouds."""
+NO_VOID = 1e4
+"""Metres: longer than any edge of a triangle that spans a void."""
+PITS = {MATCHING: (0.3, 12.0), DRONE: (1.0, 1.0)}
+"""Metres that wrong matches, or echoes, lie below what surrounds them, at least, and square metres of them at most."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -74,7 +90,10 @@ class OST(Filter):
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
        be within the angle of the nearest place on it, too.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
-       neighbours, are dropped.
+       neighbours, are dropped; sooner where plants hide the ground and most vertices scatter as they do.
+
+    Of more than 30 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
+    there. The others are tested once, over the final triangulation, by the limits of step 7.
 
     The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
     took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
@@ -98,6 +117,7 @@ class OST(Filter):
     spacing: float | None = static(
         "tolerances follow this point spacing; None = the measured one", "> 0 m", default=None, optional=True
     )
+    sensor: str = static("what the cloud is of", default=AIRBORNE, choices=KINDS)
     low_points: int = static(
         "a point is barred if this many others around it, or fewer, are as low; 0 = none is barred", ">= 0", default=30
     )
@@ -167,6 +187,23 @@ class OST(Filter):
         own = {} if largest_building is None else {"window": largest_building / 2}
         return own | {"spacing": spacing, "cell": cell_for(spacing, 1 / 4)}
 
+    @classmethod
+    def from_points(cls, points: Points, largest_building: float | None) -> dict[str, Any]:
+        """As by the spacing, and the sensor. Where it is not airborne lidar, tolerances follow the thickness of its sheet, and
+        voids of photographs and of scans from a car are no water at which roofs end."""
+        kind, thickness, sparse = Sensed.of(points)
+        own = super().from_points(points, largest_building) | {"sensor": kind}
+        sheet = max(SHEET[kind] * thickness, THINNEST)
+        if kind in (MATCHING, MOBILE):
+            own["void"] = NO_VOID
+        if kind in (MATCHING, DRONE):
+            own["low_points"] = max(cls.low_points, round(CLUSTER / spacing_of(points) ** 2))
+        if kind == MATCHING:
+            own |= {"tolerance": max(cls.tolerance, sheet), "noise": max(cls.noise, sheet), "rounds": MATCHED_ROUNDS}
+        elif kind != AIRBORNE:
+            own |= {"tolerance": sheet, "tolerance_spacing": 0.0, "noise": sheet}
+        return own | ({"spacing": sparse} if kind == MOBILE else {})
+
     def halo(self) -> float:
         """The largest disk, there and back, or three sigmas of the landscape, whichever is more; a segment as wide as the largest
         building, which is judged as a whole; and a facet over a roof."""
@@ -174,12 +211,15 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
+        crowd = Crowd.of(points)
+        points = points if crowd is None else crowd.points
         scene = self.scene(points, spacing, workers, progress)
-        objects, drop, landscape = self.objects(scene)
+        objects, drop, rock, landscape = self.objects(scene)
         inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
+        rough = look_up(points.xyz, scene.cells, rock.astype(np.float32))[0] if rock.any() else np.float32(0)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
-        del scene, objects, drop, landscape, inside  # none is needed while the ground grows
+        del scene, objects, drop, rock, landscape, inside  # none is needed while the ground grows
         seeds = lowest[~in_object[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
@@ -196,26 +236,39 @@ class OST(Filter):
             ground.margin.fill(0)
             ground.change(growth.rule, but=low)
             ground.step()
-            distance = np.float32(self.max_distance * height) + np.float32(self.distance_relief * spacing) * around
+            relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
+            distance = np.float32(self.max_distance * height) + relief * around
             ground.change(AngleRule(distance, angle, float(self.noise)))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
             scatter = Scatter.of(ground.tin)
             whole = points.cloud.whole
             spread = scatter.of_scene(ground.tin) if whole is None or whole.scatter is None else whole.scatter
-            pruned = prune(
-                ground, scatter, float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
-            )
-            doubt = None
+            scene_limit, local_limit = float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
+            if self.sensor != AIRBORNE:
+                scene_limit = max(scene_limit, height)
+            pruned = prune(ground, scatter, scene_limit, local_limit, distance)
             if points.kept is None:  # a sweep asks for no more than what is ground
                 ground.finish(ground.todo)
-                doubt = doubts(ground, scatter.of_all(ground), steepness, around, height)
+                scatter = scatter.of_all(ground)
+            labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
+            if crowd is not None:
+                labels, seeds, own = crowd.labels(ground, low, LOW_DEPTH), crowd.rows[seeds], crowd.own
+                in_object, steepness, around = in_object[own], steepness[own], around[own]
+                scatter = Scatter(*(values[own] for values in scatter))
+        if points.kept is None:
+            labels.doubt = doubts(labels, scatter, steepness, around, height)
         progress(1.0, "done")
-        labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low, doubt=doubt)
         other = np.where(in_object, np.uint8(Decision.SURFACE), np.uint8(Decision.ELEVATION))
         labels.decision = np.where(labels.ground, np.uint8(Decision.ACCEPTED), other)
         labels.decision[seeds[labels.ground[seeds]]] = Decision.SEED
-        labels.info = {"seeds": len(seeds), "objects": marked, "pruned": pruned, "scatter": spread}
+        labels.info = {
+            "sensor": self.sensor,
+            "seeds": len(seeds),
+            "objects": marked,
+            "pruned": pruned,
+            "scatter": spread,
+        }
         return labels
 
     @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
@@ -225,6 +278,9 @@ class OST(Filter):
         low = self.low(points)
         progress(0.1, "lowest point per cell")
         cells, lowest = self.lowest_points(points, low)
+        if self.sensor in PITS and (deep := pits(points.xyz, cells, *PITS[self.sensor])).any():
+            low = low | deep
+            cells, lowest = self.lowest_points(points, low)
         if not has_area(points.xyz[lowest]):  # a cloud of a few cells
             low = np.zeros_like(low)
             cells, _ = self.lowest_points(points, low)
@@ -262,18 +318,19 @@ class OST(Filter):
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
         steepest = np.asarray(steepest_drops(z, cells.valid, reach))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
-        surface, largest = np.ascontiguousarray(z[:rows, :columns]), (2 * self.window) ** 2
-        segments = Segments(surface, inside, self.cell, roofs, largest)
+        surface, seen = (np.ascontiguousarray(np.asarray(a)[:rows, :columns]) for a in (z, cells.seen))
+        segments = Segments(surface, inside, seen, self.cell, roofs, (2 * self.window) ** 2)
         objects = steepest > np.float32(FIRST_SLOPE * self.cell)
         return steepest, segments, Landscape.of(z, cells, objects, float(self.landscape))
 
-    def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, Landscape]:
+    def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
-        on they are marked; and the slope of the landscape (steps 4 and 5)."""
+        on they are marked; bool[rows, columns]: cells within ``window`` of steep terrain that was given back; and the slope of
+        the landscape (steps 4 and 5)."""
         _, _, cells, z, _, steepest, segments, landscape = scene
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
-        objects, bare, seen = np.zeros(z.shape, bool), np.zeros((rows, columns), bool), np.asarray(cells.seen)[inner]
+        objects, bare = np.zeros(z.shape, bool), np.zeros((rows, columns), bool)
         for number in range(PASSES):
             if number > 0:
                 landscape = Landscape.of(z, cells, objects, float(self.landscape))
@@ -284,10 +341,15 @@ class OST(Filter):
             marked = steepest[inner] > limit[inner]
             whole = segments.objects(marked, around[inner])
             marked |= whole
-            bare |= segments.terrain(marked & ~bare, whole, scene.high, seen)
+            bare |= segments.terrain(marked & ~bare, whole, scene.high)
             objects = np.zeros(z.shape, bool)
             objects[inner] = marked & ~bare
-        return objects, steepest / np.maximum(limit, np.float32(1e-6)), landscape
+        rock = np.zeros(z.shape, bool)
+        rock[inner] = bare
+        if bare.any():
+            reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)
+            rock = np.asarray(dilation(rock.astype(np.float32), reach, reach)) > 0
+        return objects, steepest / np.maximum(limit, np.float32(1e-6)), rock, landscape
 
 
 class Openings(NamedTuple):

@@ -14,7 +14,8 @@ from ..core.grid import most_cells
 from ..core.result import FilterResult
 from ..engines.neighbours import groups
 from ..files.disk import Bounds
-from ..terrain.models import extent_of, ground_of, heights_of
+from ..terrain.layer import extent_of, ground_of
+from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
 
@@ -139,6 +140,10 @@ class Suspects:
         names = [field.name for field in dataclasses.fields(cls)]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
+    def part(self, rows: np.ndarray) -> Suspects:
+        """Some of the cells, bool[k]."""
+        return Suspects(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
+
 
 def suspects(
     cloud: PointCloud,
@@ -196,8 +201,7 @@ def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
 
 def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:
     """bool[rows, columns]: cells whose centre is in a box."""
-    x = (grid.left + 0.5 + np.arange(grid.columns)) * grid.cell
-    y = (grid.bottom + grid.rows - 0.5 - np.arange(grid.rows)) * grid.cell
+    x, y = grid.centres()
     return ((x >= box[0]) & (x < box[2]))[None, :] & ((y >= box[1]) & (y < box[3]))[:, None]
 
 

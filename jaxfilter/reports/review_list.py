@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import as_cloud
-from ..core.errors import OutputError, warn
 from ..core.result import FilterResult
-from ..files.disk import new_file
+from ..files.vectors import check_suffix, write_features
 from .places import SIDE, Place, places_of, suspects
 
 if TYPE_CHECKING:
     import geopandas
 
-DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
-"""Kinds of files by their suffix."""
 COLUMNS = ("x", "y", "area", "volume", "chance", "reason")
 """Of the table, after the rank."""
 
@@ -57,11 +53,12 @@ def review(
     (True, True)
     """
     target = None if path is None else Path(path)
-    check_suffix(target)
+    if target is not None:
+        check_suffix(target)
     cloud = as_cloud(cloud)
     table = table_of(places_of(suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
     if target is not None:
-        write_places(table, target, overwrite)
+        write_features(target, [table], "review", overwrite=overwrite)
     return table
 
 
@@ -79,40 +76,3 @@ def table_of(places: Sequence[Place], metre: float, crs: Any) -> geopandas.GeoDa
     columns = {name: [place.facts()[name] for place in places] for name in COLUMNS}
     ranks = {"rank": np.arange(1, len(places) + 1)}
     return geopandas.GeoDataFrame(ranks | columns, geometry=shapes, crs=crs)
-
-
-def write_places(table: geopandas.GeoDataFrame, target: Path, overwrite: bool) -> None:
-    """Write a table of :func:`review`. Raises: OutputError. Warns: if it has no CRS."""
-    if table.crs is None:
-        taken = "; programs take its coordinates for degrees" * (DRIVERS[target.suffix.lower()] == "GeoJSON")
-        warn(
-            f"{target}: the cloud has no CRS, so the file has none{taken}: set the CRS of the layer where it is opened"
-        )
-    with new_file(target, overwrite=overwrite) as temporary:
-        _save(table, target, temporary)
-
-
-def check_suffix(path: Path | None) -> None:
-    """Raises: OutputError for the name of another kind of file than :func:`review` writes."""
-    if path is not None and path.suffix.lower() not in DRIVERS:
-        raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
-
-
-def _save(table: geopandas.GeoDataFrame, target: Path, temporary: Path) -> None:
-    """Write the file; GDAL takes its kind from the name, so it is made under one with the suffix of ``target``."""
-    import pyogrio
-
-    named = temporary.with_name(f"list{target.suffix.lower()}")
-    options = {"layer": "review"} if DRIVERS[target.suffix.lower()] == "GPKG" else {}
-    date = "OGR_CURRENT_DATE"  # a GeoPackage says when it was changed; the same places shall be the same bytes
-    before = pyogrio.get_gdal_config_option(date)
-    try:
-        pyogrio.set_gdal_config_options({date: "1970-01-01T00:00:00Z"})
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
-            table.to_file(named, driver=DRIVERS[target.suffix.lower()], engine="pyogrio", **options)
-    except Exception as error:
-        raise OutputError(f"{target}: cannot be written: {error}") from error
-    finally:
-        pyogrio.set_gdal_config_options({date: before})
-    os.replace(named, temporary)

@@ -23,7 +23,7 @@ Box = tuple[float, float, float, float]
 Layer = enum.IntEnum(
     "Layer",
     "RELIEF ROUGHNESS SETTLEMENT TERRACES FOREST SHRUBS COURSE QUARTERS PLOTS TREES KERB_EAST KERB_NORTH LOW_CLUSTERS PITS "
-    "PULSES CRAGS",
+    "PULSES CRAGS MATCHING BLUNDERS RAYS BOATS RIPPLES",
     start=0,
 )
 """The independent sources of randomness of one seed."""

@@ -27,11 +27,12 @@ class Kind(enum.IntEnum):
     HIGH_VEGETATION = 5
     LOW_OUTLIER = 6
     HIGH_OUTLIER = 7
-    WALL = 8  # facades and free-standing walls
+    WALL = 8  # facades, free-standing walls and weirs
+    WATER = 9
 
 
-ASPRS = np.array([2, 6, 17, 1, 3, 5, 7, 18, 1], np.uint8)
-"""ASPRS class of each :class:`Kind` (LAS 1.4, table 17; cars and walls have none and are class 1)."""
+ASPRS = np.array([2, 6, 17, 1, 3, 5, 7, 18, 1, 9], np.uint8)
+"""ASPRS class of each :class:`Kind` (LAS 1.4, table 17; cars, boats and walls have none and are class 1)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +58,17 @@ class SceneLayout:
     scarp: float = param("height of scarps", ">= 0 and <= 60 m", default=0.0)
     terraces: float = param("height of terrace steps on open land", ">= 0 and <= 20 m", default=0.0)
     pit: float = param("depth of open pits, worked in benches", ">= 0 and <= 100 m", default=0.0)
-    river: float = param("width of rivers and arms of the sea; water returns no echo", ">= 0 and <= 490 m", default=0.0)
+    river: float = param("width of rivers and arms of the sea", ">= 0 and <= 490 m", default=0.0)
+    lake: float = param("radius of lakes and ponds; from 40 m on an islet is in them", ">= 0 and <= 120 m", default=0.0)
+    quay: bool = dataclasses.field(default=False, metadata={"doc": "whether rivers have upright banks"})
+    water_echoes: float = param(
+        "share of the pulses straight down that water returns, fewer at an angle; 0 for none at all; not between rock faces",
+        ">= 0 and <= 1",
+        default=0.0,
+    )
+    boats: float = param("share of 12 m cells on water with a boat", ">= 0 and <= 1", default=0.0)
+    reeds: float = param("share of shallow water under reeds, 0.3 to 2 m high", ">= 0 and <= 1", default=0.0)
+    weir: bool = dataclasses.field(default=False, metadata={"doc": "whether weirs, 1 m high, cross the rivers"})
     cliff: float = param("height of rock faces on both sides of a valley floor", ">= 0 and <= 150 m", default=0.0)
     face: float = param("slope of rock faces", ">= 40 and <= 85 deg", default=72.0)
     floor: float = param(
@@ -69,7 +80,19 @@ class SceneLayout:
     ditches: float = param("depth of ditches on open land", ">= 0 and <= 3 m", default=0.0)
     embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
     cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
-    bridges: bool = dataclasses.field(default=True, metadata={"doc": "whether bridges cross the cuttings and rivers"})
+    road: float = param("width of roads on the level of the land that bridges cross", ">= 0 and <= 60 m", default=0.0)
+    bridges: bool = dataclasses.field(
+        default=True, metadata={"doc": "whether bridges cross the cuttings, roads and rivers"}
+    )
+    bridge_width: float = param("width of decks", ">= 1 and <= 60 m", default=10.0)
+    bridge_skew: float = param(
+        "angle between decks and what is square to the course", ">= 0 and <= 60 deg", default=0.0
+    )
+    bridge_rise: float = param("height of the ends of decks above the land, on ramps", ">= 0 and <= 12 m", default=0.0)
+    jetty: float = param("length of jetties from the banks of rivers", ">= 0 and <= 100 m", default=0.0)
+    causeway: bool = dataclasses.field(
+        default=False, metadata={"doc": "whether low dams, which are ground, cross the rivers instead of decks"}
+    )
     settlement: float = param("share of the area that is built up", ">= 0 and <= 1", default=0.0)
     houses: float = param("weight of quarters with detached houses, 7 to 15 m", ">= 0", default=1.0)
     rows: float = param("weight of quarters with rows of houses, 25 to 42 m", ">= 0", default=1.0)
@@ -98,8 +121,9 @@ class SceneLayout:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not isinstance(self.bridges, bool):
-            raise ParameterError(f"SceneLayout(bridges={self.bridges!r}): must be True or False")
+        for name in ("bridges", "quay", "weir", "causeway"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise ParameterError(f"SceneLayout({name}={value!r}): must be True or False")
         if self.settlement > 0 and not sum(self.quarters()) > 0:
             raise ParameterError(
                 f"SceneLayout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"

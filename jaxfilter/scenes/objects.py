@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .lattice import Layer, Nodes, box_of, smooth_noise, uniform
-from .terrain import PERIOD, Patch, quantile
+from .terrain import BRIDGE_AT, BRIDGE_PERIOD, PERIOD, Patch, TerrainSample, quantile
 
 _QUARTER = 110.0  # metres between the axes of the streets around a town quarter
 _STREET = 7.0  # half the width of a street
@@ -17,7 +17,7 @@ _HOUSES, _ROWS, _BLOCKS, _TOWERS, _HALLS, _PARK = range(6)
 _NONE = -1
 _FLAT, _GABLE, _HIP, _SAWTOOTH = range(4)
 _TREE_CELL = 5.0
-_BRIDGE_PERIOD, _BRIDGE_AT, _BRIDGE_HALF_WIDTH = 220.0, 95.0, 5.0
+_BOAT_CELL, _WEIR_AT, _JETTY_AT = 12.0, 150.0, 185.0
 
 
 class Plot(NamedTuple):
@@ -126,6 +126,14 @@ class Town:
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
         self._eave = np.maximum(np.mean(corners, axis=0) + eave, highest + 2.2)
         self._built = used & undisturbed & (highest - lowest < 7) & ((quarter != _HOUSES) | (draw[6] < 0.93))
+
+    def streets(self, x: float, y: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The two streets that pass nearest to a place: f64[2] where, and f64[2] their direction, of length 1."""
+        at = self._turn(np.array(x), np.array(y))
+        east, north = (np.rint(v / _QUARTER) * _QUARTER for v in at)
+        places = self._back(np.array([east, at[0]]), np.array([at[1], north]))
+        ways = self._back(np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+        return list(zip(np.stack(places, axis=1), np.stack(ways, axis=1), strict=True))
 
     def locate(self, x: np.ndarray, y: np.ndarray) -> Plot:
         """Quarter and plot of points f64[n]."""
@@ -269,23 +277,51 @@ class Woods:
         return np.where(excess > 0, np.clip(0.1 + 0.8 * excess, 0, 1), 0.0)
 
 
+def afloat(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What stands on water, at points f64[n]: heights of boats and of weirs above it, f64[n] each, 0 where there are none, and
+    bool[n]: where reeds grow."""
+    layout, course = patch.layout, patch.terrain.course(x, y)
+    cells = Nodes.over(patch.box, _BOAT_CELL)
+    draw = uniform(patch.seed, Layer.BOATS, cells, fields=2)
+    i, j = (np.floor(v / _BOAT_CELL).astype(np.intp) for v in (x, y))
+    there, size = np.moveaxis(draw[i - cells.i0, j - cells.j0], 1, 0)
+    hull = np.hypot((x / _BOAT_CELL - i - 0.5) * _BOAT_CELL / 1.5, (y / _BOAT_CELL - j - 0.5) * _BOAT_CELL / 4.5) < 1
+    boat = np.where(np.isfinite(surface.level) & hull & (there < layout.boats), 1 + 2 * size, 0.0)
+    weir = layout.weir & (np.abs(patch.bridge(course, np.zeros(len(x)), _WEIR_AT)[1]) < 2) & np.isfinite(surface.level)
+    shallow = surface.z > surface.level - 0.9
+    grown = smooth_noise(patch.seed, Layer.SHRUBS, patch.box, 4)(x, y) > quantile(1 - layout.reeds)
+    return boat, np.where(weir, 1.0, 0.0), shallow & grown
+
+
+def open_deck(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """f64[n]: :func:`bridge_deck` where it is more than half a metre above the ground or bed, NaN elsewhere."""
+    deck = bridge_deck(patch, x, y)
+    return np.where(deck > surface.z + 0.5, deck, np.nan)
+
+
 def bridge_deck(patch: Patch, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """f64[n]: elevation of bridge decks, NaN elsewhere. Decks run level with the land at both abutments."""
-    deck = np.full(len(x), np.nan)
-    if not patch.layout.bridges:
-        return deck
+    """f64[n]: elevation of bridge decks and jetties, NaN elsewhere. Decks run level with the land at both abutments, jetties
+    1.2 m above the water, from the bank."""
+    deck, layout = np.full(len(x), np.nan), patch.layout
     course = patch.terrain.course(x, y)
-    row = np.rint((course.along - _BRIDGE_AT) / _BRIDGE_PERIOD)
-    beside = course.along - _BRIDGE_AT - row * _BRIDGE_PERIOD
+    if layout.jetty:
+        d = course.line(patch.stream)[0]
+        out = d + layout.river / 2
+        on = (np.abs(patch.bridge(course, 0 * d, _JETTY_AT)[1]) < 2) & (out > -5) & (out < layout.jetty)
+        deck[on] = -0.32 * layout.relief - 1.0
+    if not layout.bridges or layout.causeway:
+        return deck
     for offset, half in patch.crossings():
         d, line = course.line(offset)
-        on = np.flatnonzero((np.abs(d) < half) & (np.abs(beside) < _BRIDGE_HALF_WIDTH))
+        row, beside = patch.bridge(course, d)
+        on = np.flatnonzero((np.abs(d) < half) & (np.abs(beside) < layout.bridge_width / 2))
         if not len(on):
             continue
         crossing, which = np.unique(np.stack([row[on], line[on]]), axis=1, return_inverse=True)
-        along, across = crossing[0] * _BRIDGE_PERIOD + _BRIDGE_AT, crossing[1] * PERIOD + offset
+        along, across = crossing[0] * BRIDGE_PERIOD + BRIDGE_AT, crossing[1] * PERIOD + offset
         reach = half * patch.terrain.course(*patch.terrain.position(along, across)).stretch
-        ends = [patch(*patch.terrain.position(along, across + side * reach)).z for side in (-1, 1)]
+        aside = half * math.tan(math.radians(layout.bridge_skew))
+        ends = [patch(*patch.terrain.position(along + s * aside, across + s * reach)).z for s in (-1, 1)]
         share = (d[on] / half + 1) / 2
         camber = 0.6 * (1 - (2 * share - 1) ** 2)
         deck[on] = ends[0][which] * (1 - share) + ends[1][which] * share + camber

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 import numbers
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,10 @@ from ..core.errors import ParameterError
 from ..core.grid import Grid, grid_over
 from .lattice import box_of
 from .layouts import ASPRS, LAYOUTS, Kind, SceneLayout
-from .scan import echoes, pulses
-from .terrain import Terrain
+from .objects import open_deck
+from .scan import Echoes, echoes, pulses
+from .sensors import SENSORS, mobile, photographs
+from .terrain import Patch, Terrain
 
 _TILE = 1024.0
 ROUNDING = (0.01, 0.001)
@@ -100,14 +103,14 @@ class Scene:
     def terrain(self, x: Any, y: Any) -> np.ndarray:
         """Elevation of the bare terrain, without noise, f64 of the broadcast shape, at projected x and y in metres.
 
-        Under buildings, bridges and water it is the ground or the bed below. It is the function that the points were
-        made with, and is defined beyond the scene as well.
+        Under buildings, bridges and water it is the ground or the bed below; :meth:`water_level` is the surface of water. It is
+        the function that the points were made with, and is defined beyond the scene as well.
 
         >>> x, y, z = scene.xyz[scene.truth].T
         >>> bool(np.abs(z - scene.terrain(x, y)).mean() < 0.05)
         True
         """
-        return self._survey(x, y)[0] + self.origin[2]
+        return self._sampled(x, y, lambda patch, *at: patch(*at).z) + self.origin[2]
 
     def water(self, x: Any, y: Any) -> np.ndarray:
         """Whether there is water, bool of the broadcast shape, at projected x and y in metres.
@@ -115,19 +118,35 @@ class Scene:
         >>> scene.water(*scene.xyz[:, :2].T).shape == (len(scene),)
         True
         """
-        return self._survey(x, y)[1]
+        return self._sampled(x, y, lambda patch, *at: patch(*at).water) > 0
 
-    def _survey(self, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Elevation above the datum and whether there is water, of the broadcast shape of projected x and y."""
+    def water_level(self, x: Any, y: Any) -> np.ndarray:
+        """Elevation of the surface of water that returns echoes, f64 of the broadcast shape, at projected x and y in metres; NaN
+        elsewhere.
+
+        >>> bool(np.isnan(scene.water_level(*scene.xyz[:, :2].T)).all())  # that of this layout returns none
+        True
+        """
+        return self._sampled(x, y, lambda patch, *at: patch(*at).level) + self.origin[2]
+
+    def deck(self, x: Any, y: Any) -> np.ndarray:
+        """Elevation of bridge decks and jetties, f64 of the broadcast shape, at projected x and y in metres; NaN elsewhere.
+
+        >>> np.isfinite(scene.deck(*scene.xyz[:, :2].T)).sum() >= (scene.kind == jf.scenes.Kind.BRIDGE).sum()
+        np.True_
+        """
+        return self._sampled(x, y, lambda patch, *at: open_deck(patch, patch(*at), *at)) + self.origin[2]
+
+    def _sampled(self, x: Any, y: Any, sample: Callable[[Patch, np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """f64 of the broadcast shape of projected x and y: what ``sample`` finds on patches, there in the scene's frame."""
         bx, by = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         fx, fy = bx.ravel() - self.origin[0], by.ravel() - self.origin[1]
-        z, water = np.empty(len(fx)), np.empty(len(fx), bool)
+        found = np.empty(len(fx))
         tile = np.floor(fx / _TILE) * 2.0**24 + np.floor(fy / _TILE)
         order = np.argsort(tile, kind="stable")
         for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1) if len(order) else []:
-            surface = self._terrain.patch(box_of(fx[part], fy[part]))(fx[part], fy[part])
-            z[part], water[part] = surface.z, surface.water
-        return z.reshape(bx.shape), water.reshape(bx.shape)
+            found[part] = sample(self._terrain.patch(box_of(fx[part], fy[part])), fx[part], fy[part])
+        return found.reshape(bx.shape)
 
     def terrain_grid(self, cell: float) -> tuple[np.ndarray, Grid]:
         """The bare terrain at the centres of the cells of the cloud's own grid.
@@ -152,16 +171,17 @@ def make(
     layout: str | SceneLayout = "mixed",
     *,
     size: float | tuple[float, float] = (400.0, 300.0),
-    density: float = 4.0,
+    density: float | None = None,
     seed: int = 0,
-    noise: float = 0.03,
+    noise: float | None = None,
     pattern: str = "parallel",
-    swath: float = 600.0,
+    swath: float | None = None,
     overlap: float = 0.0,
     rounding: float = 0.01,
     origin: tuple[float, float, float] = (512_000.0, 5_403_000.0, 350.0),
+    sensor: str = "airborne lidar",
 ) -> Scene:
-    """Simulate an airborne lidar survey. The same arguments give the same scene, bit for bit.
+    """Simulate a survey, by default one with lidar from the air. The same arguments give the same scene, bit for bit.
 
     Terrain and objects depend on the layout and the seed alone; extent, density and flight only decide where they are
     sampled, so one place can be surveyed twice.
@@ -169,16 +189,19 @@ def make(
     Args:
         layout: the name of a ready layout (see :data:`LAYOUTS`) or a :class:`SceneLayout`.
         size: east-west and north-south extent in metres; one number for a square.
-        density: pulses per square metre, 0.1 to 50. Every pulse has one last (or only) echo, except over water;
+        density: pulses per square metre, 0.1 to 1000, by default 4. Every pulse has one last (or only) echo, except over water;
             vegetation and roof edges add echoes before it.
         seed: of every random choice, 0 or more.
-        noise: standard deviation of the ranging noise in elevation, metres, 0 to 0.5.
+        noise: standard deviation of the ranging noise in elevation, metres, 0 to 0.5, by default 0.03.
         pattern: ``"parallel"`` scan lines, as of a rotating mirror, or ``"zigzag"``, as of an oscillating one.
-        swath: width of a flight strip, metres, at least 50.
+        swath: width of a flight strip, metres, at least 50, by default 600.
         overlap: share of the swath that neighbouring strips have in common, 0 to 0.6; the mean density stays as asked.
         rounding: step of the coordinates, 0.01 or 0.001 m.
         origin: easting and northing of the lower left corner, and what is added to elevations; metres, rounded to
             whole steps of ``rounding``.
+        sensor: the name of one of :data:`SENSORS`, by which density, noise and swath have other defaults: ``"drone lidar"`` is as
+            ``"airborne lidar"``; ``"image matching"`` makes points of photographs, and ``"mobile"`` those of a scanner on a car.
+            Both have single echoes, and know neither pattern nor strips.
 
     Raises: ParameterError for an unknown name or a value out of range.
 
@@ -191,11 +214,18 @@ def make(
     layout = LAYOUTS.get(layout, layout) if isinstance(layout, str) else layout
     if not isinstance(layout, SceneLayout):
         raise ParameterError(f"make(layout={layout!r}): choose one of {', '.join(LAYOUTS)}, or pass a SceneLayout")
+    if sensor not in SENSORS:
+        raise ParameterError(f"make(sensor={sensor!r}): choose one of {', '.join(map(repr, SENSORS))}")
+    usual = SENSORS[sensor]
+    density, noise, swath = (
+        getattr(usual, name) if value is None else value
+        for name, value in (("density", density), ("noise", noise), ("swath", swath))
+    )
     width, height = (size, size) if _is_number(size) else _numbers("size", size, 2)
     for name, value, low, high, unit in (
         ("size", width, 1, 100_000, " m"),
         ("size", height, 1, 100_000, " m"),
-        ("density", density, 0.1, 50, " pulses per square metre"),
+        ("density", density, 0.1, 1000, " pulses per square metre"),
         ("noise", noise, 0, 0.5, " m"),
         ("swath", swath, 50, 5000, " m"),
         ("overlap", overlap, 0, 0.6, ""),
@@ -210,9 +240,16 @@ def make(
     corner = np.rint(np.array(_numbers("origin", origin, 3), np.float64) / rounding) * rounding
 
     terrain = Terrain(layout, int(seed))
+    taken: Iterator[Echoes]
+    if sensor == "image matching":
+        taken = photographs(terrain, (width, height), density, noise)
+    elif sensor == "mobile":
+        taken = mobile(terrain, (width, height), density, noise)
+    else:
+        shots = pulses(terrain, (width, height), density, pattern, swath, overlap, rounding)
+        taken = (echoes(terrain.patch(box_of(s.x, s.y)), s, usual.footprint, noise, density) for s in shots)
     parts = []
-    for shot in pulses(terrain, (width, height), density, pattern, swath, overlap, rounding):
-        part = echoes(terrain.patch(box_of(shot.x, shot.y)), shot, noise, density)
+    for part in taken:
         part.xyz[:] = np.rint((part.xyz + corner) / rounding) * rounding
         parts.append(part)
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]

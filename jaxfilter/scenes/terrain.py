@@ -20,6 +20,9 @@ PERIOD = 520.0
 _FINEST = 1  # detail down to nodes of 2 m; a node spacing of 1 m is interpolated from it
 _CUTTING, _PIT, _SCARP, _RIVER, _EMBANKMENT = 60.0, 205.0, 325.0, 400.0, 465.0  # where in the period they lie
 _GORGE = 330.0  # where rivers between rock faces do
+BRIDGE_PERIOD, BRIDGE_AT = 220.0, 95.0
+"""Metres along the course after which bridges recur, and where the first one is."""
+_RAMP_GRADE, _RAMP_SIDE = 12.0, 1.5  # run over rise of ramps, and of their sides
 _PIT_PERIOD = 400.0
 _BENCH_HEIGHT, _BENCH_WIDTH = 9.0, 12.0
 _BERM = 10.0  # metres between the faces of a quarry
@@ -27,11 +30,13 @@ _VINE_ROWS = (0.22, 0.62)  # where on a tread they stand, as a share of its widt
 
 
 class TerrainSample(NamedTuple):
-    """Terrain at points, each of shape [n]: ``z`` f64 metres; ``undisturbed``: no earthworks there; ``water``: bool."""
+    """Terrain at points, each of shape [n]: ``z`` f64 metres; ``undisturbed``: no earthworks there; ``water``: bool; ``level``
+    of the water, metres, NaN elsewhere and for water that returns no echo."""
 
     z: np.ndarray
     undisturbed: np.ndarray
     water: np.ndarray
+    level: np.ndarray
 
 
 class Course(NamedTuple):
@@ -130,7 +135,7 @@ class Patch:
         course = self.terrain.course(x, y)
         natural = self.natural(x, y, course)
         z = natural.copy()
-        water = np.zeros(len(x), bool)
+        water, level = np.zeros(len(x), bool), np.full(len(x), np.nan)
         if layout.ditches:
             self._ditch(z, x, y, course)
         if layout.cutting:
@@ -144,10 +149,22 @@ class Patch:
             z = self._fall(z, x, y, course)
         if layout.river:
             far = np.abs(course.line(self.stream)[0]) - layout.river / 2
-            z -= 2.2 * smoothstep((5 - far) / 5)
-            z -= 1.5 * smoothstep(-far / 4)
+            z -= 3.7 * (far < 0) if layout.quay else 2.2 * smoothstep((5 - far) / 5) + 1.5 * smoothstep(-far / 4)
             water = far < 0
-        return TerrainSample(z, np.abs(z - natural) < 0.3, water)
+            if layout.water_echoes and not layout.cliff:
+                level[:] = -0.32 * layout.relief - 2.2
+                water &= z < level
+        if layout.lake:
+            far, shelf = self._off_lake(course), self._lake_level
+            z -= 2 * smoothstep((4 - far[0]) / 8)
+            z = np.where(far[0] < 0, np.maximum(z, shelf + 1.5 - 0.2 * far[1]), z)
+            wet = (far[0] < 4) & (z < shelf)
+            water |= wet
+            level[wet & (layout.water_echoes > 0)] = shelf
+        if layout.bridge_rise or layout.causeway:
+            self._ramp(z, course)
+            water &= ~(z > level)
+        return TerrainSample(z, np.abs(z - natural) < 0.3, water, np.where(water, level, np.nan))
 
     def vines(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """bool[n]: in a row of vines, of which each terrace has two."""
@@ -180,9 +197,42 @@ class Patch:
             far = np.abs(course.line(self.stream)[0]) - layout.river / 2
             valley = -0.3 * layout.relief
             z = valley + (z - valley) * (0.03 + 0.97 * smoothstep((far - 6) / 120))
+        if layout.lake:
+            level = self._lake_level + 0.6
+            z = level + (z - level) * (0.03 + 0.97 * smoothstep((self._off_lake(course)[0] - 6) / 90))
         if layout.tilt:
             z = z + self.terrain.slope_plane(x, y)
         return z
+
+    def _off_lake(self, course: Course) -> tuple[np.ndarray, np.ndarray]:
+        """f64[n] each: metres from the shore of lakes, negative inside, and from the middle of the islet in them."""
+        across, row = course.line(_PIT)[0], np.floor(course.along / _PIT_PERIOD)
+        along = course.along - (row + 0.5) * _PIT_PERIOD
+        angle = np.arctan2(across, along)
+        outline = self.layout.lake * (1 + 0.15 * np.sin(2 * angle + 1) + 0.08 * np.sin(3 * angle))
+        off_islet = np.hypot(along - 0.45 * self.layout.lake, across) if self.layout.lake >= 40 else np.inf
+        return np.hypot(along, across) - outline, np.broadcast_to(off_islet, along.shape)
+
+    def _ramp(self, z: np.ndarray, course: Course) -> None:
+        """Ramps up to the ends of decks, or dams across water in place of decks."""
+        rise, half_width = self.layout.bridge_rise, self.layout.bridge_width / 2
+        for offset, half in self.crossings():
+            d = course.line(offset)[0]
+            beside = np.abs(self.bridge(course, d)[1]) - half_width
+            if self.layout.causeway:
+                top = -0.32 * self.layout.relief - 1.0
+                np.maximum(z, np.where(np.abs(d) < half, top - np.maximum(beside, 0) / _RAMP_SIDE, z), out=z)
+            else:
+                up = np.clip(1 - (np.abs(d) - half) / (_RAMP_GRADE * rise), 0, 1) * (np.abs(d) >= half - 0.5)
+                z += np.maximum(rise * up - np.maximum(beside, 0) / _RAMP_SIDE, 0)
+
+    def bridge(self, course: Course, d: np.ndarray, at: float = BRIDGE_AT) -> tuple[np.ndarray, np.ndarray]:
+        """f64[n] each: the number of the nearest bridge along the course, and metres off its axis, of points ``d`` metres off
+        the line that it crosses. ``at``: where along the course the first one is."""
+        skew = math.radians(self.layout.bridge_skew)
+        along = course.along - at - d * math.tan(skew)
+        row = np.rint(along / BRIDGE_PERIOD)
+        return row, (along - row * BRIDGE_PERIOD) * math.cos(skew)
 
     def _fall(self, z: np.ndarray, x: np.ndarray, y: np.ndarray, course: Course) -> np.ndarray:
         """f64[n]: the land ``z`` with what lies between rock faces: a floor, and faces that rise from it to the land."""
@@ -254,6 +304,10 @@ class Patch:
         return _GORGE if self.layout.cliff else _RIVER
 
     @property
+    def _lake_level(self) -> float:
+        return -0.1 * self.layout.relief - 1.0
+
+    @property
     def cutting_top(self) -> float:
         """Half the width of a cutting at the level of the land beside it, metres."""
         return 7 + 1.5 * self.layout.cutting
@@ -267,6 +321,8 @@ class Patch:
         """(offset in the period, half span in metres) of what bridges cross."""
         layout = self.layout
         spans = [(_CUTTING, self.cutting_top + 2)] if layout.cutting else []
+        if layout.road:
+            spans.append((_CUTTING, layout.road / 2))
         if layout.cliff:
             steps = layout.cliff / (layout.bench or layout.cliff)
             return [*spans, (self.stream, layout.floor / 2 + steps * self._step + 14)]

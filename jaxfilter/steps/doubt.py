@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket, jit
+from ..core.filter import Labels
 from ..engines.chunks import in_chunks
-from ..engines.tin.ground import GroundTin
 from .doubt_model import MODEL
 from .pruning import Scatter
 
@@ -20,17 +22,15 @@ _ROWS = 2**14
 """Points that are looked at at a time: what is made of them stays in the cache."""
 
 
-def doubts(
-    ground: GroundTin, scatter: Scatter, drop: np.ndarray, landscape: np.ndarray, tolerance: float
-) -> np.ndarray:
+def doubts(labels: Labels, scatter: Scatter, drop: np.ndarray, landscape: np.ndarray, tolerance: float) -> np.ndarray:
     """f32[m]: how likely the labels of points are to be wrong.
 
     Args:
-        ground: the points m, and the final triangulation, pruned and finished; scatter: of all of them.
+        labels: of the points m, with heights and slopes over the final triangulation; scatter: of all of them.
         drop: f32[m], steepest drop of the cell of each point over the limit from which on cells are marked.
         landscape: f32[m], rise over run. tolerance: height of ground over the facets of the seeds, metres.
     """
-    given = ground.ground, ground.height, ground.slope, *scatter, drop, landscape
+    given: Any = labels.ground, labels.height, labels.slope, *scatter, drop, landscape
     size, least = bucket(min(len(drop), _ROWS)), max(tolerance, 0.01)
     found: np.ndarray = in_chunks(
         lambda labels, *columns: probability(np.asarray(evidence(*columns, least)), labels),

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..engines.grid.cells import padded_shape
-from ..engines.grid.morphology import erosion
-
 SMOOTH = 0.2
 """Metres that a bare surface bends by from one cell to the next, along its contours, and that its points scatter by."""
+FURTHER, KNOWN = np.float32(1.6), np.float32(0.8)
+"""On a face the surface falls so many times as far within four cells as within two, where this share of the cells have points."""
 ROOFS, WALLS = 0.1, 0.45
 """Shares of the cells of steep terrain that may be in roofs, and of those on its border that may be walls."""
 
@@ -38,27 +37,27 @@ class Segments:
 
     Attributes:
         segment: i32[rows, columns], the segment that each cell is in, 0 for those in none that is large enough; count: of these.
-        fall: f32[rows, columns], metres to the lowest elevation within two rows and columns.
+        fall: f32[rows, columns], metres that the surface falls by at their borders, negative on faces, zero elsewhere.
     """
 
-    def __init__(self, z: np.ndarray, inside: np.ndarray, cell: float, roofs: Roofs, largest: float) -> None:
-        """``z``: f32[rows, columns], metres, none missing; ``inside``: bool[rows, columns], cells that the data surround;
-        ``cell``: metres; ``largest``: square metres of the largest building."""
-        from ..engines.grid.shapes import segments  # imports Numba
+    def __init__(
+        self, z: np.ndarray, inside: np.ndarray, seen: np.ndarray, cell: float, roofs: Roofs, largest: float
+    ) -> None:
+        """``z``: f32[rows, columns], metres, none missing; ``inside``, ``seen``: bool[rows, columns], cells that the data
+        surround, and cells with points; ``cell``: metres; ``largest``: square metres of the largest building."""
+        from ..engines.grid.shapes import falls, segments  # imports Numba
 
-        self.z, self.inside, self.cell, self.roofs = z, inside, cell, roofs
+        self.z, self.inside, self.seen, self.cell, self.roofs = z, inside, seen, cell, roofs
         self.least, self.largest = roofs.area / cell**2, largest / cell**2
-        inner = slice(0, z.shape[0]), slice(0, z.shape[1])
-        wide = np.full(padded_shape(z.shape), np.inf, np.float32)
-        wide[inner] = z
-        self.fall = z - np.asarray(erosion(wide, 2, 2, "square"))[inner]
         self.segment, self.count = segments(np.where(inside, z, np.float32(np.nan)), np.float32(roofs.step), self.least)
+        self.fall = falls(self.segment, z, seen, FURTHER, KNOWN)
 
     def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.
 
         What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then
-        the edge counts as border along which nothing falls, as that of a plateau above a cliff.
+        the edge counts as border along which nothing falls, as that of a plateau above a cliff. Nor does it fall on faces of
+        what is cut: headlands go on beyond the edge, and decks over a valley are seen with both ends.
 
         Args:
             marked: bool[rows, columns], cells that openings take for objects.
@@ -68,12 +67,13 @@ class Segments:
 
         roofs, run = self.roofs, 2 * np.float32(self.cell)
         given = marked, self.fall, slope, self.inside, np.float32(roofs.drop), run
-        cells, inside, border, falling, edge = census(self.segment, self.count, *given)
+        cells, inside, border, falling, faces, edge = census(self.segment, self.count, *given)
+        falling = falling - np.where(edge > 0, faces, 0)
         border = border + np.where(cells > self.largest, edge, 0)
         whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
         return (whole & (cells > 0))[self.segment]
 
-    def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells that are steep ground though openings cut them: parts of the objects, joined over edges,
         that are steep, bare and no roofs, and have no walls, as the rocks and faces of a coast.
 
@@ -83,12 +83,12 @@ class Segments:
 
         Args:
             objects: bool[rows, columns], all of them; whole: those that are segments as a whole.
-            high: f32[rows, columns], the highest point in each cell, metres; seen: bool[rows, columns], cells with points.
+            high: f32[rows, columns], the highest point in each cell, metres.
         """
         from ..engines.grid.shapes import faces, segments
 
         part, count = segments(np.where(objects, self.z, np.float32(np.nan)), np.float32(np.inf), self.least)
         limits = (np.float32(limit) for limit in (self.roofs.step, SMOOTH, 2 * self.roofs.step))
-        cells, roofs, known, bare, border, walls = faces(part, count, self.z, high, seen, whole, *limits)
+        cells, roofs, known, bare, border, walls = faces(part, count, self.z, high, self.seen, whole, *limits)
         ground = (2 * known >= cells) & (2 * bare >= known) & (roofs <= ROOFS * cells) & (walls <= WALLS * border)
         return (ground & (cells > 0))[part]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..core.points import Points, pieces
 from ..engines.grid.sparse import CellSet
 from ..engines.neighbours import batches, groups, nearest, tree_of
 from ..engines.tin.growth import Outliers
+from .surfaces import Cells, look_up
 from .trend import low_trend
 
 if TYPE_CHECKING:
@@ -332,3 +334,30 @@ def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.nda
         cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
         few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
     return low
+
+
+def pits(xyz: np.ndarray, cells: Cells, depth: float, largest: float) -> np.ndarray:
+    """bool[m]: points, f32[m, 3], more than ``depth`` metres below what a closing makes of the lowest elevations of cells, in
+    parts of at most ``largest`` square metres.
+
+    The disk of the closing is as wide as they may be. What is long, such as a ditch, is no pit.
+    """
+    from scipy import ndimage  # late: it takes a quarter of a second
+
+    rows, columns = (int(n) for n in cells.extent)
+    z, seen = (np.array(v)[:rows, :columns] for v in (cells.lowest, cells.seen))
+    side = float(cells.frame[2])
+    reach = max(1, round(math.sqrt(largest) / 2 / side))
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disk = i * i + j * j <= reach * reach
+    high = ndimage.grey_dilation(np.where(seen, z, -np.inf), footprint=disk, mode="constant", cval=-np.inf)
+    closed = ndimage.grey_erosion(
+        np.where(np.isfinite(high), high, np.inf), footprint=disk, mode="constant", cval=np.inf
+    )
+    part, _ = ndimage.label(seen & (closed - z > depth), np.ones((3, 3)))
+    small = np.bincount(part.ravel()) * side**2 <= largest
+    small[0] = False
+    level = np.zeros(cells.lowest.shape, np.float32)
+    level[:rows, :columns] = np.where(small[part], closed - depth, -np.inf)
+    level[rows:], level[:, columns:] = -np.inf, -np.inf
+    return xyz[:, 2] < look_up(xyz, cells, level)[0]

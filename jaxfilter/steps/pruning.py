@@ -9,6 +9,12 @@ import numpy as np
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.triangulation import Tin
 
+ROUGH, ROUGHLY = 0.4, 0.6
+"""A vertex is rough by such a share of its limit of distance, and overgrown where such a share of those around it are rough."""
+VEIL = 3.0
+"""Points that are no ground for each vertex, above which the ground is veiled."""
+AROUND = 3
+"""Edges from a vertex to the farthest of those around it."""
 _AT_ONCE = 2**17
 """Vertices that are measured by one call."""
 
@@ -51,7 +57,29 @@ class Scatter(NamedTuple):
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
 
-def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float) -> int:
+def overgrown(ground: GroundTin, scatter: Scatter, limit: np.ndarray) -> np.ndarray:
+    """f32[m]: metres by which vertices stick out more than those beside them where even the lowest points scatter as plants do.
+
+    There most vertices within three edges are rough: they lie farther from the plane of their neighbours, above or below, than
+    :data:`ROUGH` times ``limit``, f32[m], metres, from which on points are too far to join; and most points are no ground.
+    Elsewhere, and of vertices that are not rough, it is zero or less.
+    """
+    from ..engines.tin.rings import surroundings  # imports Numba
+
+    tin, least = ground.tin, np.float32(ROUGH) * limit
+    nodes = np.flatnonzero(tin.vertex & (scatter.residual > np.maximum(least, scatter.roughness)))
+    others = ground.rest
+    values = np.zeros((len(tin.xyz), 2), np.float32)
+    values[:, 0] = np.abs(scatter.residual) > least
+    values[:, 1] = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(values))
+    means, over = np.empty((len(nodes), 2), np.float32), np.zeros(len(values), np.float32)
+    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, values, means)
+    nodes = nodes[(means[:, 0] > ROUGHLY) & (means[:, 1] > VEIL)]
+    over[nodes] = (scatter.residual - np.maximum(least, scatter.roughness))[nodes]
+    return over
+
+
+def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, limit: np.ndarray) -> int:
     """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
 
     Those are dropped that lie more than ``scene`` metres above it, and more than ``local`` times the root mean square among
@@ -63,6 +91,7 @@ def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float) -> in
     ghosts = tin.triangles[np.flatnonzero(tin.triangles.ravel() == -1) // 3]
     inner[ghosts[ghosts >= 0]] = False
     over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
+    over = np.maximum(over, overgrown(ground, scatter, limit))
     drop = nodes[inner[nodes] & (over[nodes] > 0)]
     ground.margin[drop] = over[drop]
     ground.drop(drop)

@@ -18,7 +18,8 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError, warn
-from ..core.units import Units, parse_units
+from ..core.reading import Reading
+from ..core.units import Stated, Units
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file
 from ..files.storage import place_of
@@ -309,7 +310,10 @@ class Collection:
 
 
 def open(
-    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, units: str | Units | None = None
+    what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    units: str | Units | None = None,
+    crs: Any = None,
 ) -> Collection:
     """Open a survey: read the headers of its files, and nothing of their points.
 
@@ -321,6 +325,7 @@ def open(
             disks only.
         units: of the coordinates, as in :func:`jaxfilter.read`; by default what each CRS says, and metres where there is
             none.
+        crs: that of files which state none, as in :func:`jaxfilter.read`. A file with another one is ``unreadable``.
 
     Returns: Collection. Files that cannot be read are in its ``unreadable``, those without points are members.
     Raises: InputError if nothing is named, a name stands for nothing, or no file can be read.
@@ -328,17 +333,17 @@ def open(
     >>> jf.open("survey/*.laz", units="m")
     Collection(2 files, 5033 points)
     """
-    asked = None if units is None else parse_units(units)
+    stated = Reading(units=units, crs=crs).stated
     unreadable: list[tuple[str, str]] = []
     repeated: dict[str, None] = {}
-    collection = Collection(_read(names.expand(what, asked), asked, unreadable, repeated), unreadable, repeated)
+    collection = Collection(_read(names.expand(what, stated), stated, unreadable, repeated), unreadable, repeated)
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
 
 
 def _read(
-    entries: Iterator[names.Entry], asked: Units | None, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+    entries: Iterator[names.Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
 ) -> Iterator[Source]:
     """The sources of entries in their order; the headers of some are read at the same time."""
     seen: set[str] = set()
@@ -352,7 +357,7 @@ def _read(
                 else:
                     seen.add(uri)
                     new.append(entry)
-            read = pool.map(lambda uri: _described(uri, asked), [entry for entry in new if isinstance(entry, str)])
+            read = pool.map(lambda uri: _described(uri, stated), [entry for entry in new if isinstance(entry, str)])
             for found in (entry if isinstance(entry, Source) else next(read) for entry in new):
                 if isinstance(found, Source):
                     yield found
@@ -360,9 +365,9 @@ def _read(
                     unreadable.append(found)
 
 
-def _described(uri: str, asked: Units | None) -> Source | tuple[str, str]:
+def _described(uri: str, stated: Stated) -> Source | tuple[str, str]:
     """The source, or the name and why there is none."""
     try:
-        return describe_file(place_of(uri), asked)
+        return describe_file(place_of(uri), stated)
     except InputError as error:
         return uri, str(error)

@@ -16,6 +16,7 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.text import SUFFIXES as TEXT
+from ..files.vectors import check_suffix, write_features
 from ..files.writing import Additions, Classes, class_changes, write_cloud
 from .collection import Collection
 from .executors import LOCAL
@@ -53,11 +54,14 @@ class GroundProduct(Product):
         summary, start, local = Summary(), time.perf_counter(), LOCAL.get()
         around = self.reader.read(tile)
         summary.seconds["read"] = (read := time.perf_counter()) - start
+        if self.reader.reading.aoi is not None and not around.core.any():
+            summary.read, summary.unread = len(around.cloud), around.left_out
+            return {}, summary
         result = self.filter(around.cloud, workers=local.threads, progress=local.progress)
         summary.seconds["filter"] = (done := time.perf_counter()) - read
         bare = self.into_text and (around.cloud.classification is None or tile.sources[0].format != "text")
         summarise(summary, around, result, None if bare else self.classes)
-        kept = suspects_in(around, result, tile, self.reader.reading.bounds)
+        kept = suspects_in(around, result, tile, self.reader.reading)
         summary.seconds["places"] = time.perf_counter() - done
         arrays = packed(around, result.ground, self.columns(around, result), result.low_noise) | kept
         return arrays, summary
@@ -80,10 +84,10 @@ class GroundProduct(Product):
         places = places_in(self, report, collection.metre)
         report.places = [place.facts() for place in places]
         if self.review is not None:
-            from ..reports.review_list import table_of, write_places
+            from ..reports.review_list import table_of
 
             table = table_of(places, collection.metre, collection.crs)
-            write_places(table, self.review, overwrite=options.overwrite or options.resume)
+            write_features(self.review, [table], "review", overwrite=options.overwrite or options.resume)
             report.review = str(self.review)
 
     def facts(self) -> dict[str, Any]:
@@ -151,8 +155,6 @@ def ground(
     recipe.alone()  # what is wrong with parameters is said before anything is read
     listed = None if review is None else Path(review)
     if listed is not None:
-        from ..reports.review_list import check_suffix
-
         check_suffix(listed)
     collection = open_files(what, out, reading, run)
     targets = targets_of(None if run.in_place else out, collection.uris, run)

@@ -62,7 +62,7 @@ class HeightProduct(GroundNeeded):
         cloud, result = around.cloud, found.result
         if result is not None:
             summarise(summary, around, result, Classes())
-            kept = suspects_in(around, result, found.tile, self.reader.reading.bounds)
+            kept = suspects_in(around, result, found.tile, self.reader.reading)
         else:
             summary.points, summary.read, summary.unread = len(own), len(cloud), around.left_out
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())

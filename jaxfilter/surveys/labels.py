@@ -62,15 +62,19 @@ def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> Fi
     """The labels of a file, from its tiles, and quantities of such ``kinds``. Raises: InputError if a point has none."""
     store, reader, source = product.store, product.reader, task.source
     label, quantities, checksum = _gathered(store, task, kinds)
-    if reader.reading.bounds is not None:
-        rows = label > 0
+    reading, rows = reader.reading, label > 0
+    if reading.bounds is not None or reading.aoi is not None:
         label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
-    elif missing := int(np.count_nonzero(label == 0)):
+    elif missing := int(np.count_nonzero(~rows)):
         raise InputError(
             f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile holds "
             "them: correct the header"
         )
-    cloud = file_cloud(source, (label & CANDIDATE) > 0, reader.index, bounds=reader.reading.bounds, checksum=checksum)
+    candidate = (label & CANDIDATE) > 0
+    if reading.aoi is None:
+        cloud = file_cloud(source, candidate, reader.index, bounds=reading.bounds, checksum=checksum)
+    else:  # the checksum is of all points
+        cloud = file_cloud(source, candidate, reader.index, rows=rows)
     return FileLabels(cloud, (label & GROUND) > 0, (label & NOISE) > 0, quantities)
 
 

@@ -1,12 +1,11 @@
-"""One raster of a survey, tile by tile and without seams, as a Cloud Optimized GeoTIFF; the terrain model is one."""
+"""Rasters of a survey, tile by tile and without seams, as Cloud Optimized GeoTIFFs; the terrain model is one."""
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,14 @@ from ..core.errors import InputError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..files.disk import Bounds
-from ..files.storage import place_of
+from ..files.storage import Place, place_of
+from ..files.vectors import check_suffix, write_features
+from ..terrain.contours import Contours
 from ..terrain.interpolation import Interpolation
-from ..terrain.models import interpolated
-from ..terrain.raster import RasterGrid, check_target, write_mosaic
+from ..terrain.layer import Layer, Site
+from ..terrain.lines import contour_tables
+from ..terrain.models import Dtm
+from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_mosaic
 from .collection import Collection
 from .executors import LOCAL
 from .options import RunOptions
@@ -28,19 +31,19 @@ from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, Surroundings, cut_around, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
-from .targets import Targets, target_of
+from .targets import Targets, target_of, targets_beside
 from .tiles import Tile, TileReader
 
-_VALUES, _CORNER = f"{KEPT}values", f"{KEPT}corner"
+_CORNER = f"{KEPT}corner"
 
 
 @dataclasses.dataclass
 class TerrainReport(RunReport):
-    """What a raster of a survey is. To what :class:`RunReport` has:
+    """What rasters of a survey are. To what :class:`RunReport` has:
 
     Attributes:
-        rows, columns, empty: cells; empty ones have no height.
-        transform, bounds: of the raster, as of :class:`jaxfilter.Raster`.
+        rows, columns: of cells; empty: cells of the first raster that have no value.
+        transform, bounds: of the rasters, as of :class:`jaxfilter.Raster`.
     """
 
     rows: int = 0
@@ -52,91 +55,114 @@ class TerrainReport(RunReport):
 
 @dataclasses.dataclass(frozen=True)
 class RasterProduct(GroundNeeded):
-    """A raster of the whole survey, of which every tile makes the cells of its core; ``grid``: of the raster."""
+    """Layers of the whole survey, of which every tile makes the cells of its core.
 
-    REPORT = TerrainReport
+    Attributes:
+        grid: of all rasters; layers: what they show; interpolation: of heights between ground points.
+    """
+
+    NAME, REPORT = "rasters", TerrainReport
     grid: RasterGrid
+    layers: tuple[Layer, ...]
+    interpolation: Interpolation
 
-    def cells(self, found: Surroundings, grid: RasterGrid) -> tuple[np.ndarray, int]:
-        """f32[rows, columns], from north: values of some cells, and how many may be others in the whole. Raises: InputError."""
-        raise NotImplementedError
+    @property
+    def reach(self) -> float:
+        """As far as the layers look."""
+        return _reach(self.layers, self.grain)
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Values of the cells of a tile. Raises: InputError."""
-        summary, grid = Summary(), self.grid if tile.core is None else self.grid.part(tile.core)
+        summary, whole = Summary(), self.grid
+        grid = wide = whole
+        if tile.core is not None:
+            ring = np.array([-whole.cell, -whole.cell, whole.cell, whole.cell])  # hillshade looks at it
+            grid, wide = whole.part(tile.core), whole.part(tuple((tile.core + ring).tolist()))
+        row, column = wide.bottom + wide.rows - grid.bottom - grid.rows, grid.left - wide.left
+        arrays: dict[str, np.ndarray] = {_CORNER: np.array([whole.top - grid.top, grid.left - whole.left])}
         for found in self.surroundings(tile, summary):
-            around, start = found.around, time.perf_counter()
+            around, start, doubtful = found.around, time.perf_counter(), 0
             own = around.own
-            if not len(own) or min(grid.shape) < 1:  # points on the edge of the raster have no cell beyond
-                values, doubtful = np.zeros((0, 0), np.float32), 0
+            if min(grid.shape) < 1:  # points on the edge of the raster have no cell beyond
                 break
-            values, doubtful = self.cells(found, grid)
+            doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
+            site = self._site(found, wide, doubt)
+            wanted: Any = True
+            if (area := self.reader.reading.aoi) is not None:
+                from .area import within
+
+                wanted = within(area, *np.meshgrid(*grid.centres()))
+            for layer in _cells(self.layers):
+                values = site.of(layer)[row : row + grid.rows, column : column + grid.columns]
+                values = np.where(wanted, values, np.float32(np.nan))
+                arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
             summary.seconds["interpolate"] += time.perf_counter() - start
+            unknown = doubt.reaches and not doubt.looked and any(layer.SURFACE for layer in self.layers)
+            doubtful = grid.rows * grid.columns if unknown else doubt.count
             if not doubtful:
                 break
         summary.points, summary.read, summary.unread = len(own), len(around.cloud), around.left_out
-        summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful
+        summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful if len(own) else 0
         summary.halos[found.halo] = 1
-        whole = self.grid
-        corner = (whole.bottom + whole.rows - grid.bottom - grid.rows, grid.left - whole.left)
-        return {_VALUES: values, _CORNER: np.array(corner)}, summary
+        return arrays, summary
+
+    def _site(self, found: Surroundings, grid: RasterGrid, doubt: DoubtfulTriangles) -> Site:
+        """A triangle is that of the whole if the circle through its corners holds no place that has data and was not read."""
+        noise = None if found.result is None else found.result.low_noise
+        threads, ground = LOCAL.get().threads, found.usable
+        strict = found.near is None and bool(ground.any())
+        return Site(found.around.cloud, ground, grid, noise, self.interpolation, threads, doubt.look, strict)
 
     def facts(self) -> dict[str, Any]:
-        """What ground is, and the cells."""
-        return {self.NAME: super().facts() | {"grid": dataclasses.asdict(self.grid)}}
+        """What ground is, the cells, the layers, and the interpolation."""
+        layers = {layer.NAME: dataclasses.asdict(layer) for layer in self.layers}
+        facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers}
+        return {self.NAME: facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Write the raster. Raises: OutputError."""
+        """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
         assert isinstance(report, TerrainReport)
-        target, grid, start = targets.places[0], self.grid, time.perf_counter()
-        report.rows, report.columns, report.transform = *grid.shape, grid.transform
-        report.bounds = grid.bounds
-
-        def parts() -> Iterator[tuple[int, int, np.ndarray]]:
-            for number in np.flatnonzero(report.state != -1).tolist():
-                stored = self.store.arrays(number)
-                if stored[_VALUES].size:
-                    yield *stored[_CORNER].tolist(), stored[_VALUES]
-
-        report.empty = grid.rows * grid.columns - sum(int(np.isfinite(values).sum()) for _, _, values in parts())
-        replace = options.overwrite or options.resume
-        write_mosaic(target, grid.shape, grid.transform, collection.crs, parts, overwrite=replace)
-        report.files = [str(target)]
-        report.seconds["write"] += time.perf_counter() - start
-
-
-@dataclasses.dataclass(frozen=True)
-class TerrainProduct(RasterProduct):
-    """A terrain model: heights at the centres of cells, see :func:`jaxfilter.dtm`."""
-
-    NAME = "model"
-    interpolation: Interpolation = Interpolation()
-
-    def cells(self, found: Surroundings, grid: RasterGrid) -> tuple[np.ndarray, int]:
-        """Heights. A triangle is that of the whole if the circle through its corners holds no place that has data and was not
-        read."""
-        cloud, ground = found.around.cloud, found.usable
-        doubt = DoubtfulTriangles(cloud, self.data, found.near)
-        try:
-            threads = LOCAL.get().threads
-            raster = interpolated(cloud, ground, grid, self.interpolation, workers=threads, look=doubt.look)
-        except InputError:
-            if ground.any() and (found.near is None or int(ground.sum()) > 100):
-                raise
-            return np.full(grid.shape, np.nan, np.float32), grid.rows * grid.columns if doubt.reaches else 0
-        return raster.values, doubt.count
-
-    def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Write the raster. Raises: InputError if no point is ground; OutputError."""
         if collection.count and not report.ground:
             more = f"; {report.set_aside[0]['reason']}" if report.set_aside else ""
             self.store.discard()
             raise InputError(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
-        super().finish(report, collection, targets, options)
+        grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
+        report.rows, report.columns, report.transform = *grid.shape, grid.transform
+        report.bounds = grid.bounds
+        places: dict[Layer, Place] = dict(zip(self.layers, targets.places, strict=True))
+        rasters = {layer: place for layer, place in places.items() if layer.cells == layer}
+        known = [self._write(layer, place, report, collection.crs, replace) for layer, place in rasters.items()]
+        for layer in self.layers:
+            if isinstance(layer, Contours):
+                model = rasters.get(layer.cells)
+                if not isinstance(model, Path):
+                    model = self.folder / "model.tif"
+                    known.append(self._write(layer.cells, model, report, collection.crs, True))
+                tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
+                write_features(places[layer], tables, layer.NAME, overwrite=replace)
+        report.empty = grid.rows * grid.columns - known[0]
+        report.files = [str(place) for place in targets.places]
+        report.seconds["write"] += time.perf_counter() - start
 
-    def facts(self) -> dict[str, Any]:
-        """What rasters have, and the interpolation."""
-        return super().facts() | {"interpolation": dataclasses.asdict(self.interpolation)}
+    def _write(self, layer: Layer, place: Place, report: RunReport, crs: Any, replace: bool) -> int:
+        """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
+
+        def parts() -> Iterator[tuple[int, int, np.ndarray]]:
+            for number in np.flatnonzero(report.state != -1).tolist():
+                stored = self.store.arrays(number, (_CORNER, KEPT + layer.NAME))
+                if len(stored) > 1:
+                    yield *stored[_CORNER].tolist(), stored[KEPT + layer.NAME]
+
+        return write_mosaic(place, self.grid, crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
+
+
+def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
+    """The layers whose cells are needed, each once."""
+    return list(dict.fromkeys(layer.cells for layer in layers))
+
+
+def _reach(layers: tuple[Layer, ...], side: float) -> float:
+    return max(layer.cells.reach(side) for layer in layers)
 
 
 def terrain_model(
@@ -171,36 +197,55 @@ def terrain_model(
     >>> report.rows, report.columns, jf.Raster.read("dtm.tif").values.shape
     (30, 30, (30, 30))
     """
-    kind = functools.partial(TerrainProduct, interpolation=interpolation)
-    return make_raster(kind, what, target, ground, cell=cell, reading=reading, run=run)
+    outputs: dict[Layer, Place] = {Dtm(): place_of(target)}
+    return make_rasters(what, outputs, ground, cell=cell, interpolation=interpolation, reading=reading, run=run)
 
 
-def make_raster(
-    kind: Callable[..., RasterProduct],
+def make_rasters(
     what: Any,
-    target: str | Path,
-    ground: GroundSource = (),
+    outputs: Mapping[Layer, Place],
+    ground: GroundSource = (GROUND_CLASS,),
     *,
     cell: float = 1.0,
+    interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     run: RunOptions = RunOptions(),
 ) -> TerrainReport:
-    """Make one raster of a file or of a collection; ``kind``: makes the product from the fields of :class:`RasterProduct`.
+    """Make layers of a file or of a collection in one go, each into a file.
 
-    The other arguments, and what is raised, are those of :func:`terrain_model`.
+    ``outputs``: the layers, and where they go, several of them in one folder. The other arguments, and what is raised, are those
+    of :func:`terrain_model`.
     """
-    place = place_of(target)
-    check_target(place)
+    layers, places = tuple(outputs), list(outputs.values())
+    for layer, place in outputs.items():
+        (check_target if layer.SUFFIX == ".tif" else check_suffix)(place)
     recipe, classes = source_of_ground(ground)
-    bounds, reading = reading.bounds, dataclasses.replace(reading, bounds=None)
-    collection = open_files(what, None, reading, dataclasses.replace(run, in_place=True))
+    bounds, whole = reading.bounds, dataclasses.replace(reading, bounds=None, aoi=None)
+    collection = open_files(what, None, whole, dataclasses.replace(run, in_place=True))
+    if reading.aoi is not None:
+        from .area import area_of
+
+        whole = dataclasses.replace(whole, aoi=area_of(reading, collection))
+        bounds = whole.aoi.bounds
     if bounds is None and not collection.count:
         raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
-    targets, grain = target_of(place, len(collection) == 1, run), cell * collection.metre
+    alone, grain = len(collection) == 1, cell * collection.metre
+    targets = targets_beside(places, run) if len(places) > 1 else target_of(places[0], alone, run)
 
     def product_for(reader: TileReader, filter_: Filter | None) -> RasterProduct:
-        return kind(reader, targets.store.path, filter_, collection.bounds, classes, grain, run.halo, grid)
+        return RasterProduct(
+            reader,
+            targets.store.path,
+            filter_,
+            collection.bounds,
+            classes,
+            grain,
+            run.halo,
+            grid,
+            layers,
+            interpolation,
+        )
 
-    survey = Survey(collection, targets, recipe, reading, run)
-    return survey.run(lambda filter_, halo: cut_around(filter_, grain, halo), product_for)
+    survey = Survey(collection, targets, recipe, whole, run)
+    return survey.run(lambda filter_, halo: cut_around(filter_, grain, halo, _reach(layers, grain)), product_for)

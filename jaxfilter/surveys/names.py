@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ..core.errors import InputError
-from ..core.units import Units
+from ..core.units import Stated
 from ..files.sources import Source
 from ..files.storage import Remote, place_of
 from ..files.text import SUFFIXES as TEXT
@@ -18,8 +18,8 @@ Entry = str | Source
 """The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
 
-def expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], asked: Units | None) -> Iterator[Entry]:
-    """The files meant, those of each name in alphabetical order; ``asked`` are units that members are taken to have.
+def expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], stated: Stated) -> Iterator[Entry]:
+    """The files meant, those of each name in alphabetical order; ``stated``: of the coordinates of members.
 
     Raises: InputError if a name stands for nothing that can be a member.
     """
@@ -27,16 +27,16 @@ def expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], aske
     if not listed:
         raise InputError("no files are named")
     for item in listed:
-        yield from _expanded(os.fspath(item), asked)
+        yield from _expanded(os.fspath(item), stated)
 
 
-def _expanded(name: str, asked: Units | None) -> Iterable[Entry]:
+def _expanded(name: str, stated: Stated) -> Iterable[Entry]:
     place = place_of(name)
     suffix = place.suffix.lower()
     if suffix == ".vpc":
         from .vpc import read_vpc
 
-        return read_vpc(place, asked)
+        return read_vpc(place, stated)
     if isinstance(place, Remote):
         if suffix in (*LAS_SUFFIXES, *TEXT) and not any(c in name for c in "*["):
             return [name]

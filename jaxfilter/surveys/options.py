@@ -41,6 +41,7 @@ class RunOptions:
         resume: go on with the run that was begun for the output.
         overwrite: begin anew; files that the run writes are replaced.
         in_place: write the inputs; there is no other output.
+        dry_run: write nothing; ``RunReport.forecast`` tells what the run would do.
         measures: of the scene, as ``RunReport.measures`` of another run has them, instead of measuring them here.
         progress: called with the :class:`Standing` about four times a second.
 
@@ -59,6 +60,7 @@ class RunOptions:
     resume: bool = False
     overwrite: bool = False
     in_place: bool = False
+    dry_run: bool = False
     measures: Mapping[str, Any] | None = None
     progress: Callable[[Standing], None] | None = None
 
@@ -89,12 +91,18 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
         from .dask import Cluster
 
         return Cluster(options.client)
-    room = options.memory or _SHARE * free_memory()
-    workers = options.workers
-    count = min(processors(), max(1, int(room // need(plan)))) if workers is None else workers
+    count = workers_for(options, plan)
     if count > 1 and len(plan) > 1:
         return Pool(count)
-    return Here(Local(workers, progress))
+    return Here(Local(options.workers, progress))
+
+
+def workers_for(options: RunOptions, plan: Plan) -> int:
+    """Processes of this machine, or threads for one tile: as many as are asked for, or as there are processors and memory."""
+    if options.workers is not None:
+        return options.workers
+    room = options.memory or _SHARE * free_memory()
+    return min(processors(), max(1, int(room // need(plan))))
 
 
 def need(plan: Plan) -> float:

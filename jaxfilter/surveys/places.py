@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import InputError, warn
+from ..core.reading import Reading
 from ..core.result import FilterResult
-from ..files.disk import Bounds
 from .product import Product
 from .report import RunReport
 from .store import KEPT
@@ -19,13 +19,19 @@ if TYPE_CHECKING:
     from ..reports.places import Place
 
 
-def suspects_in(around: Around, result: FilterResult, tile: Tile, bounds: Bounds | None) -> dict[str, np.ndarray]:
-    """Arrays to keep of a tile: its cells whose terrain may be wrong. ``bounds``: of the reading.
+def suspects_in(around: Around, result: FilterResult, tile: Tile, reading: Reading) -> dict[str, np.ndarray]:
+    """Arrays to keep of a tile: its cells whose terrain may be wrong. ``reading``: its bounds and its area of
+    interest hold all places.
 
     Warns: if the extent of the points is too large for a grid, and lists none.
     """
-    from ..reports.places import Suspects, suspects  # late: it brings SciPy's image functions, a quarter of a second
+    from ..reports.places import (  # late: it brings SciPy's image functions, a quarter of a second
+        SIDE,
+        Suspects,
+        suspects,
+    )
 
+    bounds, area = reading.bounds, reading.aoi
     boxes = [source.bounds for source in tile.sources if source.count]
     boxes = boxes if bounds is None else [common(box, bounds) for box in boxes]
     try:
@@ -33,6 +39,11 @@ def suspects_in(around: Around, result: FilterResult, tile: Tile, bounds: Bounds
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
         found = Suspects.none()
+    if area is not None:
+        from .area import within
+
+        at = (found.cell.T + 0.5) * SIDE / around.cloud.units.xy
+        found = found.part(within(area, *at))
     return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
 
 

@@ -50,6 +50,12 @@ class Lists:
         np.cumsum(np.bincount(owner, minlength=count), out=start[1:])
         return cls(start, member[order].astype(np.int32))
 
+    def part(self, rows: np.ndarray) -> Lists:
+        """Some of the lists, i64[k]."""
+        parts = [self[row] for row in rows.tolist()]
+        start = np.concatenate([[0], np.cumsum([len(part) for part in parts], dtype=np.int64)])
+        return Lists(start.astype(np.int64), np.concatenate([self.member[:0], *parts]))
+
     def turned(self, count: int) -> Lists:
         """Owners by member, for ``count`` members."""
         owner = np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.start))
@@ -68,6 +74,7 @@ class Plan:
         points: f64[t], expected in core and halo, by the densities of the files.
         near: per tile, the files that core and halo may meet; home: those that the core may meet.
         tiles_of: per file, the tiles that label it.
+        many: whether cores lie side by side in x, and in y; if in neither, the tile is all there is.
     """
 
     origin: tuple[float, float]
@@ -80,6 +87,7 @@ class Plan:
     near: Lists
     home: Lists
     tiles_of: Lists
+    many: tuple[bool, bool]
 
     def __len__(self) -> int:
         return len(self.cell)
@@ -103,9 +111,16 @@ class Plan:
         """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
         if not len(self):
             return 0.0, 0.0
-        many = np.ptp(self.cell, axis=0) > 0
         more = 2 * (self.halo + self.lattice)
-        return self.width + more * bool(many[0]), self.height + more * bool(many[1])
+        return self.width + more * self.many[0], self.height + more * self.many[1]
+
+    def part(self, rows: np.ndarray) -> Plan:
+        """With some of the tiles only, i64[k], ascending."""
+        home = self.home.part(rows)
+        return dataclasses.replace(
+            self, cell=self.cell[rows], points=self.points[rows], near=self.near.part(rows), home=home,
+            tiles_of=home.turned(len(self.tiles_of)),
+        )  # fmt: skip
 
     def times_read(self, count: int) -> float:
         """How many times each of ``count`` points is read, halos included; 1 without any."""
@@ -217,9 +232,10 @@ def _tiles(
         shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12)
     points = np.bincount(tile, np.minimum(shares, 1.0) * counts[near.member], minlength=len(tiles))
     plain = tuple(float(v) for v in origin)
+    spread = np.ptp(cell, axis=0) > 0 if len(cell) else (False, False)
     return Plan(
         (plain[0], plain[1]), float(size[0]), float(size[1]), halo, lattice, cell, points, near, home,
-        home.turned(len(bounds)),
+        home.turned(len(bounds)), (bool(spread[0]), bool(spread[1])),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import json
 import math
 import warnings
 from collections.abc import Iterator
-from typing import Any, Self, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -97,6 +97,28 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
+class Forecast(NamedTuple):
+    """What a run would do. Of the largest tile ``memory`` is made, and of a piece ``seconds``: both are estimates.
+
+    Attributes:
+        points: of the files; tiles: number of them; side, halo: metres, NaN of a run in one piece.
+        times_read: how many times each point is read, halos included.
+        workers: processes, or threads of a run in one piece; memory: bytes for all of them; seconds: until it ends, NaN if the
+            piece could not be tried.
+        files: that would be written.
+    """
+
+    points: int
+    tiles: int
+    side: float
+    halo: float
+    times_read: float
+    workers: int
+    memory: float
+    seconds: float
+    files: list[str]
+
+
 @dataclasses.dataclass
 class RunReport(Summary):
     """What a run, with those that it went on from, has done. To what each :class:`Summary` has, of all tiles together:
@@ -111,6 +133,7 @@ class RunReport(Summary):
             ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`. review: the file of the list, if one was written.
         method, parameters: of the filter; None if the ground was taken from classes.
         measures: of the scene, which the parts share: see :class:`jaxfilter.core.cloud.Whole`; None for a single tile.
+        forecast: what the run would do, of one that was not to write; then nothing else here is known.
         cores, state: f64[t, 4] in file units, and f64[t]: share of ground of the points, NaN where there are none, -1 for
             tiles that were set aside. For the map.
     """
@@ -127,6 +150,7 @@ class RunReport(Summary):
     method: str | None = None
     parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     measures: dict[str, Any] | None = None
+    forecast: Forecast | None = None
     cores: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)))
     state: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
@@ -138,7 +162,7 @@ class RunReport(Summary):
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        for name in ("cores", "state", "unread"):
+        for name in ("cores", "state", "unread", "forecast"):
             del found[name]
         found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
         found["seconds"] = dict(self.seconds)

@@ -48,7 +48,14 @@ class Run:
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
-        files, times = len(self._missing) if product.writes_files else 0, plan.times_read(self.collection.count)
+        if (aoi := product.reader.reading.aoi) is not None:  # nothing of other files is wanted
+            from .area import meeting
+
+            for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
+                self._is_written[file] = True
+                self._need_no_more(file)
+        files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
+        files *= product.writes_files
         self._standing = Standing("tiles", len(plan), 0, files, times_read=times)
         self.report = product.REPORT(tiles=len(plan), cores=plan.cores(), state=np.full(len(plan), np.nan))
 
@@ -248,6 +255,6 @@ def tile_of(plan: Plan, collection: Collection, number: int, patient: bool = Fal
     """A tile of a plan as a task takes it; that of a plan of one tile is everything."""
     files = tuple(plan.near[number].tolist())
     sources = tuple(collection[f] for f in files)
-    if len(plan) == 1:
+    if not any(plan.many):
         return Tile(number, None, None, files, sources, patient)
     return Tile(number, plan.core(number), plan.window(number), files, sources, patient)

@@ -15,7 +15,7 @@ import shutil
 import struct
 import uuid
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -151,17 +151,18 @@ class Store:
         stripped = summary.pop("stripped", False)
         return summary if summary and not (with_arrays and stripped) else None
 
-    def arrays(self, number: int) -> dict[str, np.ndarray]:
-        """What was found of the points of a tile. Raises: InputError if it is gone or damaged."""
+    def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
+        damaged."""
         found = self._read(number)
         if found is None:
             raise InputError(f"{self.tile(number)}: is gone or damaged; pass resume=True, which makes it again")
-        return self._arrays(found[0])
+        return self._arrays(found[0], names)
 
     @staticmethod
-    def _arrays(body: memoryview) -> dict[str, np.ndarray]:
+    def _arrays(body: memoryview, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         with np.load(io.BytesIO(body)) as stored:
-            return dict(stored)
+            return {name: stored[name] for name in (stored if names is None else names) if name in stored}
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""

@@ -68,6 +68,11 @@ class GroundNeeded(Product):
     grain: float
     halo: float | None
 
+    @property
+    def reach(self) -> float:
+        """Metres around a tile that ground is needed for, besides that under its own points or cells."""
+        return 0.0
+
     def surroundings(self, tile: Tile, summary: Summary) -> Iterator[Surroundings]:
         """What is around a tile, with wider and wider halos. Raises: InputError unless the tile is ``patient``."""
         metre, local = tile.sources[0].metre, LOCAL.get()
@@ -75,7 +80,7 @@ class GroundNeeded(Product):
         for halo in HALOS:
             start, near, wide = time.perf_counter(), None, tile
             if tile.core is not None:
-                near = window_around(tile.core, halo / metre, self.grain / metre)
+                near = window_around(tile.core, (halo + self.reach) / metre, self.grain / metre)
                 wide = dataclasses.replace(tile, window=window_around(near, beyond / metre, lattice / metre))
             around = self.reader.read(wide)
             summary.seconds["read"] += (read := time.perf_counter()) - start
@@ -114,10 +119,11 @@ def source_of_ground(ground: GroundSource) -> tuple[Recipe | None, tuple[int, ..
     return None, class_numbers(ground)
 
 
-def cut_around(filter_: Filter | None, grain: float, halo: float | None) -> Cut:
-    """Tiles whose cores end at multiples of ``grain`` metres; ``halo``: metres that the filter sees, None = the filter's."""
+def cut_around(filter_: Filter | None, grain: float, halo: float | None, reach: float = 0.0) -> Cut:
+    """Tiles whose cores end at multiples of ``grain`` metres; ``halo``: metres that the filter sees, None = the filter's;
+    ``reach``: as of :class:`GroundNeeded`."""
     beyond, lattice = _seen(filter_, grain, halo)
-    return Cut(HALOS[0] + beyond, grain, HALOS[-1] + beyond + lattice)
+    return Cut(HALOS[0] + reach + beyond, grain, HALOS[-1] + reach + beyond + lattice)
 
 
 def _seen(filter_: Filter | None, grain: float, halo: float | None) -> tuple[float, float]:
@@ -133,7 +139,7 @@ class DoubtfulTriangles:
 
     def __init__(self, cloud: PointCloud, data: Bounds, near: Bounds | None) -> None:
         """``data``, ``near``: bounds of all points and of what was read, file units."""
-        self.count = 0
+        self.count, self.looked = 0, False
         factor, origin = cloud.units.xy, cloud.origin[:2]
 
         def local(box: Bounds) -> np.ndarray:
@@ -151,6 +157,7 @@ class DoubtfulTriangles:
 
     def look(self, at: np.ndarray, surface: Heights) -> None:
         """Positions f64[q, 2], local metres, and the surface that gives their heights."""
+        self.looked = True
         if not isinstance(surface, Linear) or not self._strips:
             return
         centre, radius = surface.circles(at)

@@ -6,9 +6,12 @@ import dataclasses
 import hashlib
 import json
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..core.cloud import Whole
 from ..core.errors import ParameterError, warn
@@ -27,6 +30,7 @@ from .plan import WHOLE, Plan, plan_tiles
 from .product import Product
 from .report import RunReport
 from .run import Run
+from .store import Store
 from .targets import MAP, REPORT, Targets, check_out
 from .tiles import Tile, TileReader
 
@@ -59,15 +63,23 @@ def open_files(what: Any, out: str | Path | None, reading: Reading, options: Run
         raise ParameterError(
             "bounds with in_place=True would remove all points outside: name an output, or leave out one of the two"
         )
+    if options.in_place and reading.aoi is not None:
+        raise ParameterError("aoi with in_place=True would remove all points outside: name an output")
     if not options.in_place:
         if out is None:
             raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
         check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
-    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units)
+    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     if collection.assumes_metres and reading.units is None:
-        warn(f"{collection.name}: no CRS states the units, metres are assumed; pass units= if that is wrong")
+        warn(
+            f"{collection.name}: no CRS states the units, metres are assumed; pass units= if that is wrong, or pass crs="
+        )
     if not collection.count:
         warn(f"{collection.name}: holds no points")
+    if reading.aoi is not None:
+        from .area import area_of
+
+        area_of(reading, collection)
     return collection if reading.bounds is None else collection.clipped(reading.bounds)
 
 
@@ -99,11 +111,18 @@ class Survey:
         Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
         of a single file what is wrong with it.
         """
+        if self.reading.aoi is not None:
+            from .area import area_of
+
+            reading = dataclasses.replace(self.reading, aoi=area_of(self.reading, self.collection))
+            self = dataclasses.replace(self, reading=reading)
+        if self.options.dry_run:
+            return self._forecast(cut_for, product_for)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
             filter_, whole = self._filter()
             plan = self._plan(cut_for(filter_, self.options.halo))
-            if whole is not None and len(plan) > 1:
+            if whole is not None and any(plan.many):
                 width, height = (side * self.collection.metre for side in plan.largest())
                 whole = dataclasses.replace(whole, width=width, height=height)
             product = product_for(TileReader(self.reading, whole, store.index), filter_)
@@ -120,6 +139,24 @@ class Survey:
             self._leave(run.report)
         return run.report
 
+    def _forecast(
+        self,
+        cut_for: Callable[[Filter | None, float | None], Cut],
+        product_for: Callable[[TileReader, Filter | None], Product],
+    ) -> RunReport:
+        """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
+        from .forecast import forecast
+
+        self.targets.check(self.options)
+        with tempfile.TemporaryDirectory() as folder:
+            targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
+            survey = dataclasses.replace(self, targets=targets)
+            filter_, whole = survey._filter()
+            plan = survey._plan(cut_for(filter_, self.options.halo))
+            product = product_for(TileReader(self.reading, whole, targets.store.index), filter_)
+            files = [str(place) for place in targets.places]
+            return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
+
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
@@ -132,6 +169,10 @@ class Survey:
             side=options.tile,
             reach=cut.reach,
         )
+        if self.reading.aoi is not None:
+            from .area import meeting
+
+            plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores())))
         check_memory(options, plan)
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN:
@@ -172,7 +213,8 @@ class Survey:
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
         store, files = self.targets.store, self.collection
-        reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z]}
+        area = self.reading.aoi and self.reading.aoi.wkt
+        reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z], "aoi": area}
         tiles = {
             "width": plan.width,
             "height": plan.height,

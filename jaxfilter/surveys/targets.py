@@ -54,11 +54,11 @@ class Targets:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
-        if folder is not None and not goes_on:
-            self._check_folder(folder, options.resume, overwrite)
+        if folder is not None:
+            self.check(options)
         with store.locked():
-            if folder is None and not goes_on:
-                self._check_files(overwrite or options.in_place)
+            if folder is None:
+                self.check(options)
             if goes_on:
                 store.load()
             else:
@@ -68,6 +68,15 @@ class Targets:
         for place in {str(place): place for place in (folder, store.path.parent) if place is not None}.values():
             if isinstance(place, Path) and place.is_dir():
                 remove_dead(place)
+
+    def check(self, options: RunOptions) -> None:
+        """Raises: OutputError if there is something that would be lost, before anything is done."""
+        if options.resume and self.store.begun:
+            return
+        if self.folder is None:
+            self._check_files(options.overwrite or options.in_place)
+        elif not isinstance(self.folder, Path) or self.folder.exists():
+            self._check_folder(self.folder, options.resume, options.overwrite)
 
     def _check_files(self, overwrite: bool) -> None:
         """Raises: OutputError for files that are there, or a store that refuses, before anything is done."""
@@ -161,6 +170,13 @@ def target_of(place: Place, alone: bool, options: RunOptions) -> Targets:
     return _beside([place], options, alone)
 
 
+def targets_beside(places: list[Place], options: RunOptions) -> Targets:
+    """Several outputs in one folder, into which others may write as well. Raises: ParameterError, OutputError."""
+    first = places[0].absolute()
+    beside = first if isinstance(first, Remote) else first.parent
+    return Targets(places, None, _store(_local(options.work, first, beside) / f".products{_HIDDEN}", first, options))
+
+
 def _beside(places: list[Place], options: RunOptions, alone: bool) -> Targets:
     """With the folder of the run beside the output, or in the folder above all of them; of one file into a URL, in the folder
     for what is temporary."""
@@ -173,13 +189,18 @@ def _beside(places: list[Place], options: RunOptions, alone: bool) -> Targets:
         beside, name = Path(tempfile.gettempdir()), short
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
-    store = Store(_local(options.work, first, beside) / name)
+    return Targets(places, None, _store(_local(options.work, first, beside) / name, first, options))
+
+
+def _store(path: Path, first: Place, options: RunOptions) -> Store:
+    """What a run keeps. Raises: OutputError if another run was begun there, and it is not said what to do with it."""
+    store = Store(path)
     if not options.resume and not options.overwrite and store.unfinished():
         raise OutputError(
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
-    return Targets(places, None, store)
+    return store
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:

@@ -19,7 +19,7 @@ import numpy as np
 import pyproj
 
 from ..core.errors import InputError
-from ..core.units import WKT, Reference, Units, reference_of
+from ..core.units import WKT, Reference, Stated, Units, reference_of
 from ..files.disk import new_file
 from ..files.header import opened
 from ..files.records import reading_errors
@@ -50,7 +50,7 @@ _TIME = (("GpsTime", 8, "floating"),)
 _COLOUR = tuple((name, 2, "unsigned") for name in ("Red", "Green", "Blue"))
 
 
-def read_vpc(place: Place, asked: Units | None) -> Iterator[str | Source]:
+def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
     """The members, as the file describes them, without a look at their files; the name alone of those that it does not
     describe (no bounds, number of points or known suffix).
 
@@ -107,7 +107,7 @@ def _member(
     base: str,
     remote: bool,
     known: dict[Any, tuple[Reference, str | None]],
-    asked: Units | None,
+    asked: Stated,
     name: str,
 ) -> str | Source:
     assets = item["assets"]
@@ -124,10 +124,10 @@ def _member(
     stated = json.dumps(key) if isinstance(key, dict) else key
     if stated not in known:
         text = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
-        reference = reference_of({WKT: text.encode()}, name)
+        reference = asked.of(reference_of({WKT: text.encode()}, name), name)
         known[stated] = reference, None if reference.crs is None else reference.crs.to_wkt()
     reference, wkt = known[stated]
-    if asked is None and reference.problem is not None:
+    if reference.problem is not None:
         raise InputError(f"{uri}: {reference.problem}")
     half = len(box) // 2
     x0, y0, x1, y1 = (float(box[k]) for k in (0, 1, half, half + 1))
@@ -140,7 +140,7 @@ def _member(
         int(count),
         (float(box[2]), float(box[5])) if half == 3 else (math.nan, math.nan),
         wkt,
-        asked or reference.units or Units(),
+        reference.units or Units(),
         date=str(facts["datetime"])[:10] if facts.get("datetime") else None,
     )
 

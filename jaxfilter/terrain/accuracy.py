@@ -12,7 +12,8 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import ParameterError
 from ..core.result import FilterResult
 from .interpolation import Interpolation
-from .models import extent_of, ground_of, interpolated
+from .layer import extent_of, ground_of
+from .models import interpolated
 from .outline import inward, occupied
 from .raster import RasterGrid
 

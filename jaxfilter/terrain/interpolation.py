@@ -100,7 +100,21 @@ class Linear:
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
         """f64[q]: the heights at f64[q, 2]."""
-        nodes, outside, first, (x1, y1), (x2, y2) = self._triangles(at)
+        return self._heights(at, *self._triangles(at))
+
+    def circles(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centres f64[q, 2] and radii f64[q] of the circles through the corners of the triangles at f64[q, 2]: further ground
+        points change heights only from inside of these. Infinite radii outside the convex hull."""
+        return self._circles(*self._triangles(at))
+
+    def within(self, at: np.ndarray, radius: float) -> np.ndarray:
+        """f64[q]: the heights at f64[q, 2] in triangles whose circle through the corners has at most a radius, metres; NaN in
+        others, and on the convex hull. No point farther from a position than twice the radius has a part in it."""
+        found = self._triangles(at, on_hull=False)
+        return np.where(self._circles(*found)[1] <= radius, self._heights(at, *found), np.nan)
+
+    def _heights(self, at: np.ndarray, nodes: np.ndarray, outside: np.ndarray, *corners: np.ndarray) -> np.ndarray:
+        first, (x1, y1), (x2, y2) = corners
         level, (x, y) = self._z[nodes], (at - first).T
         area = x1 * y2 - x2 * y1
         second, third = (x * y2 - x2 * y) / area, (x1 * y - x * y1) / area
@@ -108,19 +122,18 @@ class Linear:
         out[outside] = np.nan
         return np.clip(out, level.min(axis=1), level.max(axis=1))
 
-    def circles(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centres f64[q, 2] and radii f64[q] of the circles through the corners of the triangles at f64[q, 2]: further ground
-        points change heights only from inside of these. Infinite radii outside the convex hull."""
-        _, outside, first, (x1, y1), (x2, y2) = self._triangles(at)
+    @staticmethod
+    def _circles(_: np.ndarray, outside: np.ndarray, *corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        first, (x1, y1), (x2, y2) = corners
         one, two, area = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2, 2 * (x1 * y2 - x2 * y1)
         middle = np.column_stack([(y2 * one - y1 * two) / area, (x1 * two - x2 * one) / area])
         radius = np.hypot(middle[:, 0], middle[:, 1])
         radius[outside] = np.inf
         return middle + first, radius
 
-    def _triangles(self, at: np.ndarray) -> tuple[np.ndarray, ...]:
-        """i64[q, 3], the corners of the triangles at f64[q, 2]; the numbers of positions outside the hull; f64[q, 2], the first
-        corners, and f64[2, q] from these to the second and to the third."""
+    def _triangles(self, at: np.ndarray, on_hull: bool = True) -> tuple[np.ndarray, ...]:
+        """i64[q, 3], the corners of the triangles at f64[q, 2]; the numbers of positions outside the hull, and unless ``on_hull``
+        of those on it; f64[q, 2], the first corners, and f64[2, q] from these to the second and to the third."""
         start = np.searchsorted(self._code, morton(np.maximum(at, 0.0)))
         with ThreadPoolExecutor(self._threads) as self._tin.pool:
             near = self._order[np.minimum(start, len(self._xy) - 1)]
@@ -129,7 +142,8 @@ class Linear:
             tri[beyond] = -1 - tri[beyond]
             nodes = self._tin.corners(tri)
         first, second, third = np.take(self._xy, nodes.T, axis=0)
-        return nodes, beyond[~self._inside(at[beyond])], first, (second - first).T, (third - first).T
+        outside = beyond[~self._inside(at[beyond])] if on_hull else beyond
+        return nodes, outside, first, (second - first).T, (third - first).T
 
 
 def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:
@@ -190,7 +204,10 @@ def inside_hull(xyz: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     return lambda at: mesh.find_simplex(at - middle, tol=1e-9) >= 0
 
 
-def nearest_point(xyz: np.ndarray, workers: int | None = None) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """A function from positions f64[q, 2] to the distance f64[q] and the index i64[q] of the nearest point."""
+def nearest_point(
+    xyz: np.ndarray, workers: int | None = None, radius: float = np.inf
+) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
+    """A function from positions f64[q, 2] to the distance f64[q] and the index i64[q] of the nearest point within a radius; the
+    distance is infinite where there is none."""
     tree = tree_of(xyz[:, :2])
-    return lambda at: tuple(found[:, 0] for found in nearest(tree, at, 1, np.inf, workers))
+    return lambda at: tuple(found[:, 0] for found in nearest(tree, at, 1, radius, workers))

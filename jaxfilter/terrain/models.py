@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, warn
-from ..core.points import canonical_points, check_extent
+from ..core.points import canonical_points
 from ..core.result import FilterResult, Progress
-from ..files.disk import Bounds, check_bounds
+from ..files.disk import check_bounds
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
+from .layer import Layer, Site, extent_of, ground_of
+from .outline import SNAP
 from .raster import Raster, RasterGrid
 
 _CELLS = 1 << 18  # that are interpolated at a time
-_SNAP = 2.0**-20  # metres: cell centres are multiples of it, so that a shift of the cloud changes no bit of a height
 _FAR = 2.0**20  # metres from the corner: no point is as far, and the lattice of triangulations reaches twice as far
 
 
@@ -79,6 +80,24 @@ def dtm(
     return raster
 
 
+@dataclasses.dataclass(frozen=True)
+class Dtm(Layer):
+    """Make a terrain model: ground heights, linear in the triangles of the ground points, or as --method says."""
+
+    NAME, TITLE = "dtm", "height of the ground"
+
+    def reach(self, side: float) -> float:
+        """No farther than the ground under it."""
+        return 0.0
+
+    def values(self, site: Site) -> np.ndarray:
+        """Heights. Raises: InputError for too few ground points."""
+        return interpolated(
+            site.cloud, site.ground, site.grid, site.interpolation,
+            workers=site.workers, look=site.look, strict=site.strict,
+        ).values  # fmt: skip
+
+
 def interpolated(
     cloud: PointCloud,
     ground: np.ndarray,
@@ -88,16 +107,19 @@ def interpolated(
     workers: int | None = None,
     progress: Progress | None = None,
     look: Callable[[np.ndarray, Heights], None] | None = None,
+    strict: bool = True,
 ) -> Raster:
     """The raster of :func:`dtm` on the cells of a grid; ``ground``: bool[n].
 
     ``look`` is called with the centres f64[q, 2], local metres, of the cells of some rows, and the surface that gives their
-    heights. Raises: as :func:`dtm`.
+    heights. Unless ``strict``, too few ground points are no error: there are no heights. Raises: as :func:`dtm`.
     """
     report = progress or (lambda fraction, step: None)
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
     values = np.full(grid.shape, np.nan, np.float32)
+    if not strict and not points.has_area():
+        return Raster(values, grid.transform, cloud.crs)
     if not len(cloud):
         warn("dtm: the cloud has no points, so no cell has a height")
         return Raster(values, grid.transform, cloud.crs)
@@ -110,12 +132,8 @@ def interpolated(
     inside = inside_hull(xyz) if interpolation.method in ("idw", "kriging") and not fill else None
     nearest = nearest_point(xyz, workers) if fill or max_gap is not None else None
 
-    x, y = _local(cloud, grid.left, grid.columns, 0, grid.cell), _local(cloud, grid.bottom, grid.rows, 1, grid.cell)
-    step = max(1, _CELLS // grid.columns)
-    for top in range(0, grid.rows, step):
-        report(top / grid.rows, "heights")
-        rows = y[::-1][top : top + step]
-        at = np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
+    for rows, at in blocks_of(cloud, grid):
+        report(rows.start / grid.rows, "heights")
         z = surface(at)
         if look is not None:
             look(at, surface)
@@ -127,7 +145,7 @@ def interpolated(
                 z = np.where(np.isnan(z), xyz[index, 2], z)
             if max_gap is not None:
                 z[distance > max_gap * cloud.units.xy] = np.nan
-        values[top : top + step] = (cloud.origin[2] + z / cloud.units.z).reshape(len(rows), -1)
+        values[rows] = (cloud.origin[2] + z / cloud.units.z).reshape(-1, grid.columns)
     return Raster(values, grid.transform, cloud.crs)
 
 
@@ -209,31 +227,17 @@ def _lowest(xyz: np.ndarray) -> np.ndarray:
     return xyz[np.append(True, (np.diff(xyz[:, :2], axis=0) != 0).any(axis=1))]
 
 
-def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
-    """bool[n]: the points that the surface goes through."""
-    if result is None:
-        if cloud.reference is None:
-            raise InputError("the cloud has no reference labels (a label column, or class 2): pass result=")
-        ground = cloud.reference if cloud.withheld is None else cloud.reference & ~cloud.withheld
-    else:
-        ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
-    if ground.shape != (len(cloud),) or ground.dtype != bool:
-        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
-    return ground if cloud.valid is None else ground & cloud.valid
-
-
-def extent_of(cloud: PointCloud) -> Bounds:
-    """xmin, ymin, xmax, ymax of the points, file units. Raises InputError if there are none."""
-    xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
-    if len(xy) == 0:
-        raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
-    check_extent(cloud, xy)
-    ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
-    return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
+def blocks_of(cloud: PointCloud, grid: RasterGrid) -> Iterator[tuple[slice, np.ndarray]]:
+    """Some rows of a grid at a time, and the centres of their cells, f64[q, 2], local metres."""
+    x, y = _local(cloud, grid.left, grid.columns, 0, grid.cell), _local(cloud, grid.bottom, grid.rows, 1, grid.cell)
+    step = max(1, _CELLS // grid.columns)
+    for top in range(0, grid.rows, step):
+        rows = y[::-1][top : top + step]
+        yield slice(top, top + len(rows)), np.column_stack([np.tile(x, len(rows)), np.repeat(rows, len(x))])
 
 
 def _local(cloud: PointCloud, first: int, count: int, axis: int, cell: float) -> np.ndarray:
     """f64[count]: the centres of the cells along an axis, local metres; those farther than any point as :data:`_FAR`."""
     centre = (first + np.arange(count) + 0.5) * cell
-    local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / _SNAP)) * _SNAP
+    local = np.rint((centre - cloud.origin[axis]) * (cloud.units.xy / SNAP)) * SNAP
     return np.clip(local, -_FAR, _FAR)

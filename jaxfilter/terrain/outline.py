@@ -9,18 +9,27 @@ import numpy as np
 from ..core.cloud import PointCloud
 from .raster import RasterGrid
 
+SNAP = 2.0**-20
+"""Metres: corners of clouds and centres of cells are multiples of it, so that a shift of the cloud changes no bit of a raster."""
 INLET = 10.0
 """Metres: voids that are up to twice as wide are no outside of the data, even where they open to it."""
 
 
 def cells_of(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:
     """i64[n]: the cell of each point, row by row from the north; points outside go to the nearest cell."""
-    out = np.zeros(len(cloud), np.int64)
-    for axis, first, count in ((0, grid.left, grid.columns), (1, grid.bottom, grid.rows)):
-        place = np.floor((cloud.origin[axis] + cloud.xyz[:, axis] / cloud.units.xy) / grid.cell) - first
-        place = np.clip(place, 0, count - 1).astype(np.int64)
-        out += place if axis == 0 else (count - 1 - place) * grid.columns
-    return out
+    columns, rows = places_of(cloud, grid)
+    return np.clip(rows, 0, grid.rows - 1) * grid.columns + np.clip(columns, 0, grid.columns - 1)
+
+
+def places_of(cloud: PointCloud, grid: RasterGrid) -> tuple[np.ndarray, np.ndarray]:
+    """i64[n], i64[n]: column, from the west, and row, from the north, of each point, which may lie outside the grid. They follow
+    from the coordinates alone, not from the corner of the cloud."""
+    factor = cloud.units.xy
+    x, y = (
+        np.floor((np.rint(cloud.origin[axis] * factor / SNAP) * SNAP + cloud.xyz[:, axis]) / (grid.cell * factor))
+        for axis in range(2)
+    )
+    return x.astype(np.int64) - grid.left, grid.bottom + grid.rows - 1 - y.astype(np.int64)
 
 
 def occupied(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:

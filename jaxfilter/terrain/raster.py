@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,19 +21,21 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".tif", ".tiff")
 NODATA = -9999.0
-_BLOCK = 256
+_BLOCK, STRIP = 256, 512
+"""Rows and columns of the blocks of a file, and rows that are read of it at a time."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Raster:
-    """Heights on square cells, north up, in the units of the coordinate system of the cloud they were made from.
+    """Heights or other values on square cells, north up, in the units of the coordinate system of the cloud they were made from.
 
     Attributes:
-        values: f32[rows, columns]; row 0 is the northern edge; NaN where there is no height.
+        values: f32[rows, columns]; row 0 is the northern edge; NaN where there is none.
         transform: (a, b, c, d, e, f) with x = a * column + b * row + c and y = d * column + e * row + f at the upper left
             corner of a cell: the first six numbers of ``affine.Affine``, as rasterio has them. Centres lie half a cell on.
         crs: pyproj.CRS or None.
-        nodata: what stands for NaN in files.
+        nodata, kind: what stands for NaN in files, and the type of their values.
+        title: what the values are; its first word is the name of the array of :meth:`to_xarray`.
 
     >>> model = jf.dtm(cloud, result, cell=5.0)
     >>> model.values.dtype, model.values.shape, model.transform[:3]
@@ -44,6 +46,8 @@ class Raster:
     transform: tuple[float, float, float, float, float, float]
     crs: Any = None
     nodata: float = NODATA
+    kind: str = "float32"
+    title: str = "height of the ground"
 
     def __repr__(self) -> str:
         rows, columns = self.values.shape
@@ -105,14 +109,14 @@ class Raster:
             self.values,
             dims=("y", "x"),
             coords={"y": ("y", y, axes.get("y", {})), "x": ("x", x, axes.get("x", {})), "spatial_ref": ((), 0, grid)},
-            name="height",
-            attrs={"long_name": "height of the ground"},
+            name=self.title.split()[0],
+            attrs={"long_name": self.title},
         )
         out.encoding = {"_FillValue": np.float32(self.nodata), "grid_mapping": "spatial_ref"}
         return out
 
     def write(self, path: str | Path | Remote, *, overwrite: bool = False) -> Path | Remote:
-        """Write a GeoTIFF: float32, tiled, deflated, cells are areas, with transform, CRS and nodata.
+        """Write a GeoTIFF: values of ``kind``, tiled, deflated, cells are areas, with transform, CRS and nodata.
 
         ``path`` may be a URL that fsspec can write to (``"s3://bucket/dtm.tif"``). The file appears whole or not at all.
 
@@ -126,11 +130,11 @@ class Raster:
 
         path = place_of(path)
         check_target(path)
-        profile = _profile(self.values.shape, self.transform, self.crs)
-        profile |= {"nodata": self.nodata, "compress": "deflate", "predictor": 3}
+        profile = _profile(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
+        profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
             with memory.open(**profile) as file:
-                file.write(np.where(np.isnan(self.values), np.float32(self.nodata), self.values), 1)
+                file.write(packed(self.values, self.kind, self.nodata), 1)
             with new_file(path, overwrite=overwrite) as temporary:
                 temporary.write_bytes(memory.getbuffer())
         return path
@@ -199,10 +203,21 @@ class RasterGrid:
         return self.rows, self.columns
 
     @property
+    def top(self) -> int:
+        """Whole cells from zero to the northern edge."""
+        return self.bottom + self.rows
+
+    @property
     def bounds(self) -> Bounds:
         """(xmin, ymin, xmax, ymax)."""
         left, bottom, cell = self.left, self.bottom, self.cell
         return left * cell, bottom * cell, (left + self.columns) * cell, (bottom + self.rows) * cell
+
+    def centres(self) -> tuple[np.ndarray, np.ndarray]:
+        """x f64[columns], ascending, and y f64[rows], descending, of the centres of the cells."""
+        x = (self.left + 0.5 + np.arange(self.columns)) * self.cell
+        y = (self.bottom + self.rows - 0.5 - np.arange(self.rows)) * self.cell
+        return x, y
 
     def part(self, box: Bounds) -> RasterGrid:
         """The cells in a box whose edges are multiples of the cell; rows or columns below 1: there are none."""
@@ -219,35 +234,37 @@ class RasterGrid:
 
 def write_mosaic(
     path: Place,
-    shape: tuple[int, int],
-    transform: tuple[float, float, float, float, float, float],
+    grid: RasterGrid,
     crs: Any,
+    kind: str,
+    nodata: float,
     parts: Callable[[], Iterable[tuple[int, int, np.ndarray]]],
     *,
     overwrite: bool = False,
-) -> Place:
+) -> int:
     """Write a Cloud Optimized GeoTIFF out of parts, none of which is held longer than needed: overviews, deflated, BigTIFF
     where it has to be.
 
     Args:
-        shape, transform, crs: as of a :class:`Raster` of all of it.
-        parts: gives, each time it is called, first row, first column and values f32[r, c] of parts that do not overlap. What
-            no part covers has no height.
+        grid: all cells; crs, kind, nodata: as of a :class:`Raster`.
+        parts: gives, each time it is called, first row, first column and values [r, c], see :func:`packed`, of parts that do not
+            overlap. What no part covers has no value.
 
+    Returns: how many cells have a value.
     Raises: OutputError (exists and not ``overwrite``, disk; the file is read back).
     """
     import rasterio
     from rasterio.shutil import copy
     from rasterio.windows import Window
 
-    profile = _profile(shape, transform, crs)
+    profile, known = _profile(grid.shape, grid.transform, crs, kind, nodata), 0
     with new_file(path, overwrite=overwrite) as temporary:
         plain = temporary.with_name("plain.tif")
         try:
             with rasterio.open(plain, "w", **profile) as file:
                 for row, column, values in parts():
                     window = Window(column, row, values.shape[1], values.shape[0])
-                    file.write(np.where(np.isnan(values), np.float32(NODATA), values), 1, window=window)
+                    file.write(values, 1, window=window)
             copy(
                 plain, temporary, driver="COG", compress="deflate", predictor="yes", overviews="ignore_existing",
                 resampling="average", bigtiff="if_safer",
@@ -256,14 +273,30 @@ def write_mosaic(
             with rasterio.open(temporary) as file:  # GDAL does not always tell that a disk refused
                 for row, column, values in parts():
                     window = Window(column, row, values.shape[1], values.shape[0])
-                    stored = file.read(1, window=window, masked=True).filled(np.nan)
-                    if not np.array_equal(stored, values, equal_nan=True):
+                    known += int(np.count_nonzero(values != nodata))
+                    if not np.array_equal(file.read(1, window=window), values):
                         raise OutputError(
                             f"{path}: cannot be written: what was written reads back otherwise; is the disk full?"
                         )
         except rasterio.errors.RasterioError as error:
             raise OutputError(f"{path}: cannot be written: {error}") from error
-    return path
+    return known
+
+
+def strips_of(path: Path) -> Iterator[np.ndarray]:
+    """Heights f32[r, columns] of some rows of a file after the other, NaN where there are none; the last row of each is the first
+    of the next."""
+    import rasterio
+
+    with rasterio.open(path) as file:
+        for top in range(0, max(1, file.height - 1), STRIP):
+            rows = rasterio.windows.Window(0, top, file.width, min(STRIP + 1, file.height - top))
+            yield file.read(1, window=rows, masked=True).filled(np.nan)
+
+
+def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
+    """[rows, columns], values f32[rows, columns] as a file has them."""
+    return np.where(np.isnan(values), np.float32(nodata), values).astype(kind)
 
 
 def check_target(path: Place) -> None:
@@ -272,12 +305,14 @@ def check_target(path: Place) -> None:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
 
 
-def _profile(shape: tuple[int, ...], transform: tuple[float, ...], crs: Any) -> dict[str, Any]:
+def _profile(
+    shape: tuple[int, ...], transform: tuple[float, ...], crs: Any, kind: str, nodata: float
+) -> dict[str, Any]:
     """How GeoTIFF files are made."""
     import rasterio
 
     return {
-        "driver": "GTiff", "dtype": "float32", "count": 1, "height": shape[0], "width": shape[1],
+        "driver": "GTiff", "dtype": kind, "count": 1, "height": shape[0], "width": shape[1],
         "crs": None if crs is None else rasterio.crs.CRS.from_wkt(crs.to_wkt()), "transform": rasterio.Affine(*transform),
-        "nodata": NODATA, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
+        "nodata": nodata, "tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "bigtiff": "if_safer",
     }  # fmt: skip

@@ -93,18 +93,52 @@ def segments(z, step, least):
 
 
 @compiled(allocates=True)
+def falls(segment, z, seen, further, known):
+    """f32[rows, columns]: how far the surface falls at the cells that have a cell of another segment beside them, metres: down to
+    the lowest elevation within two rows and columns; zero for all others.
+
+    It is negative on a face: there it falls ``further`` times as far at least within four rows and columns, and a share
+    ``known`` of these cells at least have points. At a wall it falls at once.
+
+    Args:
+        segment: i32[rows, columns], from :func:`segments`. z: f32[rows, columns], metres.
+        seen: bool[rows, columns], cells with points. further, known: f32.
+    """
+    rows, columns = segment.shape
+    fall = np.zeros(segment.shape, np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            name, border = segment[row, column], False
+            for side in range(4):
+                r, c = row + (side == 0) - (side == 1), column + (side == 2) - (side == 3)
+                border |= 0 <= r < rows and 0 <= c < columns and segment[r, c] != name
+            if name == 0 or not border:
+                continue
+            near = far = z[row, column]
+            cells = points = 0
+            for r in range(max(0, row - 4), min(rows, row + 5)):
+                for c in range(max(0, column - 4), min(columns, column + 5)):
+                    cells, points, far = cells + 1, points + seen[r, c], min(far, z[r, c])
+                    if abs(r - row) < 3 and abs(c - column) < 3:
+                        near = min(near, z[r, c])
+            wall = points < known * cells or z[row, column] - far < further * (z[row, column] - near)
+            fall[row, column] = z[row, column] - near if wall else near - z[row, column]
+    return fall
+
+
+@compiled(allocates=True)
 def census(segment, count, marked, fall, slope, inside, drop, run):
-    """i32[5, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
-    others, of the latter where the surface falls, and of its other cells at the edge of what is ``inside``; zero for the cells
-    that are in none.
+    """i32[6, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
+    others, of the latter where the surface falls, of these on faces, and of its other cells at the edge of what is ``inside``;
+    zero for the cells that are in none.
 
     Args:
         segment: i32[rows, columns], and how many there are, from :func:`segments`; marked, inside: bool[rows, columns].
-        fall, slope: f32[rows, columns], metres, and rise over run. The surface falls by more than f32 ``drop``, metres, and the
-            slope times f32 ``run``, metres.
+        fall, slope: f32[rows, columns], metres, from :func:`falls`, and rise over run. The surface falls by more than f32
+            ``drop``, metres, and the slope times f32 ``run``, metres.
     """
     rows, columns = segment.shape
-    found = np.zeros((5, count + 1), np.int32)
+    found = np.zeros((6, count + 1), np.int32)
     for row in range(rows):
         for column in range(columns):
             name = segment[row, column]
@@ -120,8 +154,10 @@ def census(segment, count, marked, fall, slope, inside, drop, run):
                 else:
                     edge = True
             found[2, name] += border
-            found[3, name] += border and fall[row, column] > drop + run * slope[row, column]
-            found[4, name] += edge and not border
+            falling = border and abs(fall[row, column]) > drop + run * slope[row, column]
+            found[3, name] += falling
+            found[4, name] += falling and fall[row, column] < 0
+            found[5, name] += edge and not border
     return found
 
 

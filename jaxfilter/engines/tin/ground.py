@@ -256,6 +256,25 @@ class GroundTin(GroundNodes):
             getattr(self, name)[nodes] = verdict[name]
         return verdict
 
+    def over(self, xyz: np.ndarray, near: np.ndarray) -> dict[str, np.ndarray]:
+        """Test positions f32[n, 3] that are no nodes, by the limits of nodes near them, on the triangulation as it is.
+
+        Outside the hull the planes say nothing: there one passes within the limits of ``beyond`` of its node if that is ground.
+
+        ``near``: located nodes, i32[n]. Returns: "ground" bool[n], "margin" and "height", metres, and "slope", degrees, f32[n].
+        """
+        facet, beyond = self.tin.walk(xyz, self.tin.where[near]), self.growth.beyond
+        rows = np.flatnonzero(facet < 0)
+        facet[rows] = -1 - facet[rows]
+        found = self._judge(near, facet, ("accepted", "margin", "height", "slope"), xyz)
+        found["ground"] = found.pop("accepted")
+        if beyond is not None:
+            node = near[rows]
+            x, y, z = (xyz[rows] - self.net.xyz[node]).T
+            margin = np.abs(z) - beyond.height - beyond.slope[node] * np.hypot(x, y)
+            found["ground"][rows], found["margin"][rows] = (margin <= 0) & self.ground[node], margin
+        return found
+
     def _too_far(self) -> np.ndarray:
         """bool: which nodes of ``todo`` lie outside the hull and beyond the limits there; by how much becomes their margin."""
         out, beyond = np.zeros(len(self.todo), bool), self.growth.beyond

@@ -172,10 +172,12 @@ def locate(xy, triangles, neighbours, at, sheet, nodes, first):
 
 @compiled
 def locate_positions(xy, triangles, neighbours, start, positions, out):
-    """Triangles that contain positions, i32[n, 2], walking from ``start``; outside -1 - t, t behind an edge in sight."""
+    """Triangles that contain positions, i32[n, 2], walking from ``start``, or from that of the position before if it is nearer;
+    outside -1 - t, t behind an edge in sight."""
+    t = np.int32(-1)
     for i in range(len(positions)):
         px, py = position(positions, i)
-        t = find(xy, triangles, neighbours, start[i], np.int32(-1), px, py, NOWHERE, MANY)
+        t = find(xy, triangles, neighbours, start[i], t, px, py, NOWHERE, MANY)
         out[i] = -1 - neighbours[t, place(triangles, t, NOWHERE)] if is_ghost(triangles, t) else t
 
 

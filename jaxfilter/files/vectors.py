@@ -1,0 +1,63 @@
+"""Shapes in files for a GIS: GeoPackage and GeoJSON."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..core.errors import OutputError, warn
+from .disk import new_file
+from .storage import Place
+
+if TYPE_CHECKING:
+    import geopandas
+
+DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
+"""Kinds of files by their suffix."""
+_DATE = "OGR_CURRENT_DATE"  # a GeoPackage says when it was changed; the same shapes shall be the same bytes
+
+
+def check_suffix(path: Place) -> None:
+    """Raises: OutputError for the name of another kind of file than :func:`write_features` writes."""
+    if path.suffix.lower() not in DRIVERS:
+        raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
+
+
+def write_features(
+    target: Place, tables: Iterable[geopandas.GeoDataFrame], layer: str, *, overwrite: bool = False
+) -> None:
+    """Write tables of shapes with one CRS, one after the other, of which there is at least one; none is held longer than needed.
+
+    ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS.
+    """
+    import pyogrio
+
+    before = pyogrio.get_gdal_config_option(_DATE)
+    with new_file(target, overwrite=overwrite) as temporary:
+        named = temporary.with_name(f"list{target.suffix.lower()}")  # GDAL takes its kind from the name
+        try:
+            pyogrio.set_gdal_config_options({_DATE: "1970-01-01T00:00:00Z"})
+            for number, table in enumerate(tables):
+                _append(table, target, named, layer, first=number == 0)
+        finally:
+            pyogrio.set_gdal_config_options({_DATE: before})
+        os.replace(named, temporary)
+
+
+def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: str, first: bool) -> None:
+    kind = DRIVERS[target.suffix.lower()]
+    options = {"layer": layer} if kind == "GPKG" else {}
+    if first and table.crs is None:
+        taken = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
+        warn(
+            f"{target}: the cloud has no CRS, so the file has none{taken}: set the CRS of the layer where it is opened"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+            table.to_file(named, driver=kind, engine="pyogrio", mode="w" if first else "a", **options)
+    except Exception as error:
+        raise OutputError(f"{target}: cannot be written: {error}") from error

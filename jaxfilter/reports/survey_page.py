@@ -1,0 +1,68 @@
+"""A page that shows the products of a survey: a picture of each raster, and links to the files."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.markup import table
+from ..core.version import __version__
+from ..files.disk import new_file
+from ..files.storage import Place
+from ..plots.maps import shade
+from ..terrain.layer import Layer
+
+_PIXELS, _COLOURS = 900, {"dtm": "gist_earth", "chm": "viridis", "density": "cividis", "count": "cividis"}
+"""Of the longer side of a picture; and of rasters; the surface model is drawn as relief, all others in grey."""
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,"><title>{title} – survey</title><style>{style}
+img {{ width: 100%; image-rendering: pixelated; }} .cards {{ grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }}
+</style></head><body><header><h1>{title}</h1><p>Products of a survey · jaxfilter {version}</p></header>
+<main><div class="cards">{cards}</div><section><h2>Figures</h2>{facts}</section></main></body></html>
+"""
+
+
+def write_survey_page(
+    page: Place, title: str, outputs: Mapping[Layer, Place], facts: Iterable[tuple[str, Any]], *, overwrite: bool
+) -> None:
+    """Write the page beside the files of layers. ``facts``: names and values. Raises: OutputError."""
+    cards = "".join(
+        f'<div><a href="{escape(place.name)}"><b>{escape(place.name)}</b>{_picture(layer, place)}</a>'
+        f"<span>{escape(layer.TITLE)}</span></div>"
+        for layer, place in outputs.items()
+    )
+    style = files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    values = {"title": escape(title), "style": style, "cards": cards, "facts": table((), facts), "version": __version__}
+    with new_file(page, overwrite=overwrite) as temporary:
+        temporary.write_text(_PAGE.format(**values), encoding="utf-8")
+
+
+def _picture(layer: Layer, place: Place) -> str:
+    """An image of a raster on this disk; nothing for others."""
+    import rasterio
+    from matplotlib import colormaps
+    from matplotlib.image import imsave
+
+    if layer.cells != layer or not isinstance(place, Path):
+        return ""
+    with rasterio.open(place) as file:
+        step = max(1, math.ceil(max(file.shape) / _PIXELS))
+        shape = tuple(math.ceil(side / step) for side in file.shape)
+        z = file.read(1, out_shape=shape, masked=True).astype(np.float32).filled(np.nan)
+        side = file.transform.a * step
+    if layer.NAME == "dsm":
+        z = shade(z[::-1], side)[::-1]
+    low, high = np.nanpercentile(z, (1, 99)) if np.isfinite(z).any() else (0.0, 1.0)
+    colours = colormaps[_COLOURS.get(layer.NAME, "gray")].with_extremes(bad="white")
+    picture = colours(np.ma.masked_invalid((z - low) / max(high - low, 1e-6)))
+    imsave(png := io.BytesIO(), picture, format="png")
+    return f'<img alt="{escape(layer.TITLE)}" src="data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}">'

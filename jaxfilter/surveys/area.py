@@ -1,0 +1,76 @@
+"""The area of interest of a survey: points in it are written, and those around it take part.
+
+Imported where there is one: Shapely takes a while.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, cast
+
+import numpy as np
+import shapely
+
+from ..core.cloud import PointCloud
+from ..core.errors import InputError, ParameterError, warn
+from ..core.reading import Reading
+from ..files.disk import Bounds
+from .collection import Collection
+
+
+def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
+    """The area as polygons in file coordinates: of a vector file, a GeoDataFrame or GeoSeries, or a polygon in file coordinates.
+
+    Raises: InputError if it cannot be read, is empty or no area, or lies beside the survey; ParameterError for text, whose points
+    are cut by bounds only, and with bounds. Warns: if it is transformed, or repaired.
+    """
+    import geopandas
+
+    aoi = reading.aoi
+    name = os.fspath(aoi) if isinstance(aoi, (str, os.PathLike)) else "aoi"
+    if reading.bounds is not None:
+        raise ParameterError("aoi= and bounds= cannot both say what is written: leave out one of them")
+    if any(source.format == "text" for source in survey):
+        raise ParameterError(
+            f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
+        )
+    try:
+        frame: Any = (
+            geopandas.read_file(name) if name != "aoi" else geopandas.GeoSeries(getattr(aoi, "geometry", [aoi]))
+        )
+    except Exception as error:  # GDAL has many of its own
+        raise InputError(f"{name}: cannot be read as polygons: {error}") from error
+    if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
+        warn(f"{name}: transformed from {frame.crs.name} to {survey.crs.name}")
+        frame = frame.to_crs(survey.crs)
+    elif frame.crs is not None and survey.crs is None:
+        raise InputError(f"{name}: is in {frame.crs.name}, and {survey.name} states no CRS: pass crs= to state it")
+    parts = [part for part in frame.geometry if part is not None and not part.is_empty]
+    if broken := [part for part in parts if not part.is_valid]:
+        warn(f"{name}: {shapely.is_valid_reason(broken[0])}: repaired, please check it")
+    area = shapely.union_all([shapely.make_valid(part) for part in parts])
+    pieces = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
+    if not pieces:
+        raise InputError(f"{name}: holds no polygon, so there is no area")
+    area = shapely.MultiPolygon(pieces)
+    if not len(survey.within(cast(Bounds, area.bounds))):
+        box = ", ".join(f"{v:.10g}" for v in survey.bounds)
+        raise InputError(f"{name}: lies beside the points, which are within {box}: is it in another CRS?")
+    return area
+
+
+def meeting(area: shapely.Geometry, boxes: np.ndarray) -> np.ndarray:
+    """bool[n]: closed boxes f64[n, 4] that share a place with an area."""
+    return np.asarray(shapely.intersects(area, shapely.box(*boxes.T)))
+
+
+def within(area: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """bool: places in an area or on its border, file coordinates."""
+    shapely.prepare(area)
+    return np.asarray(shapely.intersects_xy(area, x, y))
+
+
+def points_within(area: shapely.Geometry, cloud: PointCloud) -> np.ndarray:
+    """bool[n]: points in an area, to a millimetre, by their quantised coordinates."""
+    x, y = (cloud.origin[axis] + cloud.xyz[:, axis].astype(np.float64) / cloud.units.xy for axis in range(2))
+    return within(area, x, y)

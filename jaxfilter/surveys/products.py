@@ -1,0 +1,114 @@
+"""From a survey to its products in one go: classified files, rasters and lines, and a page that shows them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..core.errors import InputError, OutputError, ParameterError
+from ..core.filter import Filter
+from ..core.reading import Reading
+from ..files.disk import is_there, output_errors
+from ..files.storage import Place, place_of
+from ..terrain.layers import LAYERS
+from .ground import ground as classify
+from .measures import Recipe
+from .model import TerrainReport, make_rasters
+from .options import RunOptions
+from .report import RunReport
+from .surroundings import GroundSource
+
+CLASSIFIED, PAGE = "classified", "survey.html"
+
+
+class Products(NamedTuple):
+    """What :func:`products` has made.
+
+    ``ground``: of the classified files; None if there are none. ``rasters``: of rasters and lines, whose ``files`` are named.
+    ``page``: where the page is.
+    """
+
+    ground: RunReport | None
+    rasters: TerrainReport
+    page: Place
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing was set aside, and no file was left out."""
+        return self.rasters.complete and (self.ground is None or self.ground.complete)
+
+
+def products(
+    what: Any,
+    out: str | Path,
+    ground: GroundSource | None = None,
+    *,
+    only: Iterable[str] = tuple(LAYERS),
+    cell: float = 1.0,
+    reading: Reading = Reading(),
+    run: RunOptions = RunOptions(),
+) -> Products:
+    """Classify a survey, and make rasters and contours of its ground, each as one file, and a page that shows them.
+
+    In the folder ``out`` are then ``classified/`` with what :func:`jaxfilter.ground` writes, one Cloud Optimized GeoTIFF for the
+    whole survey of each raster, such as ``dtm.tif``, the lines ``contours.gpkg``, and ``survey.html``. A run that was stopped
+    goes on with ``resume``: files that are whole are kept, and rasters that were complete are made again.
+
+    Args:
+        what, reading, run: as in :func:`jaxfilter.ground`, but for ``in_place``.
+        out: a folder, made if missing; a URL needs ``run.work``.
+        ground: the filter, by default the default method, set up for the data; or classes of points that are ground already,
+            as in :func:`jaxfilter.heights`, and then no files are classified.
+        only: names of what is made: dtm, dsm, chm, hillshade, density, count, voids, contours.
+        cell: side of the cells of rasters, in file units.
+
+    Returns: Products; what could not be done is in its reports.
+    Raises: as :func:`jaxfilter.ground` and :func:`jaxfilter.terrain_model`.
+
+    >>> made = jf.products("survey", "made", (2,), only=["dtm", "hillshade"], reading=jf.Reading(units="m"))
+    >>> [file.rpartition("/")[2] for file in made.rasters.files]
+    ['dtm.tif', 'hillshade.tif']
+    """
+    from ..reports.survey_page import write_survey_page
+
+    names, folder = list(dict.fromkeys(only)), place_of(out)
+    if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
+        raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
+    if run.in_place:
+        raise ParameterError("in_place=True: products are written into a folder: name it, and leave out in_place")
+    layers = [LAYERS[name] for name in LAYERS if name in names]
+    outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIX}" for layer in layers}
+    for place in (*outputs.values(), folder / PAGE):
+        if is_there(place) and not (run.overwrite or run.resume):
+            raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it, or resume=True to go on")
+    if isinstance(folder, Path) and not run.dry_run:
+        with output_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+    classified = None
+    if ground is None or isinstance(ground, Filter | Recipe):
+        classified = classify(what, f"{folder / CLASSIFIED}/", ground, reading=reading, run=run)
+    if run.dry_run:
+        tried: GroundSource = (
+            Recipe() if ground is None else ground
+        )  # the rasters look for the ground again: more is not known before there are classes
+        return Products(
+            classified, make_rasters(what, outputs, tried, cell=cell, reading=reading, run=run), folder / PAGE
+        )
+    if classified is not None:
+        if not classified.files:
+            reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
+            raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
+        what, ground = classified.files, (2,)
+        reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds, aoi=reading.aoi)
+    assert ground is not None
+    anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
+    rasters = make_rasters(what, outputs, ground, cell=cell, reading=reading, run=anew)
+    measured = (rasters if classified is None else classified).method or "classes of the files"
+    facts = [
+        *(("points", rasters.points), ("ground", rasters.ground), ("found by", measured), ("tiles", rasters.tiles)),
+        ("cells", f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"),
+    ]
+    write_survey_page(folder / PAGE, folder.name, outputs, facts, overwrite=anew.overwrite)
+    return Products(classified, rasters, folder / PAGE)

@@ -1,0 +1,126 @@
+"""Layers of the terrain: what a raster of a survey shows, cell by cell. Each layer has a file of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from ..core.cloud import PointCloud, as_cloud
+from ..core.errors import InputError
+from ..core.points import check_extent
+from ..core.result import FilterResult
+from ..files.disk import Bounds, check_bounds
+from .interpolation import Heights, Interpolation
+from .raster import NODATA, Raster, RasterGrid
+
+
+@dataclasses.dataclass(frozen=True)
+class Layer:
+    """What a raster shows. A subclass says how its cells are made, in ``values``; its fields are the settings. Called, it makes
+    the raster of a cloud in memory.
+
+    ``NAME`` is that of the command and of files, ``TITLE`` is what the values are, in units of Z where they are heights. ``KIND``
+    is the type of the values in files, in which ``NODATA`` stands for none. ``SURFACE``: it needs a surface through the ground.
+    """
+
+    NAME: ClassVar[str] = ""
+    TITLE: ClassVar[str] = ""
+    KIND: ClassVar[str] = "float32"
+    NODATA: ClassVar[float] = NODATA
+    SUFFIX: ClassVar[str] = ".tif"
+    SURFACE: ClassVar[bool] = True
+
+    def reach(self, side: float) -> float:
+        """Metres around a cell from which points count, besides the ground under the surface; ``side``: of a cell, metres."""
+        return side
+
+    @property
+    def cells(self) -> Layer:
+        """The layer whose cells are needed: itself, or what it is made of in the end."""
+        return self
+
+    def values(self, site: Site) -> np.ndarray:
+        """f32[rows, columns], from north; NaN where there is none. Raises: InputError."""
+        raise NotImplementedError
+
+    def replace(self, **settings: Any) -> Self:
+        """With other settings. Raises: ParameterError."""
+        return dataclasses.replace(self, **settings)
+
+    def __call__(
+        self,
+        cloud: PointCloud,
+        result: FilterResult | np.ndarray | None = None,
+        cell: float = 1.0,
+        *,
+        bounds: Iterable[float] | None = None,
+    ) -> Raster:
+        """The raster of a cloud in memory; the arguments, and what is raised, are those of :func:`jaxfilter.dtm`."""
+        cloud = as_cloud(cloud)
+        noise = result.low_noise if isinstance(result, FilterResult) else None
+        grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
+        site = Site(cloud, ground_of(cloud, result), grid, noise=noise)
+        return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
+
+
+@dataclasses.dataclass(eq=False)
+class Site:
+    """What layers are made of.
+
+    Attributes:
+        cloud: n points; ground, noise: bool[n], ground points, and points that are left out of all surfaces.
+        grid: the cells. Hillshade looks one cell further, and has other values along the edge of the grid.
+        interpolation: how heights between ground points are found.
+        workers: threads; by default one per core.
+        look: as of :func:`jaxfilter.terrain.models.interpolated`.
+        strict: too few ground points for a surface are an error; else there are no heights.
+    """
+
+    cloud: PointCloud
+    ground: np.ndarray
+    grid: RasterGrid
+    noise: np.ndarray | None = None
+    interpolation: Interpolation = dataclasses.field(default_factory=Interpolation)
+    workers: int | None = None
+    look: Callable[[np.ndarray, Heights], None] | None = None
+    strict: bool = True
+
+    def __post_init__(self) -> None:
+        self._known: dict[Layer, np.ndarray] = {}
+
+    def of(self, layer: Layer) -> np.ndarray:
+        """The values of a layer, which are made once. Raises: InputError."""
+        if layer not in self._known:
+            self._known[layer] = layer.values(self)
+        return self._known[layer]
+
+    @property
+    def side(self) -> float:
+        """Of a cell, metres."""
+        return self.grid.cell * self.cloud.units.xy
+
+
+def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
+    """bool[n]: the points that the surface goes through."""
+    if result is None:
+        if cloud.reference is None:
+            raise InputError("the cloud has no reference labels (a label column, or class 2): pass result=")
+        ground = cloud.reference if cloud.withheld is None else cloud.reference & ~cloud.withheld
+    else:
+        ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
+    if ground.shape != (len(cloud),) or ground.dtype != bool:
+        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
+    return ground if cloud.valid is None else ground & cloud.valid
+
+
+def extent_of(cloud: PointCloud) -> Bounds:
+    """xmin, ymin, xmax, ymax of the points, file units. Raises InputError if there are none."""
+    xy = cloud.xyz[:, :2] if cloud.valid is None else cloud.xyz[cloud.valid, :2]
+    if len(xy) == 0:
+        raise InputError("dtm: the cloud has no points, so that the raster has no extent; pass bounds=")
+    check_extent(cloud, xy)
+    ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
+    return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())

@@ -1,0 +1,471 @@
+"""Rasters and contours against direct computations, and those of tiles against those of the whole, bit for bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay
+from scipy.spatial.distance import cdist
+from test_tiles_run import Here
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.cli import terrain as commands
+from jaxfilter.surveys import model
+from jaxfilter.surveys.products import Products
+from jaxfilter.terrain import lines
+from jaxfilter.terrain.layers import LAYERS
+
+pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+RASTERS = [name for name in LAYERS if name != "contours"]
+METRES = jf.Reading(units="m")
+
+
+@pytest.fixture(scope="module")
+def wood():
+    """A scene with trees, buildings, water and slopes, and its true classes."""
+    scene = jf.scenes.make("mixed", size=(150.0, 130.0), density=1.2, seed=7)
+    return dataclasses.replace(scene.cloud, classification=scene.classes), scene.truth
+
+
+def centres(raster):
+    return np.stack(np.meshgrid(*raster.centres()), axis=-1)
+
+
+def radius(a, b, c):
+    """Of the circle through three points, by Heron's formula."""
+    x, y, z = np.linalg.norm(b - c, axis=-1), np.linalg.norm(a - c, axis=-1), np.linalg.norm(a - b, axis=-1)
+    s = (x + y + z) / 2
+    area = np.sqrt(np.maximum(s * (s - x) * (s - y) * (s - z), 1e-30))
+    return x * y * z / (4 * area)
+
+
+def pit_free(xyz, height, at, levels, limits):
+    """The highest of the surfaces through the points of each level, by SciPy; small triangles alone count."""
+    out = np.full(len(at), -np.inf)
+    for level, limit in zip(levels, limits, strict=True):
+        top = xyz[height >= level] if level else xyz
+        mesh = Delaunay(top[:, :2])
+        found = mesh.find_simplex(at)
+        z = LinearNDInterpolator(mesh, top[:, 2])(at)
+        small = radius(*(top[mesh.simplices[found, k], :2] for k in range(3))) <= limit
+        out = np.where((found >= 0) & small, np.fmax(out, z), out)
+    return np.where(np.isinf(out), np.nan, out)
+
+
+def test_surface_and_canopy_are_those_of_a_direct_computation(wood):
+    cloud, truth = wood
+    first = cloud.return_number == 1
+    height = jf.height_above_ground(cloud, truth)[first]
+    xyz = cloud.coordinates()[first]
+    xyz, rows = np.unique(xyz, axis=0, return_index=True)
+    surface = jf.dsm.replace(gap=6.0, radius=1.2)(cloud, truth, cell=0.5)
+    at = centres(surface).reshape(-1, 2)
+    corner = cloud.origin[:2]
+    local = np.column_stack([xyz[:, :2] - corner, xyz[:, 2]])
+    levels, limits = (0, 2, 5, 10, 15), (6.0, 1.2, 1.2, 1.2, 1.2)
+    expected = pit_free(local, height[rows], at - corner, levels, limits).reshape(surface.values.shape)
+    known = np.isfinite(surface.values) & np.isfinite(expected)
+    assert (np.isfinite(surface.values) != np.isfinite(expected)).mean() < 1e-3  # circles at the limit, the hull
+    assert np.quantile(np.abs(surface.values - expected)[known], 0.999) < 0.002
+    assert (np.abs(surface.values - expected)[known] > 0.01).mean() < 5e-4  # heights at a level, cocircular points
+    canopy, ground = jf.chm.replace(gap=6.0, radius=1.2)(cloud, truth, cell=0.5), jf.dtm(cloud, truth, cell=0.5)
+    np.testing.assert_array_equal(canopy.values, np.maximum(surface.values - ground.values, 0))
+
+
+def test_a_crown_has_no_pit(rng):
+    """A cone of a tree whose inner echoes are low: with level 0 alone the surface has holes down to them."""
+    x, y = (rng.random(4000) * 20 for _ in range(2))
+    distance = np.hypot(x - 10, y - 10)
+    crown = np.maximum(0.0, 18 - 1.5 * distance) * (distance < 8)
+    deep = (rng.random(4000) < 0.15) & (crown > 8)
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, 100 + crown * np.where(deep, 0.5, 1.0)]))
+    ground = distance >= 8
+    at = np.hypot(*(np.moveaxis(centres(jf.dsm(cloud, ground, 0.5)), -1, 0) - 10))
+    within = at < 3
+    missing = {
+        levels: (100 + 18 - 1.5 * at - jf.dsm.replace(levels=levels)(cloud, ground, 0.5).values)[within].max()
+        for levels in ((0.0,), (0.0, 2.0, 5.0, 10.0, 15.0))
+    }
+    assert missing[0.0,] > 4 and missing[0.0, 2.0, 5.0, 10.0, 15.0] < 1.5
+
+
+def test_noise_later_echoes_and_what_is_withheld_make_no_surface(rng):
+    x, y = (rng.random(2000) * 30 for _ in range(2))
+    z, kinds = np.full(2000, 50.0), np.full(2000, 2, np.uint8)
+    number, withheld = np.ones(2000, np.uint8), np.zeros(2000, bool)
+    z[:200] += rng.choice([-40.0, 60.0], 200)
+    kinds[:50], kinds[50:100], number[100:150], withheld[150:200] = 7, 18, 2, True
+    cloud = jf.PointCloud.from_arrays(
+        np.column_stack([x, y, z]), classification=kinds, return_number=number, withheld=withheld
+    )
+    surface = jf.dsm(cloud, kinds == 2, cell=1.0).values
+    assert np.nanmin(surface) == np.nanmax(surface) == 50.0 and np.isfinite(surface).mean() > 0.9
+
+
+def test_voids_of_echoes_stay_empty_and_gaps_are_bridged(rng):
+    x, y = (rng.random(9000) * 60 for _ in range(2))
+    water = np.hypot(x - 30, y - 30) < 15
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, 0.1 * x])[~water])
+    for gap, share in ((5.0, 0.0), (40.0, 1.0)):
+        raster = jf.dsm.replace(gap=gap)(cloud, np.ones(len(cloud), bool))
+        inner = np.hypot(*(np.moveaxis(centres(raster), -1, 0) - 30)) < 12
+        assert np.isfinite(raster.values[inner]).mean() == share
+
+
+def horn(z, cell, azimuth, altitude):
+    """Light by the normal of the surface, with the gradients of Horn (1981), cell by cell."""
+    out = np.full(z.shape, np.nan)
+    sun = np.array([
+        np.cos(np.radians(altitude)) * np.sin(np.radians(azimuth)),
+        np.cos(np.radians(altitude)) * np.cos(np.radians(azimuth)),
+        np.sin(np.radians(altitude)),
+    ])  # fmt: skip
+    for r in range(1, z.shape[0] - 1):
+        for c in range(1, z.shape[1] - 1):
+            w = z[r - 1 : r + 2, c - 1 : c + 2].astype(float)
+            if np.isnan(w).any():
+                continue
+            east = (w[:, 2] @ [1, 2, 1] - w[:, 0] @ [1, 2, 1]) / (8 * cell)
+            north = (w[0] @ [1, 2, 1] - w[2] @ [1, 2, 1]) / (8 * cell)
+            normal = np.array([-east, -north, 1.0])
+            out[r, c] = 1 + 254 * max(normal @ sun / np.linalg.norm(normal), 0.0)
+    return out
+
+
+@pytest.mark.parametrize("azimuth, altitude, z_factor", [(315.0, 45.0, 1.0), (80.0, 20.0, 0.3048)])
+def test_hillshade_is_the_light_on_horns_gradients(wood, azimuth, altitude, z_factor):
+    heights = jf.dtm(*wood, cell=2.0)
+    relief = jf.hillshade(heights, azimuth, altitude, z_factor).values
+    expected = horn(heights.values * z_factor, heights.cell, azimuth, altitude)
+    known = np.isfinite(expected)
+    assert known.mean() > 0.8 and np.abs(relief - expected)[known].max() <= 0.5 + 1e-3
+    assert (np.isfinite(relief) == np.isfinite(heights.values)).all() and relief[known].std() > 5
+    with pytest.raises(jf.ParameterError, match="altitude=0"):
+        jf.hillshade(heights, altitude=0)
+
+
+def test_relief_of_a_survey_knows_the_units_of_its_heights(wood, tmp_path):
+    """X and Y in metres, Z in feet: the same light as with all in metres."""
+    cloud, _ = wood
+    xyz = cloud.coordinates()
+    for name, factor in (("m", 1.0), ("ft", 0.3048)):
+        part = jf.PointCloud.from_arrays(xyz / [1, 1, factor], classification=cloud.classification)
+        jf.write(tmp_path / f"{name}.laz", part, None)
+        run = CliRunner().invoke(
+            main, ["hillshade", str(tmp_path / f"{name}.laz"), str(tmp_path / f"{name}.tif"), "--units", f"m,{name}"]
+        )
+        assert run.exit_code == 0, run.output
+    a, b = (jf.Raster.read(tmp_path / f"{name}.tif").values for name in ("m", "ft"))
+    assert np.nanmax(np.abs(a - b)) <= 3 and np.nanstd(a) > 5
+
+
+def test_density_counts_every_ground_point_once(wood):
+    cloud, truth = wood
+    left, bottom, right, top = bounds = (512010.0, 5403020.0, 512070.0, 5403060.0)
+    raster = jf.count(cloud, truth, cell=2.5, bounds=bounds)
+    xy = cloud.coordinates()[truth, :2]
+    edges = np.arange(bottom, top + 1, 2.5), np.arange(left, right + 1, 2.5)
+    expected, _, _ = np.histogram2d(xy[:, 1], xy[:, 0], bins=edges)
+    on_edge = (np.isclose(xy % 2.5, 0)).any(axis=1).mean()
+    assert on_edge < 0.02 and np.abs(raster.values[::-1] - expected).sum() <= 2 * on_edge * len(xy) + 2
+    np.testing.assert_allclose(jf.density(cloud, truth, cell=2.5, bounds=bounds).values, raster.values / 2.5**2)
+
+
+def test_voids_are_far_from_every_ground_point(wood):
+    cloud, truth = wood
+    raster = jf.voids.replace(distance=4.0)(cloud, truth, cell=2.0)
+    nearest = cdist(centres(raster).reshape(-1, 2), cloud.coordinates()[truth, :2]).min(axis=1)
+    np.testing.assert_array_equal(raster.values.ravel(), nearest > 4.0)
+    assert (jf.voids(cloud, np.zeros(len(cloud), bool)).values == 1).all()
+
+
+def cone(size=61, cell=2.0):
+    x, y = np.meshgrid(np.arange(size), np.arange(size))
+    z = 100 - 0.5 * cell * np.hypot(x - size // 2, y - size // 2)
+    return jf.Raster(z.astype(np.float32), (cell, 0.0, 1000.0, 0.0, -cell, 5000.0)), (1000 + (size // 2 + 0.5) * cell)
+
+
+@pytest.mark.parametrize("rows", [512, 7, 1])
+def test_contours_of_a_cone_are_circles_however_many_blocks_there_are(monkeypatch, rows):
+    raster, x = cone()
+    monkeypatch.setattr(lines, "STRIP", rows)
+    monkeypatch.setattr("jaxfilter.terrain.contours.STRIP", rows)
+    table = jf.contours(raster, interval=5.0)
+    closed = table[table.geometry.is_ring]
+    assert sorted(closed["elevation"]) == [70.0, 75.0, 80.0, 85.0, 90.0, 95.0]  # a line each, joined
+    for elevation, line in zip(closed["elevation"], closed.geometry, strict=True):
+        at = np.array(line.coords) - [x, 5000 - (x - 1000)]
+        np.testing.assert_allclose(np.hypot(*at.T), (100 - elevation) / 0.5, atol=0.05)
+    assert (table["elevation"] % 5 == 0).all() and set(table.geom_type) == {"LineString"}
+
+
+def test_contours_end_where_there_is_no_height_and_files_hold_them(tmp_path):
+    import geopandas
+
+    raster, _ = cone()
+    raster.values[:, 40:] = np.nan
+    for name in ("a.gpkg", "a.geojson"):
+        table = jf.contours(dataclasses.replace(raster, crs="EPSG:25832"), 10.0, tmp_path / name)
+        back = geopandas.read_file(tmp_path / name)
+        assert back["elevation"].tolist() == table["elevation"].tolist() and back.length.sum() > 100
+    assert table.total_bounds[2] <= 1000 + 40 * 2.0
+    with pytest.raises(jf.OutputError, match="suffix"):
+        jf.contours(raster, 10.0, tmp_path / "a.shp")
+    with pytest.raises(jf.ParameterError, match="interval=0"):
+        jf.contours(raster, 0)
+    flat = dataclasses.replace(raster, values=np.full((5, 5), np.float32(3.5)))
+    assert len(jf.contours(flat, 1.0)) == 0
+
+
+def test_files_have_the_type_that_a_layer_needs(wood, tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    relief = jf.hillshade(jf.dtm(*wood, cell=2.0))
+    for raster, kind, nodata in ((relief, "uint8", 0), (jf.voids(*wood, cell=2.0), "uint8", 255)):
+        with rasterio.open(raster.write(tmp_path / f"{raster.to_xarray().name}.tif")) as file:
+            assert file.dtypes == (kind,) and file.nodata == nodata
+            np.testing.assert_array_equal(
+                file.read(1, masked=True).filled(nodata), np.nan_to_num(raster.values, nan=nodata)
+            )
+
+
+@pytest.mark.parametrize(
+    "values", [{"gap": 0}, {"radius": -1}, {"levels": ()}, {"levels": (2, 5)}, {"levels": (0, np.inf)}]
+)
+def test_settings_out_of_range_are_refused(values):
+    with pytest.raises(jf.ParameterError, match=next(iter(values))):
+        jf.dsm.replace(**values)
+    with pytest.raises(jf.ParameterError, match="distance"):
+        jf.voids.replace(distance=0)
+
+
+@pytest.mark.parametrize("name", ["dsm", "chm", "density", "count", "voids"])
+def test_one_point_a_line_and_nothing(name):
+    make = getattr(jf, name)
+    for xyz in ([[5.5, 5.5, 1.0]], [[k + 0.5, 5.5, 1.0] for k in range(9)]):
+        cloud = jf.PointCloud.from_arrays(np.array(xyz))
+        ground = np.ones(len(cloud), bool)
+        if name == "chm":
+            with pytest.raises(jf.InputError, match="three that do not lie on one line"):
+                make(cloud, ground)
+        else:
+            assert make(cloud, ground).values.shape[0] == 1
+    with pytest.raises(jf.InputError, match="no points"):
+        make(jf.PointCloud.from_arrays(np.zeros((0, 3))), np.zeros(0, bool))
+    if name in ("dsm", "chm"):
+        with pytest.raises(jf.InputError, match="ground"):
+            make(cloud, np.zeros(len(cloud), bool))
+
+
+# surveys
+
+
+@pytest.fixture(scope="module")
+def survey(wood, tmp_path_factory):
+    """The scene as 16 files that end where no tile does, and as one."""
+    cloud, _ = wood
+    folder = tmp_path_factory.mktemp("survey")
+    (folder / "in").mkdir()
+    xyz = cloud.coordinates()
+    place = np.floor((xyz[:, :2] - cloud.origin[:2]) / [37.7, 32.9]).clip(0, 3)
+    parts = {f"in/{i:.0f}{j:.0f}.laz": (place == [i, j]).all(axis=1) for i in range(4) for j in range(4)}
+    for name, rows in (parts | {"one.laz": np.ones(len(cloud), bool)}).items():
+        columns = {key: getattr(cloud, key)[rows] for key in ("return_number", "number_of_returns", "classification")}
+        jf.write(folder / name, jf.PointCloud.from_arrays(xyz[rows], crs="EPSG:25832", **columns), None)
+    return folder
+
+
+def make(what, out, ground=(2,), executor=None, only=tuple(LAYERS), cell=1.0, **run) -> Products:
+    options = jf.RunOptions(executor=executor or Here(width=3), **run)
+    return jf.products(what, out, ground, only=only, cell=cell, run=options)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.suffix in (".tif", ".gpkg")}
+
+
+@pytest.fixture(scope="module")
+def done(survey, tmp_path_factory):
+    out = tmp_path_factory.mktemp("done") / "out"
+    return out, make(survey / "in", out, tile=40.0)
+
+
+def test_rasters_of_sixteen_files_are_those_of_one_and_of_the_cloud(wood, survey, done, tmp_path):
+    """All layers, bit for bit: 16 files in tiles, one file in tiles, one file as one tile, and the functions."""
+    out, made = done
+    one, whole = make(survey / "one.laz", tmp_path / "one", tile=40.0), make(survey / "one.laz", tmp_path / "whole")
+    assert made.complete and made.rasters.tiles > 12 and one.rasters.tiles > 12 and whole.rasters.tiles == 1
+    assert contents(out) == contents(tmp_path / "one")
+    cloud = jf.read(survey / "one.laz")
+    ground = cloud.classification == 2
+    terrain = jf.dtm(cloud, ground)
+    direct = {
+        "dtm": terrain, "dsm": jf.dsm(cloud, ground), "chm": jf.chm(cloud, ground), "hillshade": jf.hillshade(terrain),
+        "density": jf.density(cloud, ground), "count": jf.count(cloud, ground), "voids": jf.voids(cloud, ground),
+    }  # fmt: skip
+    assert direct.keys() == set(RASTERS)
+    for name, raster in direct.items():
+        for folder in (out, tmp_path / "whole"):
+            found = jf.Raster.read(folder / f"{name}.tif")
+            np.testing.assert_array_equal(found.values, raster.values, err_msg=f"{name} in {folder.name}")
+            assert found.transform == raster.transform and found.crs.to_epsg() == 25832
+    import geopandas
+
+    table, expected = geopandas.read_file(out / "contours.gpkg"), jf.contours(terrain)
+    assert table.crs.to_epsg() == 25832 and sorted(table["elevation"]) == sorted(expected["elevation"])
+    assert table.length.sum() == pytest.approx(expected.length.sum(), rel=1e-9)
+
+
+def test_all_files_are_cloud_optimized_and_the_page_shows_them(done):
+    rasterio = pytest.importorskip("rasterio")
+    out, made = done
+    assert sorted(path.name for path in out.iterdir()) == sorted([*contents(out), "survey.html"])
+    assert [file.rpartition("/")[2] for file in made.rasters.files] == [f"{n}.tif" for n in RASTERS] + ["contours.gpkg"]
+    for name in RASTERS:
+        with rasterio.open(out / f"{name}.tif") as file:
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+    page = (out / "survey.html").read_text()
+    assert page.count("data:image/png;base64,") == len(RASTERS) and all(
+        f'href="{name}.tif"' in page for name in RASTERS
+    )
+    assert 'href="contours.gpkg"' in page and f"{made.rasters.ground:,}" in page
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_path, name):
+    target = tmp_path / f"x{LAYERS[name].SUFFIX}"
+    words = [name, survey / "in", target, "--tile", 40, "--workers", 1, "--json", "--quiet"]
+    run = CliRunner().invoke(main, [str(word) for word in words])
+    assert run.exit_code == 0, run.output
+    assert target.read_bytes() == (done[0] / f"{name}{target.suffix}").read_bytes()
+    assert json.loads(run.stdout)["ground"] == done[1].rasters.ground
+    assert [path.name for path in tmp_path.iterdir()] == [target.name]
+
+
+def test_options_of_commands_are_the_settings_of_layers():
+    assert list(commands._LAYERS) == list(LAYERS)
+    for name, (_, own) in commands._LAYERS.items():
+        fields = {field.name: field.default for field in dataclasses.fields(LAYERS[name])}
+        given = {option.name: option.default for option in own if option.name in fields}
+        assert given.keys() == fields.keys()
+        assert {key: value for key, value in fields.items() if value is not None} == {
+            key: given[key] for key, value in fields.items() if value is not None
+        }
+
+
+def test_products_find_the_ground_and_go_on_after_a_stop_anywhere(survey, tmp_path):
+    """Stopped after every few tasks of classifying and of rasters, the outputs are those of an undisturbed run."""
+    how = {"ground": jf.PMF(max_window=9.0, low_clusters=False), "tile": 60.0, "cell": 2.0}
+    whole = make(survey / "in", tmp_path / "whole", **how)
+    assert whole.ground is not None and whole.ground.method == "PMF" and whole.complete
+    tasks, stops = 0, 0
+    while True:
+        executor = Here(seed=stops, width=2, stop_after=5)
+        try:
+            made = make(survey / "in", tmp_path / "out", executor=executor, resume=stops > 0, **how)
+        except KeyboardInterrupt:
+            tasks, stops = tasks + len(executor.calls), stops + 1
+            assert not list((tmp_path / "out").glob("*.tif")), "rasters appear when they are whole"
+            continue
+        break
+    assert stops >= 5 and made.complete and contents(tmp_path / "out") == contents(tmp_path / "whole")
+    las = {path.name: path.read_bytes() for path in (tmp_path / "whole/classified").glob("*.laz")}
+    assert len(las) == 16 and las == {p.name: p.read_bytes() for p in (tmp_path / "out/classified").glob("*.laz")}
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(
+        p.name for p in (tmp_path / "whole").iterdir()
+    )
+    (tmp_path / "out" / "dsm.tif").unlink()
+    with pytest.raises(jf.OutputError, match="pass overwrite=True to replace it, or resume=True to go on"):
+        make(survey / "in", tmp_path / "out", **how)
+    assert make(survey / "in", tmp_path / "out", resume=True, **how).complete
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("point", ["write_mosaic", "write_features", "packed"])
+def test_what_fails_while_files_are_written_leaves_none_half(survey, tmp_path, monkeypatch, point):
+    out, expected = tmp_path / "out", make(survey / "in", tmp_path / "whole", tile=60.0)
+    calls = []
+
+    def fails(*arguments, **options):
+        calls.append(point)
+        if len(calls) == 3 or point == "write_features":
+            raise KeyboardInterrupt
+        return sound(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        sound = getattr(model, point)
+        patch.setattr(model, point, fails)
+        with pytest.raises(KeyboardInterrupt):
+            make(survey / "in", out, tile=60.0)
+    written = contents(out)
+    assert all(contents(tmp_path / "whole")[name] == found for name, found in written.items())
+    assert not (out / "survey.html").exists()
+    assert make(survey / "in", out, tile=60.0, resume=True).rasters.ground == expected.rasters.ground
+    assert contents(out) == contents(tmp_path / "whole")
+    assert sorted(p.name for p in out.iterdir()) == sorted(p.name for p in (tmp_path / "whole").iterdir())
+
+
+def test_a_full_disk_ends_products_and_with_room_they_go_on(survey, done, disk):
+    folder = disk("300k")
+    with pytest.raises(jf.OutputError, match="disk is full"):
+        make(survey / "in", folder / "out", tile=40.0)
+    disk("60m")
+    make(survey / "in", folder / "out", tile=40.0, resume=True)
+    assert contents(folder / "out") == contents(done[0])
+
+
+def test_products_by_command(survey, tmp_path):
+    out = tmp_path / "out"
+
+    def run(*words):
+        return CliRunner().invoke(main, ["products", str(survey / "in"), str(out), "--workers", "1", *map(str, words)])
+
+    assert run("--only", "dtm,hill").exit_code == 2 and not out.exists()
+    assert run("--filter", "pmf", "--classified", 2).exit_code == 2
+    assert run("--only", "").exit_code == 2
+    made = run(
+        "--only", "hillshade, voids", "--filter", "pmf", "--set", "max_window=9", "--cell", 2, "--json", "--quiet"
+    )
+    assert made.exit_code == 0, made.output
+    facts = json.loads(made.stdout)
+    assert sorted(p.name for p in out.iterdir()) == ["classified", "hillshade.tif", "survey.html", "voids.tif"]
+    assert facts["classified"]["method"] == "PMF" and facts["ground"] == facts["classified"]["ground"] > 1000
+    assert run("--only", "voids").exit_code == 1, "exists"
+    shutil.rmtree(out)
+    assert run("--only", "count", "--classified", 2).exit_code == 0
+    assert sorted(p.name for p in out.iterdir()) == ["count.tif", "survey.html"]
+
+
+def test_wrong_products_are_refused_before_anything_is_done(survey, tmp_path):
+    with pytest.raises(jf.ParameterError, match="choose of dtm, dsm"):
+        make(survey / "in", tmp_path / "out", only=["dem"])
+    with pytest.raises(jf.ParameterError, match="only='nothing'"):
+        make(survey / "in", tmp_path / "out", only=[])
+    with pytest.raises(jf.ParameterError, match="in_place"):
+        make(survey / "in", tmp_path / "out", in_place=True)
+    with pytest.raises(jf.InputError, match="no point is ground"):
+        make(survey / "in", tmp_path / "out", (30,))
+    with pytest.raises(jf.ParameterError, match="pass work="):
+        make(survey / "in", "memory://products/out")
+
+
+def test_a_tile_without_points_is_bridged_as_in_the_whole(tmp_path):
+    """A lake wider than a tile: the ground around it is within reach, so no tile may differ from the whole."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 300, 3.0), np.arange(0.0, 300, 3.0)))
+    dry = np.hypot(x - 150, y - 150) > 70
+    xyz = np.column_stack([x, y, 0.05 * x + np.sin(y / 40)])[dry]
+    classes = np.full(len(xyz), 2, np.uint8)
+    jf.write(tmp_path / "lake.laz", jf.PointCloud.from_arrays(xyz, crs="EPSG:25832", classification=classes), None)
+    made = make(tmp_path / "lake.laz", tmp_path / "tiles", tile=40.0, cell=5.0)
+    make(tmp_path / "lake.laz", tmp_path / "whole", cell=5.0)
+    assert made.rasters.uncertain == 0
+    for name in RASTERS:
+        a, b = (jf.Raster.read(tmp_path / folder / f"{name}.tif").values for folder in ("tiles", "whole"))
+        np.testing.assert_array_equal(a, b, err_msg=name)
+    assert np.isfinite(jf.Raster.read(tmp_path / "tiles/dtm.tif").values[1:, :-1]).all()
