@@ -126,7 +126,7 @@ def segmented(filter_: jf.OST) -> list[Stage]:
     points = filter_.points_of(scene().cloud)
     found = filter_.scene(points, points.spacing(), None, lambda share, step: None)
     cells, lowest = found.cells, found.lowest
-    objects, drop, _ = filter_.objects(found)
+    objects, drop, _, _ = filter_.objects(found)
     share, grid = inner(np.minimum(np.asarray(drop), 3.0), cells)
     is_object = inner(objects, cells)[0]
     kept = points.xyz[lowest]
