@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..core.filter import Labels
-from ..core.points import Points
+from ..core.points import Points, has_area
 from ..engines.tin.ground import GroundTin
 
 DENSE = 30**-0.5
@@ -40,7 +40,7 @@ class Crowd(NamedTuple):
     @classmethod
     def of(cls, points: Points) -> Crowd | None:
         """None where all points stand for themselves, else one of each square of 0.25 m: from the middle of its lowest sheet,
-        since the lowest of many lies below the ground.
+        since the lowest of many lies below the ground. All do where these lie on a line.
 
         Squares count from the anchor, so tiles of a survey have the same.
         """
@@ -50,6 +50,8 @@ class Crowd(NamedTuple):
 
         rows, own = np.empty(len(points), np.int64), np.empty(len(points), np.int32)
         rows = rows[: middles(points.xyz, np.float32(_SIDE), np.float32(_SHEET), rows, own)].copy()
+        if not has_area(points.xyz[rows]):
+            return None
         weight = np.bincount(own, points.weight).astype(np.int32)
         few = dataclasses.replace(points, xyz=points.xyz[rows], member=own[points.member], weight=weight)
         return cls(points, few, rows, own)

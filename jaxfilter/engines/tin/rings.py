@@ -48,7 +48,7 @@ def residuals(xyz, triangles, neighbours, where, nodes, e):
         x0, y0, z0 = np.float64(xyz[node, 0]), np.float64(xyz[node, 1]), np.float64(xyz[node, 2])
         sx = sy = sz = sxx = sxy = syy = sxz = syz = 0.0
         n, t = 0, where[node]
-        while n == 0 or t != where[node]:
+        while True:
             a, apex, t = _beside(triangles, neighbours, t, node)
             for beside in (a, apex):
                 if beside >= 0:
@@ -58,11 +58,15 @@ def residuals(xyz, triangles, neighbours, where, nodes, e):
                     sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
                     sxz, syz = sxz + dx * dz, syz + dy * dz
                     n += 1
+            if t == where[node]:
+                break
         e[node] = 0.0
+        if n < 4:
+            continue
         cxx, cxy, cyy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
         cxz, cyz = sxz - sx * sz / n, syz - sy * sz / n
         det = cxx * cyy - cxy * cxy
-        if n < 4 or det <= 1e-6 * cxx * cyy:
+        if det <= 1e-6 * cxx * cyy:
             continue
         east, north = (cxz * cyy - cyz * cxy) / det, (cyz * cxx - cxz * cxy) / det
         e[node] = -(sz - east * sx - north * sy) / n
@@ -74,13 +78,15 @@ def roughness(triangles, neighbours, where, nodes, e, out):
     for node in nodes:
         n, total = 0, 0.0
         first = t = _first(triangles, neighbours, where[node], node)
-        while n == 0 or t != first:
+        while True:
             a, apex, t = _beside(triangles, neighbours, t, node)
             for beside in (a, apex):
                 if beside >= 0:
                     total += np.float64(e[np.uint32(beside)]) ** 2
                     n += 1
-        out[node] = np.sqrt(total / n)
+            if t == first:
+                break
+        out[node] = np.sqrt(total / max(n, 1))
 
 
 @compiled(allocates=True)
