@@ -165,6 +165,9 @@ def check_text(example: Example) -> None:
 @functools.cache
 def files_for_commands() -> Path:
     """The files that commands name, made once."""
+    import geopandas
+    import shapely
+
     import jaxfilter as jf
 
     folder = Path(tempfile.mkdtemp())
@@ -176,6 +179,9 @@ def files_for_commands() -> Path:
     east = jf.PointCloud.from_arrays(town.coordinates() + [90.0, 0.0, 0.0], crs=jf.read(folder / "site.laz").crs)
     jf.write(folder / "survey/b.laz", east, names["truth"])
     jf.open(str(folder / "survey")).to_vpc(folder / "survey.vpc")
+    low, high = town.coordinates()[:, :2].min(axis=0), town.coordinates()[:, :2].max(axis=0)
+    village = geopandas.GeoSeries([shapely.box(*low, *high).buffer(-5)], crs=east.crs)
+    village.to_file(folder / "village.gpkg")
     (folder / "pipeline.json").write_text('["in.laz", {"type": "filters.smrf", "scalar": 1.2}, "out.laz"]')
     return folder
 
