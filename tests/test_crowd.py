@@ -37,6 +37,13 @@ def yard():
     return np.concatenate([xyz, under]), np.append(~(house | bush), np.zeros(100, bool))
 
 
+@pytest.mark.parametrize("sides", [(0.2, 0.2), (0.4, 0.2), (3.0, 0.6)], ids=["one square", "two", "many"])
+def test_few_squares_have_labels(rng, sides):
+    xyz = np.column_stack([rng.uniform(0.01, sides, (2000, 2)), rng.normal(0, 0.005, 2000)])
+    assert (crowd_of(xyz) is None) == (sides[0] < 0.5), "one or two positions have no area"
+    assert jf.OST()(xyz).ground.mean() > 0.9, "a level sheet"
+
+
 def test_of_each_square_the_most_central_point_of_the_middle_of_its_lowest_sheet_stands_for_it(rng):
     xyz = np.column_stack([rng.integers(0, 64, (900, 2)) / 32 - 1, rng.integers(0, 60, 900) / 100])
     crowd = crowd_of(xyz)
