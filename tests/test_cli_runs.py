@@ -166,11 +166,13 @@ def test_sizes(text, size):
     assert Bytes().convert(text, None, None) == size
 
 
-def test_what_tiles_cost_is_said_before_and_small_ones_are_advised_against(survey, tmp_path):
-    halo, tile = 30.0, 10.0
-    result = run(
-        "ground", "pmf", survey, tmp_path / "out", "--max-window", 9, "--halo", halo, "--tile", tile, "--workers", 1
-    )
+def test_what_tiles_cost_is_said_before_and_small_ones_are_refused(survey, tmp_path):
+    words = ("ground", "pmf", survey, tmp_path / "out", "--max-window", 9, "--halo", 30, "--tile", 10, "--workers", 1)
+    refused, forecast = run(*words), run(*words, "--dry-run")
+    assert refused.exit_code == forecast.exit_code == 2 and refused.stderr == forecast.stderr
+    assert "pass --tile with more, leave it out, or pass --wide-halos" in refused.stderr
+    assert not (tmp_path / "out").exists()
+    result = run(*words, "--wide-halos")
     assert result.exit_code == 0, result.output
     facts = json.loads((tmp_path / "out" / "jaxfilter-run.json").read_text())
     said = re.search(r"(\d+) tiles; with their surroundings each point is read ([\d.]+) times", result.stderr)
@@ -178,9 +180,6 @@ def test_what_tiles_cost_is_said_before_and_small_ones_are_advised_against(surve
     assert float(said[2]) == pytest.approx(
         facts["read"] / facts["points"], rel=0.3
     )  # the plan knows densities of files only
-    assert (
-        "pass --tile with more, or leave it out" in result.stderr
-        and f"every point is read {said[2]} times" in result.stderr
-    )
+    assert f"every point would be read {said[2]} times" in refused.stderr
     wide = run("ground", "pmf", survey, tmp_path / "wide", "--max-window", 9, "--halo", 5, "--tile", 50, "--workers", 1)
-    assert wide.exit_code == 0 and "every point is read" not in wide.stderr and "tiles; with" in wide.stderr
+    assert wide.exit_code == 0 and "tiles; with" in wide.stderr

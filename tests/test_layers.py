@@ -282,7 +282,7 @@ def survey(wood, tmp_path_factory):
 
 
 def make(what, out, ground=(2,), executor=None, only=tuple(LAYERS), cell=1.0, **run) -> Products:
-    options = jf.RunOptions(executor=executor or Here(width=3), **run)
+    options = jf.RunOptions(executor=executor or Here(width=3), wide_halos=True, **run)
     return jf.products(what, out, ground, only=only, cell=cell, run=options)
 
 
@@ -340,7 +340,7 @@ def test_all_files_are_cloud_optimized_and_the_page_shows_them(done):
 @pytest.mark.parametrize("name", LAYERS)
 def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_path, name):
     target = tmp_path / f"x{LAYERS[name].SUFFIX}"
-    words = [name, survey / "in", target, "--tile", 40, "--workers", 1, "--json", "--quiet"]
+    words = [name, survey / "in", target, "--tile", 40, "--wide-halos", "--workers", 1, "--json", "--quiet"]
     run = CliRunner().invoke(main, [str(word) for word in words])
     assert run.exit_code == 0, run.output
     assert target.read_bytes() == (done[0] / f"{name}{target.suffix}").read_bytes()

@@ -215,7 +215,7 @@ def test_a_neighbour_in_the_halo_decides(tmp_path):
     assert expected[0]["reason"] == CUT and expected[0]["area"] == pytest.approx(300, rel=0.2)
     both = [tmp_path / "west.laz", tmp_path / "east.laz"]
     reports = [
-        jf.ground(files, tmp_path / str(k), filter_, run=jf.RunOptions(tile=tile, executor=Here()))
+        jf.ground(files, tmp_path / str(k), filter_, run=jf.RunOptions(tile=tile, wide_halos=True, executor=Here()))
         for k, (files, tile) in enumerate(((both[0], 30.0), (both, 30.0), (both[0], 15.0)))
     ]
     assert reports[0].places == reports[2].places == expected and reports[2].tiles == 8

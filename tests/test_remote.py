@@ -229,7 +229,9 @@ PMF = {"max_window": 9.0, "low_clusters": False}
 
 
 def into(west_and_east, out, **how):
-    return jf.ground(west_and_east, out, jf.PMF(**PMF), run=jf.RunOptions(tile=30.0, executor=Here(), **how))
+    return jf.ground(
+        west_and_east, out, jf.PMF(**PMF), run=jf.RunOptions(tile=30.0, wide_halos=True, executor=Here(), **how)
+    )
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -271,7 +273,7 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     target, work, local = "s3://surveys/dtm/all.tif", tmp_path / "work", tmp_path / "local.tif"
 
     def model(target, executor, **how):
-        run = jf.RunOptions(tile=30.0, executor=executor, **how)
+        run = jf.RunOptions(tile=30.0, wide_halos=True, executor=executor, **how)
         return jf.terrain_model(west_and_east, target, jf.PMF(**PMF), cell=0.5, run=run)
 
     def stored():
@@ -306,7 +308,7 @@ def test_products_into_an_object_store(tmp_path, bucket, west_and_east):
     only = ["hillshade", "voids", "contours"]
 
     def into_store(out, **how):
-        run = jf.RunOptions(tile=30.0, executor=Here(), **how)
+        run = jf.RunOptions(tile=30.0, wide_halos=True, executor=Here(), **how)
         return jf.products(west_and_east, out, jf.PMF(**PMF), only=only, run=run)
 
     assert into_store(tmp_path / "local").complete

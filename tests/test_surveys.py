@@ -65,7 +65,7 @@ def las_of(folder):
 )
 def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folder_of_tiles(survey, tmp_path, filter_):
     """Windows have 100 m of halo: OST needs more than the default."""
-    tiles = {"tile": 40.0, "halo": 100.0}
+    tiles = {"tile": 40.0, "halo": 100.0, "wide_halos": True}
     folder = jf.ground(survey, tmp_path / "folder", filter_, run=jf.RunOptions(**tiles, executor=Here()))
     assert folder.complete and folder.tiles >= 14 and folder.parameters == vars(filter_)
     options = jf.RunOptions(measures=folder.measures)
@@ -112,7 +112,7 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     before = laspy.read(survey / "west.las")
     x, y = before.x.min(), before.y.min()
     box = (x + 20, y + 10, x + (200 if several else 100), y + 50)
-    tiles = ("--tile", 50) if several else ()
+    tiles = ("--tile", 50, "--wide-halos") if several else ()
     done = run(
         "ground",
         "pmf",
@@ -158,7 +158,7 @@ def test_places_to_look_at_are_listed_for_one_file_and_for_many(survey, tmp_path
     where, out = (survey, tmp_path / "out") if several else (survey / "west.las", tmp_path / "west.las")
     words = ("--window", 6, "--landscape", 8, "--slope", 0.01, "--relief", 0, "--max-angle", 1)  # much ground is lost
     words += ("--review", tmp_path / "places.geojson")
-    tiles = ("--tile", 60, "--workers", 1) if several else ()
+    tiles = ("--tile", 60, "--wide-halos", "--workers", 1) if several else ()
     done = run("ground", "ost", where, out, *words, *tiles, "--json", "--quiet")
     assert done.exit_code == 0, done.output
     listed = json.loads(done.stdout)["places"]
@@ -239,17 +239,22 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
     """Also if a file was replaced, and nobody heard of it; a file that was not replaced is as it was."""
     files, out = tmp_path / "files", tmp_path / "out"
     shutil.copytree(survey, files)
-    jf.ground(survey, out, PMF, run=jf.RunOptions(tile=50.0, workers=1))
+    jf.ground(survey, out, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, workers=1))
     with pytest.raises(KeyboardInterrupt):
-        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True, executor=Dies(function, after)))
+        jf.ground(
+            files,
+            None,
+            PMF,
+            run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, executor=Dies(function, after)),
+        )
     before, now, expected = las_of(survey), las_of(files), las_of(out)
     replaced = [name for name in now if now[name] != before[name]]
     assert len(replaced) == (after if function == "write_file" else 0)
     assert all(now[name] == expected[name] for name in replaced)
     with pytest.raises(jf.OutputError, match="was begun and is not complete: pass resume=True"):
-        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True))
+        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True))
     executor = Here()
-    options = jf.RunOptions(tile=50.0, in_place=True, resume=True, executor=executor)
+    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, resume=True, executor=executor)
     assert jf.ground(files, None, PMF, run=options).complete
     assert las_of(files) == expected and sorted(p.name for p in files.iterdir()) == ["east.las", "west.las"]
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
@@ -259,11 +264,13 @@ def test_an_input_that_changes_behind_a_run_in_place_is_noticed(survey, tmp_path
     files = tmp_path / "files"
     shutil.copytree(survey, files)
     with pytest.raises(KeyboardInterrupt):
-        jf.ground(files, None, PMF, run=jf.RunOptions(tile=50.0, in_place=True, executor=Dies("do_tile", 3)))
+        jf.ground(
+            files, None, PMF, run=jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, executor=Dies("do_tile", 3))
+        )
     las = laspy.read(files / "west.las")
     las.z[0] += 1.0
     las.write(files / "west.las")
-    options = jf.RunOptions(tile=50.0, in_place=True, resume=True, executor=Here())
+    options = jf.RunOptions(tile=50.0, wide_halos=True, in_place=True, resume=True, executor=Here())
     with pytest.raises(jf.InputError, match="begun with other inputs"):
         jf.ground(files, None, PMF, run=options)
 
@@ -332,7 +339,10 @@ def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monk
 
     monkeypatch.setattr(TileReader, "read", watched)
     for halo in (10.0, 30.0):
-        run, reading = jf.RunOptions(tile=30.0, halo=halo, workers=1, overwrite=True), jf.Reading(units="m")
+        run, reading = (
+            jf.RunOptions(tile=30.0, wide_halos=True, halo=halo, workers=1, overwrite=True),
+            jf.Reading(units="m"),
+        )
         jf.heights(tmp_path / "in.laz", tmp_path / "out", jf.SMRF(), run=run, reading=reading)
     first = seen[0], seen[len(seen) // 2]
     widths = [window[2] - window[0] for window in first]
@@ -341,7 +351,7 @@ def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monk
 
 def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
     before, names = sorted(tmp_path.rglob("*")), ["east.las", "west.las"]
-    how = {"tile": 80.0, "workers": 1}
+    how = {"tile": 80.0, "wide_halos": True, "workers": 1}
     runs = {
         "ground": lambda **more: jf.ground(survey, tmp_path / "out", PMF, run=jf.RunOptions(**how, **more)),
         "heights": lambda **more: jf.heights(survey, tmp_path / "heights", PMF, run=jf.RunOptions(**how, **more)),
@@ -359,7 +369,7 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
     with pytest.raises(jf.OutputError, match="exists"):
         runs["model"](dry_run=True)
     result = CliRunner().invoke(
-        main, ["ground", "pmf", str(survey), str(tmp_path / "new"), "--tile", "80", "--dry-run"]
+        main, ["ground", "pmf", str(survey), str(tmp_path / "new"), "--tile", "80", "--wide-halos", "--dry-run"]
     )
     assert result.exit_code == 0 and "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
     assert sorted(tmp_path.rglob("*")) == before

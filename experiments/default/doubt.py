@@ -14,6 +14,8 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
 
 import jaxfilter as jf
 from experiments.default.search import every_cloud
@@ -109,24 +111,28 @@ def fitted(parts: Iterable[Judged]) -> np.ndarray:
 
 
 def _logistic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Newton's method, in features of unit variance."""
+    """By a trust region, in features of unit variance."""
     mean, spread = x.mean(axis=0), x.std(axis=0) + 1e-6
     z = np.concatenate([np.ones((len(x), 1)), (x - mean) / spread], axis=1)
     ridge = np.diag([0.0, *[RIDGE] * x.shape[1]])
-    w = np.zeros(z.shape[1])
-    w[0] = np.log(y.mean() / (1 - y.mean()))
-    for _ in range(100):
-        p = 1 / (1 + np.exp(-z @ w))
-        slope = z.T @ (p - y) / len(y) + ridge @ w
-        step = np.linalg.solve((z * (p * (1 - p))[:, None]).T @ z / len(y) + ridge, slope)
-        step /= max(1.0, float(np.abs(step).max()))
-        w -= step
-        if np.abs(step).max() < 1e-9:
-            break
-    else:
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        p = expit(z @ w)
+        return float(np.mean(np.logaddexp(0, z @ w) - y * (z @ w)) + w @ ridge @ w / 2), z.T @ (p - y) / len(
+            y
+        ) + ridge @ w
+
+    def curvature(w: np.ndarray) -> np.ndarray:
+        p = expit(z @ w)
+        return (z * (p * (1 - p))[:, None]).T @ z / len(y) + ridge
+
+    start = np.zeros(z.shape[1])
+    start[0] = np.log(y.mean() / (1 - y.mean()))
+    found = minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-9})
+    if not np.abs(found.jac).max() < 1e-6:
         raise RuntimeError("the fit does not converge")
-    weights = w[1:] / spread
-    return np.concatenate([[w[0] - weights @ mean], weights])
+    weights = found.x[1:] / spread
+    return np.concatenate([[found.x[0] - weights @ mean], weights])
 
 
 def stated(one: Judged, weights: np.ndarray) -> np.ndarray:

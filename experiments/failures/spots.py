@@ -68,7 +68,7 @@ def fitted(clouds: Iterable[tuple[Known, jf.FilterResult]]) -> np.ndarray:
         cloud = known.cloud
         side = named.SIDE / cloud.units.xy
         grid = RasterGrid.over(extent_of(cloud), side, cloud.units.xy)
-        surface, found = named.Surface.of(cloud, result, grid), differences_of(known, result)
+        surface, found = named.ReviewCells.of(cloud, result, grid), differences_of(known, result)
         cell, off, _ = _cells(found, side)
         column, row = (cell - (grid.left, grid.bottom)).T
         at, n = (grid.rows - 1 - row) * grid.columns + column, grid.rows * grid.columns

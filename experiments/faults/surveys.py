@@ -247,7 +247,7 @@ def make_survey(place: Path) -> None:
 
 def ground(survey: Path, out: Path, executor: Stopping | None = None, **how: Any) -> Any:
     """One run."""
-    run = jf.RunOptions(tile=30.0, halo=15.0, executor=executor or Stopping(), **how)
+    run = jf.RunOptions(tile=30.0, halo=15.0, wide_halos=True, executor=executor or Stopping(), **how)
     return jf.ground(survey, out, FILTER, reading=jf.Reading(units="m"), run=run)
 
 

@@ -27,7 +27,7 @@ from experiments.tiling import scale
 from jaxfilter.surveys.dask import Cluster
 from jaxfilter.surveys.executors import Task, carried_out
 
-FLAGS = ["--tile", "150", "--halo", "40", "--quiet"]
+FLAGS = ["--tile", "150", "--halo", "40", "--wide-halos", "--quiet"]
 _KILL_EVERY = 20.0  # seconds
 _LOOK = 0.5  # seconds
 

@@ -68,6 +68,7 @@ RUN = [
     option(
         "--halo", "Width around each tile that is read as well.  [default: what the method needs]", click.FloatRange(0)
     ),
+    option("--wide-halos", "Accept a --tile so small that halos hold more than twice its points.", bool),
     option("--workers", "Number of processes, or of threads if there is one tile.  [default: one per core]", COUNT),
     option("--memory", "Memory for all processes together, such as 4GB.  [default: 70 % of what is free]", Bytes()),
     option("--scheduler client", "Address of a Dask scheduler, whose workers then do the work.", "ADDRESS"),

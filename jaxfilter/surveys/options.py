@@ -31,6 +31,7 @@ class RunOptions:
         tile: side of a tile in metres; by default one tile for data of 8 million points or fewer, and else as large as holds
             5 million points with its halo, or as wide as 6 halos.
         halo: metres around each tile that the filter sees as well; by default what the method needs (``Filter.halo``).
+        wide_halos: let halos hold more than twice the points of the tiles; a ``tile`` so small is refused otherwise.
         workers: processes, or threads where there is one tile; by default one per processor, as far as the memory goes. With
             1 everything is done in this process.
         memory: bytes for all processes together; by default seven tenths of what is free. It limits the number of workers.
@@ -45,13 +46,14 @@ class RunOptions:
         measures: of the scene, as ``RunReport.measures`` of another run has them, instead of measuring them here.
         progress: called with the :class:`Standing` about four times a second.
 
-    >>> run = jf.RunOptions(tile=50.0, workers=1)
+    >>> run = jf.RunOptions(tile=50.0, wide_halos=True, workers=1)
     >>> jf.heights("survey", "heights", run=run, reading=jf.Reading(units="m")).complete
     True
     """
 
     tile: float | None = None
     halo: float | None = None
+    wide_halos: bool = False
     workers: int | None = None
     memory: float | None = None
     client: Any = None

@@ -39,7 +39,7 @@ FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SM
 
 
 _TOO_OFTEN = 3.0
-"""Times that tiles of a given size may read every point without a warning; the plan's own read up to 2.3 times as many."""
+"""Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,10 +175,10 @@ class Survey:
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores())))
         check_memory(options, plan)
         times = plan.times_read(files.count)
-        if options.tile is not None and times > _TOO_OFTEN:
-            warn(
-                f"tile={options.tile:g}: every point is read {times:.1f} times, since {cut.halo:g} m around each tile are read "
-                "as well: pass tile= with more, or leave it out"
+        if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
+            raise ParameterError(
+                f"tile={options.tile:g}: every point would be read {times:.1f} times, since {cut.halo:g} m around each tile are "
+                "read as well: pass tile= with more, leave it out, or pass wide_halos=True"
             )
         return plan
 

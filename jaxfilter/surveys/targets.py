@@ -49,6 +49,7 @@ class Targets:
         """
         folder, store = self.folder, self.store
         goes_on, overwrite = options.resume and store.begun, options.overwrite
+        made = isinstance(folder, Path) and not folder.exists()
         if isinstance(folder, Path):
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -56,15 +57,21 @@ class Targets:
                 raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
         if folder is not None:
             self.check(options)
-        with store.locked():
-            if folder is None:
-                self.check(options)
-            if goes_on:
-                store.load()
-            else:
-                store.clear()
-                self._remove_old(overwrite)
-            yield
+        try:
+            with store.locked():
+                if folder is None:
+                    self.check(options)
+                if goes_on:
+                    store.load()
+                else:
+                    store.clear()
+                    self._remove_old(overwrite)
+                yield
+        except BaseException:
+            if made and isinstance(folder, Path):
+                with contextlib.suppress(OSError):  # it holds something
+                    folder.rmdir()
+            raise
         for place in {str(place): place for place in (folder, store.path.parent) if place is not None}.values():
             if isinstance(place, Path) and place.is_dir():
                 remove_dead(place)

@@ -62,7 +62,7 @@ report = jf.ground(
     folder / "survey",
     folder / "classified",
     jf.SMRF(),
-    run=jf.RunOptions(tile=45.0, workers=1),
+    run=jf.RunOptions(tile=45.0, wide_halos=True, workers=1),
 )
 print(
     f"{report.tiles} tiles, {len(report.files)} files, {report.ground:,} of {report.points:,} points are ground"
