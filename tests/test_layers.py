@@ -6,8 +6,10 @@ import dataclasses
 import json
 import shutil
 
+import laspy
 import numpy as np
 import pytest
+import shapely
 from click.testing import CliRunner
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
@@ -440,6 +442,70 @@ def test_products_by_command(survey, tmp_path):
     shutil.rmtree(out)
     assert run("--only", "count", "--classified", 2).exit_code == 0
     assert sorted(p.name for p in out.iterdir()) == ["count.tif", "survey.html"]
+
+
+def test_products_of_an_area_are_cut_from_those_of_the_whole(survey, tmp_path):
+    names, area = ("dtm", "chm"), None
+    for folder in ("whole", "part"):
+        run, reading = jf.RunOptions(executor=Here(width=3), wide_halos=True, tile=60.0), jf.Reading(aoi=area)
+        filter_ = jf.PMF(max_window=9.0, low_clusters=False)
+        made = jf.products(survey / "in", tmp_path / folder, filter_, only=names, reading=reading, run=run)
+        x, y = made.rasters.bounds[:2]
+        area = shapely.Polygon([(x + 20, y + 15), (x + 110, y + 30), (x + 40, y + 100)])
+        assert made.complete and made.ground is not None
+    area = reading.aoi
+    for name in names:
+        whole, part = (jf.Raster.read(tmp_path / folder / f"{name}.tif") for folder in ("whole", "part"))
+        (left, bottom, right, top), (west, _, _, north) = part.bounds, whole.bounds
+        cut = whole.values[int(north - top) : int(north - bottom), int(left - west) : int(right - west)]
+        inside = shapely.intersects_xy(area, *np.meshgrid(*part.centres()))
+        assert 0.3 < inside.mean() < 0.7 and np.isfinite(cut[inside]).mean() > 0.9
+        np.testing.assert_array_equal(part.values[inside], cut[inside])
+        assert np.isnan(part.values[~inside]).all()
+    for path in (tmp_path / "part/classified").glob("*.laz"):
+        las = laspy.read(path)
+        assert shapely.intersects_xy(area.buffer(0.01), las.x, las.y).all()
+
+
+def test_the_side_of_cells_has_two_names_and_two_units(wood, tmp_path):
+    jf.write(tmp_path / "in.laz", jf.PointCloud.from_arrays(wood[0].coordinates(), units="ft"), wood[1])
+    texts, values = [], []
+    for number, words in enumerate(
+        (("--cell", 2 / 0.3048), ("--resolution", 2 / 0.3048), ("--cell", 2, "--cell-units", "m"))
+    ):
+        out = tmp_path / f"{number}.tif"
+        run = CliRunner().invoke(main, ["dtm", *map(str, (tmp_path / "in.laz", out, "--units", "ft", *words))])
+        assert run.exit_code == 0, run.output
+        texts.append(run.stdout)
+        values.append(out.read_bytes())
+    assert values[0] == values[1] == values[2]
+    assert "cells of 6.56168 foot" in texts[0] and "cells of 2 m (6.56168 foot)" in texts[2]
+
+
+def test_one_file_may_go_to_standard_output(survey, done, tmp_path):
+    def run(*words):
+        return CliRunner().invoke(main, [str(word) for word in words])
+
+    tiles = ("--tile", 40, "--wide-halos", "--workers", 1)
+    model = run("dtm", survey / "in", "-", *tiles)
+    assert model.stdout_bytes == (done[0] / "dtm.tif").read_bytes() and "ground points" in model.stderr
+    lines = json.loads(run("contours", survey / "one.laz", "-", "--quiet").stdout)
+    assert lines["type"] == "FeatureCollection" and lines["features"]
+    points = ("ground", "pmf", survey / "one.laz", "--max-window", 9)
+    assert run(*points[:3], tmp_path / "one.laz", *points[3:]).exit_code == 0
+    piped = run(*points[:3], "-", *points[3:], "--json")
+    assert piped.stdout_bytes == (tmp_path / "one.laz").read_bytes()
+    assert json.loads(piped.stderr[piped.stderr.index("{") :])["output"] == "-"
+    assert b"<html" in run("report", survey / "one.laz", "-", "--quiet").stdout_bytes
+    assert run("dtm", survey / "one.laz", "-", "--dry-run").stdout == ""
+    for words, message in (
+        (("ground", "pmf", survey / "in", "-"), "one file: name a folder"),
+        (("height", survey / "in/*.laz", "-"), "one file: name a folder"),
+        (("dtm", survey / "one.laz", "-", "--resume"), "nothing to resume"),
+        (("products", survey / "one.laz", "-"), "several files: name a folder"),
+    ):
+        wrong = run(*words)
+        assert wrong.exit_code == 2 and message in wrong.stderr and not wrong.stdout, wrong.output
 
 
 def test_wrong_products_are_refused_before_anything_is_done(survey, tmp_path):

@@ -50,7 +50,7 @@ REVIEW = option("--review", "Also write the places where the terrain may be wron
 
 _INSTEAD = {
     "--method": "name the method first, jaxfilter ground smrf IN OUT; dtm, height and report take it by --filter",
-    "--resolution": "the side of a grid's cells is --cell, of jaxfilter dtm and of methods on grids, jaxfilter ground smrf "
+    "--resolution": "the side of a method's cells is --cell, as in jaxfilter ground smrf "
     "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
     "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
     "review": "jaxfilter ground IN OUT --review places.gpkg lists the places to look at, jaxfilter report IN page.html shows "
@@ -122,9 +122,9 @@ def ground() -> None:
     A method may be named before IN, as in jaxfilter ground smrf IN OUT: its parameters are options then, see jaxfilter ground
     METHOD --help. Without one the default is taken, set up for the data.
 
-    IN is a LAS, LAZ or text file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc)
-    or URLs, and OUT is a folder. Large data are filtered in tiles that see their surroundings, across files, by several
-    processes.
+    IN is a LAS, LAZ or text file and OUT another, or - for standard output; or IN are folders, patterns, several files, a
+    virtual point cloud (.vpc) or URLs, and OUT is a folder. Large data are filtered in tiles that see their surroundings,
+    across files, by several processes.
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged

@@ -174,7 +174,7 @@ class Files:
     """What a command over files works on.
 
     Attributes:
-        inputs, out: names; no ``out`` in place.
+        inputs, out: names; no ``out`` in place. output: where the results go, in words.
         collection: the inputs.
         reading, run: what the options say.
     """
@@ -184,11 +184,7 @@ class Files:
     collection: Collection
     reading: Reading
     run: RunOptions
-
-    @property
-    def output(self) -> str:
-        """Where the results go."""
-        return self.out or ", ".join(self.inputs)
+    output: str
 
 
 def open_files(
@@ -208,6 +204,9 @@ def open_files(
     if not inputs:
         raise BadUsage("OUT is missing: name a file or a folder to write, or pass --in-place")
     check_inputs(inputs, bare)
+    output = out or ", ".join(inputs)
+    if out == "-":
+        out = str(session.piped(suffixes[-1] if suffixes else _suffix_of(inputs), run.resume))
     if out is not None:
         if suffixes:
             check_target(place_of(out), run.overwrite or run.resume, suffixes)
@@ -218,4 +217,12 @@ def open_files(
         findings = [] if len(collection) < 2 else dataclasses.replace(collection.check(), mixed=None).lines()
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")
-    return Files(inputs, out, collection, reading, run)
+    return Files(inputs, out, collection, reading, run, output)
+
+
+def _suffix_of(inputs: Sequence[str]) -> str:
+    """Of the one file that is read. Raises BadUsage for what becomes several files."""
+    suffix = Path(inputs[0]).suffix
+    if len(inputs) > 1 or not suffix or any(c in inputs[0] for c in "*?[") or Path(inputs[0]).is_dir():
+        raise BadUsage("-: standard output takes one file: name a folder")
+    return suffix

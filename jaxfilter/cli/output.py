@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
 import math
 import os
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -206,10 +209,19 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
         with Session(quiet=quiet, debug=debug, log=log) as session:
             answer = command(session, **arguments)
-        if as_json:
-            click.echo(json_text(session.as_dict() | answer.facts))
-        elif answer.always or not quiet:
-            click.echo(answer.show) if isinstance(answer.show, str) else answer.show()
+            if session.pipe is not None and session.pipe.exists():
+                with session.pipe.open("rb") as file:
+                    shutil.copyfileobj(file, click.get_binary_stream("stdout"))
+        with contextlib.ExitStack() as stack:
+            if session.pipe is not None:
+                stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+            if as_json:
+                click.echo(json_text(session.as_dict() | answer.facts))
+            elif answer.always or not quiet:
+                if isinstance(answer.show, str):
+                    click.echo(answer.show)
+                else:
+                    answer.show()
         if not answer.complete:
             click.get_current_context().exit(1)
 

@@ -54,13 +54,16 @@ def report(
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
 
     The page is one HTML file that needs no network. The ground is what --filter finds, with a slider that labels the points
-    anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed.
+    anew, or the points of class 2 of IN, or of label 0 in text. IN is not changed. OUT may be - for standard output.
     """
     from ..files.reading import read
     from ..reports import ReportOptions
     from ..reports import report as write_report
     from ..reports.page import SUFFIXES
 
+    name = target
+    if str(target) == "-":
+        target = session.piped(SUFFIXES[0])
     check_target(target, overwrite, SUFFIXES)
     if target.exists() and target.samefile(source):
         raise BadUsage(f"{target} is both input and output: name another file")
@@ -85,10 +88,10 @@ def report(
             cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
         )
     size, count = target.stat().st_size, int(ground.sum())
-    facts = {"input": str(source), "output": str(target), "points": len(cloud), "ground": count, "bytes": size}
+    facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
     return Answer(
         facts,
-        f"{target}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}",
+        f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}",
     )
 
 

@@ -10,6 +10,7 @@ import shlex
 import shutil
 import signal
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
@@ -131,6 +132,7 @@ class Session:
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}
         self.warnings: list[str] = []
+        self.pipe: Path | None = None
         self._terminal = sys.stderr.isatty() and not quiet
         self._working = False
         self._items: tuple[float | None, str] = None, ""
@@ -198,6 +200,15 @@ class Session:
     def reading(self, *paths: Place) -> contextlib.AbstractContextManager[None]:
         """The step in which files are read; its rate is that of their bytes. Raises: InputError for URLs."""
         return self.step("read", sum(p.stat().st_size if isinstance(p, Path) else p.status()[0] for p in paths), "B")
+
+    def piped(self, suffix: str, resume: bool = False) -> Path:
+        """Where a command writes the file that goes to standard output at its end. Raises BadUsage if that cannot be."""
+        if resume or sys.stdout.isatty():
+            why = "keeps nothing to resume: name a file" if resume else "is a terminal: add | or >, or name a file"
+            raise BadUsage(f"-: standard output {why}")
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="jaxfilter-"))
+        self.pipe = Path(folder) / f"out{suffix}"
+        return self.pipe
 
     def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:
         """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step.

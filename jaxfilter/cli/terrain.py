@@ -30,7 +30,12 @@ if TYPE_CHECKING:
     from ..surveys.surroundings import GroundSource
 
 
-CELL = option("--cell", "Side of a cell, in file units.", float, default=1.0)
+CELL = [
+    option("--cell --resolution cell", "Side of a cell, in the units of --cell-units.", float, default=1.0),
+    option(
+        "--cell-units", "Units of --cell: those of the files, or metres.", click.Choice(["file", "m"]), default="file"
+    ),
+]
 _MODEL = [
     option("--method", "Interpolation: tin, natural, idw or kriging.", default="tin"),
     option("--max-gap", "Cells farther than this from every ground point get no height, in file units.", float),
@@ -84,14 +89,14 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
     tiles that see the ground around them.
 
     The ground points are those of class 2 of IN, or of label 0 in text, or those that --filter finds. Cells are aligned to
-    multiples of --cell, in the coordinate system and units of IN.
+    multiples of --cell, in the coordinate system and units of IN. If OUT is -, the file goes to standard output.
     """
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
     shared = (*GROUND, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN[:-1])
 
     @main.command(name, help=help)
     @click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-    @with_options(CELL, *own, *shared)
+    @with_options(*CELL, *own, *shared)
     @in_session
     def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
         from ..files.storage import place_of
@@ -102,27 +107,35 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
         from ..terrain.raster import SUFFIXES
 
         layer = take(type(LAYERS[name]), options)
-        how, cell = take(Interpolation, options), options["cell"]
+        how = take(Interpolation, options)
         ground = _ground(options)
         files = open_files(session, names, options, SUFFIXES if layer.SUFFIX in SUFFIXES else tuple(DRIVERS))
         assert files.out is not None
-        outputs = {layer: place_of(files.out)}
+        outputs, (cell, side) = {layer: place_of(files.out)}, _side(files, options)
         with session.step("run", files.collection.count):
             report = make_rasters(
                 files.collection, outputs, ground, cell=cell, interpolation=how, reading=files.reading, run=files.run
             )
         if report.forecast is not None:
             return plan_answer(report.forecast)
-        return _answer(session, report, files, f"{_cells(report, cell)}\n{name}: ", "cell")
+        return _answer(session, report, files, f"{_cells(report, side)}\n{name}: ", "cell")
 
 
 for _name, (_what, _own) in _LAYERS.items():
     _layer_command(_name, _what, _own)
 
 
-def _cells(report: TerrainReport, cell: float) -> str:
+def _side(files: Files, options: dict[str, Any]) -> tuple[float, str]:
+    """Of a cell, in file units, and with its unit in words."""
+    units, cell = files.collection.units, options["cell"]
+    if options["cell_units"] == "file" or units.xy == 1.0:
+        return cell, f"{cell:g} {units.name}"
+    return cell / units.xy, f"{cell:g} m ({cell / units.xy:.6g} {units.name})"
+
+
+def _cells(report: TerrainReport, side: str) -> str:
     """What rasters are, in words."""
-    text = f"{report.rows:,} x {report.columns:,} cells of {cell:g} through {report.ground:,} ground points"
+    text = f"{report.rows:,} x {report.columns:,} cells of {side} through {report.ground:,} ground points"
     return f"{text}, {report.empty:,} cells without a value"
 
 
@@ -135,7 +148,7 @@ def _cells(report: TerrainReport, cell: float) -> str:
         "--classified classes", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True
     ),
     option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
-    CELL,
+    *CELL,
     *RUN[:-1],
 )
 @in_session
@@ -152,12 +165,15 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     from ..surveys.products import products as make_products
     from ..terrain.layers import LAYERS
 
-    recipe, classes, cell = take_recipe(options), options["classes"], options["cell"]
+    recipe, classes = take_recipe(options), options["classes"]
     if recipe is not None and classes:
         raise BadUsage("--filter and --classified: the ground is found, or it is known: name one of the two")
     only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
+    if names[-1] == "-":
+        raise BadUsage("-: products are several files: name a folder")
     files = open_files(session, names, options)
     assert files.out is not None
+    cell, side = _side(files, options)
     with session.step("run", files.collection.count):
         made = make_products(
             files.collection,
@@ -174,7 +190,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         return plan_answer(plan._replace(files=[*more, *plan.files, str(made.page)]))
     if made.ground is not None:
         tell(session, made.ground)
-    answer = _answer(session, made.rasters, files, f"{_cells(made.rasters, cell)}\n", "cell")
+    answer = _answer(session, made.rasters, files, f"{_cells(made.rasters, side)}\n", "cell")
     answer.facts["classified"] = None if made.ground is None else run_facts(session, made.ground)
     answer.facts["page"] = str(made.page)
     return dataclasses.replace(answer, complete=made.complete)
@@ -193,7 +209,8 @@ def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Write the height of every point above the ground, in the units of Z.
 
     IN is a file and OUT another; or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs, and OUT is
-    a folder. The ground of neighbouring files counts as well, so that heights have no seams.
+    a folder. If OUT is -, the file goes to standard output. The ground of neighbouring files counts as well, so that heights
+    have no seams.
 
     The ground is linear in the triangles of the ground points: those of class 2 of IN, or of label 0 in text, or those
     that --filter finds, whose classes are then written as well, as by jaxfilter ground. All points get a height, noise and

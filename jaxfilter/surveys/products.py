@@ -96,12 +96,14 @@ def products(
         return Products(
             classified, make_rasters(what, outputs, tried, cell=cell, reading=reading, run=run), folder / PAGE
         )
-    if classified is not None:
-        if not classified.files:
-            reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
-            raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
+    if classified is not None and not classified.files:
+        reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
+        raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
+    if reading.aoi is not None:  # the rasters need the ground around the area, which is in no classified file
+        ground = Recipe() if ground is None else ground
+    elif classified is not None:
         what, ground = classified.files, (2,)
-        reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds, aoi=reading.aoi)
+        reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
     assert ground is not None
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
     rasters = make_rasters(what, outputs, ground, cell=cell, reading=reading, run=anew)
