@@ -211,7 +211,7 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
             answer = command(session, **arguments)
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:
-                    shutil.copyfileobj(file, click.get_binary_stream("stdout"))
+                    shutil.copyfileobj(file, sys.stdout.buffer)
         with contextlib.ExitStack() as stack:
             if session.pipe is not None:
                 stack.enter_context(contextlib.redirect_stdout(sys.stderr))
