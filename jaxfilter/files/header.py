@@ -478,9 +478,10 @@ def _items(record: bytes) -> list[tuple[int, int, int]]:
     return list(struct.iter_unpack("<3H", record[_ITEMS:]))
 
 
-def laszip_record(point_format: int, extra: int) -> bytes:
-    """What LAZ of new files states of itself; ``extra``: bytes of a point beyond those of its format."""
-    data = bytearray(lazrs.LazVlr.new_for_compression(point_format, extra).record_data())
+def laszip_record(point_format: int, extra: int, variable: bool = False) -> bytes:
+    """What LAZ of new files states of itself; ``extra``: bytes of a point beyond those of its format; ``variable``: chunks
+    differ in their number of points."""
+    data = bytearray(lazrs.LazVlr.new_for_compression(point_format, extra, variable).record_data())
     for at in range(_ITEMS, len(data), _ITEM):
         if struct.unpack_from("<H", data, at)[0] == _WAVES:  # the same bytes, of which LASzip knows version 1 only
             struct.pack_into("<H", data, at + 4, 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -17,7 +18,7 @@ from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, geokeys
-from . import records, text
+from . import copc, records, text
 from .disk import Tally, new_file
 from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
@@ -136,8 +137,10 @@ def write(
     copied byte for byte (header with its dates, scales, records, extra bytes, flags, integer coordinates, waveforms).
     Counts and extent in the header are renewed only for a cloud that was read with ``bounds``. Clouds from text keep
     their other cells and their comments when written as text. Clouds without a LAS file become LAS 1.4, point format 6, to
-    0.001 units (0.0001 if the text has more than three decimals). COPC cannot be written; its points go to plain .laz, in the
-    file's order.
+    0.001 units (0.0001 if the text has more than three decimals).
+
+    A name that ends in .copc.laz makes a COPC file: the same records in the order of an octree. Point formats 0 to 3 become 6 and
+    7 then, which is said; those with waveforms (4, 5, 9, 10) are refused. COPC that is written as .laz loses its octree.
 
     Args:
         path: the output; it appears whole or not at all. May be a URL that fsspec can write to (``"s3://..."``).
@@ -178,8 +181,10 @@ def write_cloud(
 ) -> Place:
     """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
-    if kind not in LAS_SUFFIXES + text.SUFFIXES or path.name.lower().endswith(".copc.laz"):
-        raise OutputError(f"{path}: the suffix must be one of {', '.join(LAS_SUFFIXES + text.SUFFIXES)}, not .copc.laz")
+    if kind not in LAS_SUFFIXES + text.SUFFIXES:
+        raise OutputError(
+            f"{path}: the suffix must be one of {', '.join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))}"
+        )
     labels = _Labels(cloud, result, classes, additions)
     source: Handle | None = cloud.source
     if source is not None and source.points != len(cloud):
@@ -193,11 +198,19 @@ def write_cloud(
             named.append(f"noise_class={classes.noise_class!r}")
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
+    if copc.is_copc(path) and source is not None and source.kind == "las":
+        copc.check_format(path, source.header().point_format)
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Tally()) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
         if kind in text.SUFFIXES:
             _write_text(path, temporary, cloud, labels, tally)
+        elif copc.is_copc(path):
+            with tempfile.TemporaryDirectory(dir=temporary.parent) as folder:
+                plain = Path(folder) / "plain.las"
+                with open(plain, "xb") as file:
+                    _write_las(path, file, cloud, labels, tally)
+                copc.write_octree(plain, temporary)
         else:
             with open(temporary, "xb") as file:
                 _write_las(path, file, cloud, labels, tally)
@@ -288,9 +301,10 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         raise OutputError(f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64")
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
     compressor, drop = None, ("copc",) if header.is_copc else ()
-    if path.suffix.lower() == ".laz":
+    octree = copc.is_copc(path)
+    if path.suffix.lower() == ".laz" and not octree:
         compressor = laszip_record(number, header.record_length + 4 * len(added) - RECORD_LENGTHS[number])
-    if header.is_copc:
+    if header.is_copc and not octree:
         kind = "LAS" if compressor is None else "LAZ"
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
     recount = las is None or las.bounds is not None or las.rows is not None

@@ -19,6 +19,7 @@ from ..core.filter import Filter
 from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
+from ..files.copc import check_format, is_copc
 from ..files.disk import Seal
 from ..methods import FILTERS
 from .collection import Collection
@@ -116,6 +117,9 @@ class Survey:
 
             reading = dataclasses.replace(self.reading, aoi=area_of(self.reading, self.collection))
             self = dataclasses.replace(self, reading=reading)
+        for source, place in zip(self.collection, self.targets.places, strict=False):
+            if is_copc(place) and source.point_format is not None:
+                check_format(place, source.point_format)
         if self.options.dry_run:
             return self._forecast(cut_for, product_for)
         targets, store = self.targets, self.targets.store
