@@ -1,4 +1,4 @@
-"""What the experiments share: tables as Markdown and CSV, small PNG files, and the machine that figures were measured on."""
+"""What the experiments share: tables as Markdown and CSV, small PNG files, and pages that say what they stand on."""
 
 from __future__ import annotations
 
@@ -7,17 +7,83 @@ import io
 import math
 import os
 import platform
+import re
 import statistics
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from jaxfilter.sweeps.tables import Column, markdown
 
-__all__ = ["Column", "Row", "cores", "machine", "markdown", "read_csv", "save_png", "with_averages", "write_csv"]
+__all__ = [
+    "Column", "Made", "Row", "cores", "machine", "made", "markdown", "read_csv", "save_png", "with_averages", "write_csv",
+    "write_page",
+]  # fmt: skip
 
 Row = dict[str, Any]
+SPENT = "EXPERIMENTS_SPENT"
+"""Environment variable: seconds that earlier runs, which were interrupted, have spent on a page."""
+_started = time.perf_counter() - float(os.environ.get(SPENT, 0))
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a page says of itself: the command, when (UTC) and how long, and the labels it stands on by method."""
+
+    command: str
+    date: str
+    seconds: int
+    labels: dict[str, str]
+
+
+_MADE = re.compile(r"^`(python [^`]+)`, (\d{4}-\d\d-\d\d \d\d:\d\d) UTC, ([\d,]+) s on ", re.MULTILINE)
+_LABELS = re.compile(r"^Labels: .*", re.MULTILINE)
+_COUNTS = re.compile(r"`(\w+) ([\d ]+)`")
+
+
+def made(path: Path) -> Made | None:
+    """What the page says of itself; None if it does not exist or was not written by :func:`write_page`."""
+    text = path.read_text() if path.exists() else ""
+    found, labels = _MADE.search(text), _LABELS.search(text)
+    if found is None or labels is None:
+        return None
+    return Made(found[1], found[2], int(found[3].replace(",", "")), dict(_COUNTS.findall(labels[0])))
+
+
+def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ()) -> None:
+    """Write a page of results: after its title the command, date, duration and machine, and at its end the labels that it
+    stands on, by which ``experiments/remake.py`` tells whether it is stale.
+
+    Args:
+        text: Markdown; the first line is the title.
+        command: what makes this page anew, such as "python experiments/tiles/run.py".
+        methods: whose labels the figures depend on, and "scenes" if simulated scenes are behind them. Names that are no
+            method are passed over. None for pages on speed or files only.
+    """
+    global _started
+    from experiments import labels
+    from jaxfilter import FILTERS
+
+    wanted = set(methods)
+    counts = {name: labels.counts(name) for name in (*sorted(FILTERS), labels.SCENES) if name in wanted}
+    seconds, _started = time.perf_counter() - _started, time.perf_counter()
+    before = made(path)
+    if before and before.labels.items() & counts.items():  # rows of methods that have not changed may have been kept
+        seconds = max(seconds, before.seconds)
+    command = re.sub(r" --data \S+", "", command)
+    date = time.strftime("%Y-%m-%d %H:%M", time.gmtime())
+    title, _, body = text.partition("\n")
+    behind = ", ".join(f"`{name} {numbers}`" for name, numbers in counts.items())
+    last = (
+        f"ground points on the clouds of `experiments/labels.py`: {behind}" if behind else "none are behind this page"
+    )
+    head = f"`{command}`, {date} UTC, {seconds:,.0f} s on {machine()}."
+    part = path.with_name(path.name + ".part")
+    part.write_text(f"{title}\n\n{head}\n\n{body.strip()}\n\nLabels: {last}.\n")
+    part.replace(path)
 
 
 def read_csv(path: Path) -> list[Row]:

@@ -14,13 +14,13 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import jaxfilter as jf  # noqa: E402
-from experiments import report, report_page  # noqa: E402
+from experiments import labels, quoted, remake, report, report_page  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
-from experiments.failures import cuts, pages  # noqa: E402
+from experiments.failures import cuts  # noqa: E402
 from experiments.failures import run as failures  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
@@ -504,7 +504,6 @@ def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkey
     monkeypatch.setattr(jf.SMRF, "__call__", None)
     failures.main(given)
     assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
-    assert pages.page({}, "nothing").endswith("nothing")
 
 
 def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):
@@ -830,3 +829,155 @@ def f(é: int | None, limit: float = 1.5) -> int | None:
         assert compile(code, "f.py", "exec") and code != source
         assert "Not 2." in code and "é: int | None" in code and some.first <= some.line <= 6
     assert not any(some.before == "é + 1" for some in found)
+
+
+def test_pages_of_results_say_whether_they_are_of_the_labels_of_the_code():
+    text = remake.README.read_text()
+    assert text == remake.listed(text), "run python experiments/remake.py --list"
+    for name, page in remake.PAGES.items():
+        script = page.command.removeprefix("-m ").split()[0]
+        script = script if script.endswith(".py") else script.replace(".", "/") + ".py"
+        assert (ROOT / script).exists() and name.startswith(script.split("/")[1]), name
+
+
+def test_quoted_figures_are_those_of_the_results():
+    for path in quoted.pages():
+        assert path.read_text() == quoted.filled(path.read_text()), f"{path}: run python experiments/quoted.py"
+    page = ROOT / "docs" / "results" / "README.md"
+    assert page.read_text() == report_page.page(ROOT / "experiments", "../../experiments"), (
+        "run experiments/report_page.py"
+    )
+
+
+def test_a_figure_is_the_mean_of_a_column_over_the_rows_asked_for():
+    rows = report.read_csv(ROOT / "experiments" / "isprs" / "results" / "fixed.csv")
+    mean = {m: statistics.fmean(row["total"] for row in rows if row["method"] == m) for m in ("smrf", "ptd")}
+    found = quoted.filled("a <!-- = isprs/fixed.csv method=smrf total .3f -->0<!-- / --> b <!-- / -->")
+    assert found == f"a <!-- = isprs/fixed.csv method=smrf total .3f -->{mean['smrf']:.3f}<!-- / --> b <!-- / -->"
+    assert quoted.quoted("isprs/fixed.csv method=smrf total - isprs/fixed.csv method=ptd total +.2f") == (
+        f"{mean['smrf'] - mean['ptd']:+.2f}"
+    )
+    for wrong in ("method=none total", "method=smrf sample"):
+        with pytest.raises(ValueError, match=r"no (such row|number)"):
+            quoted.quoted(f"isprs/fixed.csv {wrong} .1f")
+
+
+@pytest.fixture
+def two_pages(tmp_path, monkeypatch):
+    """A folder in place of that of the experiments, with a page and one on SMRF that reads it; the labels are made up."""
+    script = tmp_path / "script.py"
+    script.write_text(f"""
+import sys
+from pathlib import Path
+
+sys.path.insert(0, {str(ROOT)!r})
+from experiments import labels
+from experiments.report import write_page
+
+labels.counts = lambda name: "1 2 3"
+if "fail" in sys.argv:
+    sys.exit("no")
+place = Path({str(tmp_path)!r}, "one", "results", sys.argv[1])
+write_page(place, "# A title\\n\\nText.", f"python {{' '.join(sys.argv)}}", sys.argv[2:])
+""")
+    (tmp_path / "one" / "results").mkdir(parents=True)
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before {remake.START} old {remake.END} after")
+    monkeypatch.setattr(remake, "HERE", tmp_path)
+    monkeypatch.setattr(remake, "README", readme)
+    monkeypatch.setattr(remake, "TIMES", tmp_path / "out" / "begun.json")
+    one, two = "one/results/one.md", "one/results/two.md"
+    pages = {
+        two: remake.Page(f"{script} two.md smrf", "two", 1, (one,)),
+        one: remake.Page(f"{script} one.md", "one", 2),
+    }
+    monkeypatch.setattr(remake, "PAGES", pages)
+    monkeypatch.setattr(report_page, "main", lambda _: None)
+    monkeypatch.setattr(quoted, "main", lambda _: None)
+    monkeypatch.setattr(labels, "counts", {"smrf": "1 2 3"}.__getitem__)
+    return tmp_path
+
+
+def test_stale_pages_are_made_once_after_those_that_they_read(two_pages, monkeypatch, capsys):
+    one, two = two_pages / "one" / "results" / "one.md", two_pages / "one" / "results" / "two.md"
+    assert [name for _, name, _ in remake.plan([])] == ["one/results/one.md", "one/results/two.md"]
+    assert remake.main(["--budget", "1.5"]) == 0 and not one.exists() and not two.exists()
+    assert remake.main(["--only", "one.md"]) == 0
+    made = report.made(one)
+    assert made.labels == {} and made.command == f"python {two_pages / 'script.py'} one.md"
+    assert one.read_text().splitlines()[0] == "# A title" and 0 < made.seconds < 60
+    text = remake.README.read_text()
+    assert text.startswith("before ") and text.endswith(" after") and "1 of 2 pages are stale" in text
+    assert remake.main([]) == 0
+    assert report.made(two).labels == {"smrf": "1 2 3"} and not list(remake.plan([]))
+    monkeypatch.setattr(labels, "counts", {"smrf": "1 2 4"}.__getitem__)
+    assert remake.stale("one/results/two.md", remake.PAGES["one/results/two.md"]) == "of other labels: smrf"
+    assert [name for _, name, _ in remake.plan([])] == ["one/results/two.md"]
+    assert "**stale**, of other labels: smrf" in remake.listed(text)
+    two.write_text(two.read_text().replace("two.md smrf`", "two.md`"))
+    assert remake.stale("one/results/two.md", remake.PAGES["one/results/two.md"]) == "of another command"
+
+
+def test_a_driver_that_is_interrupted_says_so_and_counts_the_time(two_pages, monkeypatch):
+    class Process:
+        def __init__(self, *_, **__):
+            self.waits = 0
+
+        def wait(self):
+            self.waits += 1
+            if self.waits == 1:
+                raise KeyboardInterrupt
+
+        def terminate(self):
+            pass
+
+    monkeypatch.setattr(remake.subprocess, "Popen", Process)
+    clock = iter(range(1000, 2000, 7))
+    monkeypatch.setattr(remake.time, "time", lambda: float(next(clock)))
+    assert remake.main(["--only", "one.md"]) == 130
+    spent = json.loads(remake.TIMES.read_text())["one/results/one.md"]["spent"]
+    assert spent > 0 and "2 of 2 pages are stale" in remake.README.read_text()
+    monkeypatch.undo()
+
+
+def test_a_page_that_could_not_be_made_stays_stale(two_pages, monkeypatch, capsys):
+    broken = remake.Page(f"{two_pages / 'script.py'} fail", "one", 2)
+    monkeypatch.setitem(remake.PAGES, "one/results/one.md", broken)
+    assert remake.main([]) == 1
+    said = capsys.readouterr().out
+    assert "exit code 1; it is stale: not made yet" in said and "one/results/two.md is left" in said
+
+
+def test_rows_of_other_labels_are_not_kept(tmp_path, two_samples, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    given = [
+        "--data",
+        str(two_samples),
+        "--out",
+        str(tmp_path),
+        "--samples",
+        "53",
+        "--methods",
+        "smrf",
+        "--budget",
+        "2",
+    ]
+    given += ["--processes", "1", "--repeats", "1", "--no-figures"]
+    isprs.main(given)
+    first = report.read_csv(tmp_path / "search" / "smrf.csv")
+    monkeypatch.setattr(labels, "word", lambda name: "l0")
+    ran = []
+    evaluate = search.evaluate
+    monkeypatch.setattr(search, "evaluate", lambda *task: ran.append(len(task[3])) or evaluate(*task))
+    isprs.main(given)
+    again = report.read_csv(tmp_path / "search" / "smrf.csv")
+    assert ran == [2] and [row | {"parameters": ""} for row in again] == [row | {"parameters": ""} for row in first]
+    assert {row["parameters"].partition("-")[2] for row in again} == {"l0"}
+    assert len(report.read_csv(tmp_path / "search" / "timed.csv")) == 1
+
+
+def test_labels_are_counted_on_clouds_that_tell_methods_apart():
+    found = {name: labels.counts(name) for name in ("smrf", "ptd", "csf")}
+    assert len(set(found.values())) == 3
+    cloud = labels.clouds()[0]
+    assert found["smrf"].split()[0] == str(int(jf.SMRF.for_cloud(cloud)(cloud).ground.sum()))

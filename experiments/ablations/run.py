@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import protocols, samples, search, spaces
-from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.points import Points
 from jaxfilter.engines.grid.inpaint import fill_membrane, fill_nearest
 from jaxfilter.engines.tin.facets import Rule
@@ -599,12 +599,13 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"{i}/{len(tasks)}: {task[0]}, {len(rows)} variants", file=sys.stderr, flush=True)
     wanted = {(v.choice, v.name, f"samp{n}") for v in chosen for n in numbers}
     latest = {(row["choice"], row["variant"], row["sample"]): row for row in read_csv(path)}
+    write_csv(path, list(latest.values()))
     rows = [row | protocols.scores(row) for key, row in latest.items() if key in wanted]
     lines = summary(rows, chosen)
     write_csv(options.out / "summary.csv", lines)
-    (options.out / "results.md").write_text(
-        report(shlex.join(["python", "experiments/ablations/run.py", *given]), lines, rows, len(numbers))
-    )
+    command = shlex.join(["python", "experiments/ablations/run.py", *given])
+    methods = {v.name.split(":")[0].lower() for v in chosen}
+    write_page(options.out / "results.md", report(lines, rows, len(numbers)), command, methods)
     figure(lines, options.out / "total.png")
     print(f"results are in {options.out}")
 
@@ -680,11 +681,10 @@ TABLE: list[Column] = [
 """Means, medians, and the comparison with the baseline of the same method."""
 
 
-def report(command: str, lines: Sequence[Row], rows: Sequence[Row], count: int) -> str:
+def report(lines: Sequence[Row], rows: Sequence[Row], count: int) -> str:
     """The report as Markdown: a table per choice, and the angle limit per terrain class."""
     text = [
         "# Choices within the methods",
-        f"`{command}` on {machine()}.",
         f"Means and medians over {count} ISPRS samples, in percent. Everything but the choice in question is the fixed "
         "set of the protocol in `experiments/isprs`: `for_cloud(cloud)`, nothing chosen per sample. "
         "The baseline, that fixed set, is bold. Variants marked † use the labels and show only what is to be gained.",

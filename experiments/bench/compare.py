@@ -31,11 +31,18 @@ def main(arguments: list[str] | None = None) -> None:
     sys.path.insert(0, str(here.parents[2]))
     from experiments.bench.run import make_scene
     from experiments.isprs import samples
-    from experiments.report import machine, markdown, write_csv
+    from experiments.report import markdown, write_csv, write_page
 
     options = _parser().parse_args(given)
+    work = here.parent / "out"
+    if not options.before.is_dir():  # a revision
+        revision, options.before = str(options.before), work / "before"
+        if not options.before.is_dir():
+            subprocess.run(
+                ["git", "worktree", "add", "--detach", options.before, revision], cwd=here.parent, check=True
+            )
     versions = {"before": options.before.resolve(), "after": here.parents[2]}
-    scenes = options.out / "scenes"
+    scenes = work / "scenes"
     scenes.mkdir(parents=True, exist_ok=True)
 
     def scene(millions: float) -> str:
@@ -74,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
                 continue
             done = subprocess.run(
                 [sys.executable, str(here), "--task", json.dumps(task)],
-                env=os.environ | {"PYTHONPATH": str(tree), "JAXFILTER_CACHE": str(options.out.resolve() / version)},
+                env=os.environ | {"PYTHONPATH": str(tree), "JAXFILTER_CACHE": str(work.resolve() / version)},
                 cwd=tree, check=True, capture_output=True, text=True,
             )  # fmt: skip
             found = json.loads(done.stdout.splitlines()[-1])
@@ -93,14 +100,14 @@ def main(arguments: list[str] | None = None) -> None:
     text = [
         "# Methods on triangulations, before and after",
         "",
-        f"`{command}`; {machine()}. Before: {_version(versions['before'])}; after: {_version(versions['after'])}. Medians "
+        f"Before: {_version(versions['before'])}; after: {_version(versions['after'])}. Medians "
         "of three calls (one of sweeps), each row and version in a process of its own, after a first call. Peak "
         "memory is that of the process, with the cloud and the libraries. Commands are timed from start to end, with caches "
         "filled.",
         "",
         markdown(columns, rows),
     ]
-    (options.out / "compare.md").write_text("\n".join(text) + "\n")
+    write_page(options.out / "compare.md", "\n".join(text), command)
     print("\n".join(text))
 
 
@@ -169,7 +176,9 @@ def _version(tree: Path) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--before", type=Path, required=True, help="checkout of the earlier version")
+    parser.add_argument(
+        "--before", type=Path, required=True, help="the earlier version: a checkout, or a revision of git"
+    )
     parser.add_argument("--data", type=Path, help="folder of the ISPRS samples [JAXFILTER_DATA or ../shared/data]")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for results [%(default)s]")
     parser.add_argument(

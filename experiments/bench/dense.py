@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.report import Column, Row, machine, markdown
+from experiments.report import Column, Row, markdown, write_page
 
 SIDE, CELL = 100.0, 0.1
 NOISE, SHARED = 0.025, 0.03
@@ -100,9 +100,9 @@ def main(arguments: list[str] | None = None) -> None:
         ("bias", "ground above terrain, m", ".3f"),
     ]
     command = shlex.join(["python", "experiments/bench/dense.py", *given])
-    text = ["# Cost at high density", "", f"`{command}` on {machine()}.", "", markdown(columns, rows)]
+    text = ["# Cost at high density", "", markdown(columns, rows)]
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "dense.md").write_text("\n".join(text) + "\n")
+    write_page(options.out / "dense.md", "\n".join(text), command, ["ost"])
     print("\n".join(text))
 
 

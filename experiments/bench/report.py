@@ -16,7 +16,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.report import Column, Row, machine, markdown
+from experiments.report import Column, Row, markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -52,10 +52,10 @@ def main(arguments: list[str] | None = None) -> None:
     cloud = _cloud(options.cloud, options.points, options.copies)
     rows = [_row(name, cloud) for name in options.methods]
     command = shlex.join(["python", "experiments/bench/report.py", *given])
-    text = f"# Reports\n\n`{command}` on {machine()}.\n\n{markdown(COLUMNS, rows)}\n"
+    text = f"# Reports\n\n{markdown(COLUMNS, rows)}\n"
     print(text)
     if options.out is not None:
-        options.out.write_text(text)
+        write_page(options.out, text, command)
 
 
 def _cloud(path: Path | None, points: float, copies: int) -> jf.PointCloud:

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.bench import peers
-from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 
 HERE = Path(__file__).parent
 COMMAND = "import sys; from jaxfilter.cli import main; sys.exit(main())"
@@ -56,10 +56,14 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit("nothing was measured")
     if options.add:
         rows = added(rows, options.out / "bench.csv")
-    write_csv(options.out / "bench.csv", rows)
-    text = report(rows, shlex.join(["python", "experiments/bench/run.py", *given]), options.repeats)
-    (options.out / "results.md").write_text(text)
-    scaling(rows, options.out / "scaling.png")
+    large = options.page != "results"
+    write_csv(options.out / f"{options.page if large else 'bench'}.csv", rows)
+    text = report(rows, options.repeats)
+    command = shlex.join(["python", "experiments/bench/run.py", *given])
+    methods = [CASES[name].method for name in options.only if name in CASES]
+    write_page(options.out / f"{options.page}.md", text, command, (*methods, "scenes"))
+    if not large:
+        scaling(rows, options.out / "scaling.png")
     print(text)
     if failures:
         raise SystemExit(f"{failures} measurements failed, see above")
@@ -211,7 +215,7 @@ def _peer_scores(place: Path, target: Path) -> Row:
     return row
 
 
-def report(rows: list[Row], command: str, repeats: int) -> str:
+def report(rows: list[Row], repeats: int) -> str:
     """Everything as Markdown."""
     time_columns: list[Column] = [
         ("name", "method", ""),
@@ -252,8 +256,6 @@ def report(rows: list[Row], command: str, repeats: int) -> str:
     ]
     text = [
         "# Speed and memory",
-        "",
-        f"`{command}` on {machine()}.",
         "",
         f"Scene `benchmark`, seed 1. Warm = a call on a cloud in memory, after a first one, median of {repeats}; its results are "
         "on the host, so nothing is still running when it returns. Command = a fresh process from LAS to LAS with a filled "
@@ -373,6 +375,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--platform", help="of JAX, such as cpu or cuda [what JAX finds]")
     parser.add_argument("--add", action="store_true", help="to the figures of an earlier run in --out, instead of anew")
     parser.add_argument("--keep-scenes", action="store_true", help="keep the LAS files for the next run")
+    parser.add_argument("--page", default="results", help="name of the page, such as large [%(default)s]")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
     return parser
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from unittest import mock
@@ -20,7 +19,8 @@ from scipy.special import expit
 import jaxfilter as jf
 from experiments.default.search import every_cloud
 from experiments.defaults import clouds
-from experiments.report import write_csv
+from experiments.isprs.samples import data_folder
+from experiments.report import write_csv, write_page
 from jaxfilter.steps import doubt, doubt_model
 from jaxfilter.sweeps import tables
 
@@ -201,13 +201,11 @@ def module(weights: np.ndarray) -> str:
 def main() -> None:
     """Fit, test, and write tables, the diagram and, if asked, the weights."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--data", type=Path, default=os.environ.get("JAXFILTER_DATA"), help="folder with isprs/ and tiles/"
-    )
+    parser.add_argument("--data", type=Path, help="folder with isprs/ and tiles/ [JAXFILTER_DATA]")
     parser.add_argument("--write", action="store_true", help="put the weights into the package")
     arguments = parser.parse_args()
     parts = []
-    for one in every(Path(arguments.data)):
+    for one in every(data_folder(arguments.data)):
         print(
             one.known.name,
             len(one.rows),
@@ -238,12 +236,9 @@ def main() -> None:
         ("ece", "ECE", ".3f"), ("found", "errors in the most doubtful 10 % of points, %", ".1f"),
     ]  # fmt: skip
     table = tables.markdown(columns, rows)
-    (results / "doubt.md").write_text(
-        table
-        + "\n\n"
-        + tables.markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
-        + "\n"
-    )
+    detail = tables.markdown([*columns, ("unnamed", "on the ground, not labelled so, %", ".1f")], each)
+    command = "python -m experiments.default.doubt" + " --write" * arguments.write
+    write_page(results / "doubt.md", f"# What doubts are worth\n\n{table}\n\n{detail}", command, ("ost", "scenes"))
     picture(tests, results / "doubt.png")
     print(table)
     if arguments.write:

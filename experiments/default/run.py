@@ -14,10 +14,11 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
+from experiments import labels
 from experiments.default import search
 from experiments.defaults import clouds
 from experiments.isprs import samples
-from experiments.report import machine, markdown
+from experiments.report import markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -54,7 +55,6 @@ def main(arguments: list[str] | None = None) -> None:
     tried = scored(search.tried(folder, options.sets, options.out))
     text = [
         "# OST: where its constants come from, and what they give", "",
-        f"`{shlex.join(['python', 'experiments/default/run.py', *given])}` on {machine()}.", "",
         *folds(tried, search.sets(options.sets)),
     ]  # fmt: skip
     if "methods" not in options.skip or "ablations" not in options.skip:
@@ -65,7 +65,10 @@ def main(arguments: list[str] | None = None) -> None:
             text += ablations(known, options.out)
     if "scenes" not in options.skip:
         text += scenes(options.scene_methods, options.out)
-    (options.out / "results.md").write_text("\n".join(text) + "\n")
+    command = shlex.join(["python", "experiments/default/run.py", *given])
+    others = [] if "methods" in options.skip else METHODS
+    others = others if "scenes" in options.skip else options.scene_methods
+    write_page(options.out / "results.md", "\n".join(text), command, ("ost", *others, "scenes"))
     print(f"results are in {options.out}")
 
 
@@ -178,6 +181,8 @@ def measured(
 ) -> pd.DataFrame:
     """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
+    words = {name: labels.word(name.split(",")[0] if "," in name else "ost") for name in filters}
+    rows = [row for row in rows if row.get("labels") == words.get(row["set"])]
     done = {(row["set"], row["cloud"]) for row in rows}
     for name, make in filters.items():
         for one in known:
@@ -187,7 +192,7 @@ def measured(
             found = make(one.cloud)(one.cloud).ground[one.scored]
             rows.append({
                 "set": name, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()),
+                "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": words[name],
             })  # fmt: skip
         print(name, file=sys.stderr, flush=True)
     rows.sort(key=lambda row: list(filters).index(row["set"]))
@@ -236,6 +241,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
     """Every layout at four densities: total errors, and the terrain model's root mean square error."""
     path = out / "scenes.csv"
     rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
+    rows = [row for row in rows if row.get("labels") == labels.word(row["method"])]
     done = {(row["density"], row["layout"], row["method"]) for row in rows}
     for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), clouds.LAYOUTS):
         missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
@@ -244,7 +250,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
             for name in missing:
                 result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
                 error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
-                rows.append({"layout": layout, "density": density, "method": name, "total": error,
+                rows.append({"layout": layout, "density": density, "method": name, "total": error, "labels": labels.word(name),
                              "rmse": jf.dtm_rmse(scene.cloud, result, scene.truth, near=None).rmse})  # fmt: skip
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)

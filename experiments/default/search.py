@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import qmc
 
 import jaxfilter as jf
+from experiments import labels
 from experiments.defaults import clouds
 from experiments.isprs import samples
 
@@ -59,19 +60,20 @@ def sets(count: int) -> list[dict[str, float]]:
 
 
 def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
-    """A row for every set and cloud, with errors of both kinds as counts; those that are in the file are not run again."""
+    """A row for every set and cloud, with errors of both kinds as counts; those that are in the file, by the labels of now,
+    are not run again."""
     path = out / "search.csv"
     rows: list[dict[str, str]] = []
     if path.exists():
         with path.open() as file:
-            rows = list(csv.DictReader(file))
+            rows = [row for row in csv.DictReader(file) if row.get("labels") == labels.word("ost")]
     done = {(row["set"], row["cloud"]) for row in rows}
     wanted = list(enumerate(sets(count)))
     known = list(every_cloud(folder))
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, ["set", "cloud", "group", "points", "ground", "lost", "wrong"])
-        if not rows:
-            writer.writeheader()
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, ["set", "cloud", "group", "points", "ground", "lost", "wrong", "labels"])
+        writer.writeheader()
+        writer.writerows(rows)
         for number, values in wanted:
             for one in known:
                 if (str(number), one.name) in done:
@@ -80,7 +82,7 @@ def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
                 truth = one.ground[one.scored]
                 row = {
                     "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()),
+                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": labels.word("ost"),
                 }  # fmt: skip
                 writer.writerow(row)
                 rows.append({key: str(value) for key, value in row.items()})

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.defaults import choices, clouds
 from experiments.isprs import samples, search
-from experiments.report import Column, Row, machine, markdown, read_csv, write_csv
+from experiments.report import Column, Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
@@ -34,7 +34,11 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     asked = [c for c in choices.CHOICES if not options.choices or any(c.name.startswith(p) for p in options.choices)]
     path = options.out / "runs.csv"
-    kept = {_key(row): row for row in (read_csv(path) if path.exists() and not options.fresh else [])}
+    kept = {
+        _key(row): row
+        for row in (read_csv(path) if path.exists() and not options.fresh else [])
+        if search.current(row, jf.FILTERS)
+    }
     rows = []
     for known in clouds.clouds(folder, [n for n in clouds.names() if not options.groups or n[0] in options.groups]):
         rows += run(known, asked, kept, only_kept=options.at_hand)
@@ -43,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     command = shlex.join(["python", "experiments/defaults/run.py", *given])
     tables = [table(choice, [row for row in rows if row["choice"] == choice.name]) for choice in asked]
     write_csv(options.out / "means.csv", [line for lines in tables for line in lines])
-    (options.out / "results.md").write_text(report(asked, tables, command))
+    write_page(options.out / "results.md", report(asked, tables), command, (*{c.method for c in asked}, "scenes"))
     for choice, lines in zip(asked, tables, strict=True):
         print(f"{choice.name}\n{_markdown(lines)}\n")
 
@@ -124,11 +128,10 @@ def _markdown(lines: Sequence[Row]) -> str:
     return markdown([*columns, ("note", "", "")], lines)
 
 
-def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]], command: str) -> str:
+def report(asked: Sequence[choices.Choice], tables: Sequence[Sequence[Row]]) -> str:
     """All tables as Markdown."""
     text = [
         "# Defaults chosen on simulated scenes and tiles",
-        f"`{command}` on {machine()}.",
         "Mean total errors in percent: ten layouts at each density (last echoes), and the labelled tiles that "
         "`experiments/tiles` does not have (all echoes). Fields that are not named are those of `for_cloud`. The last column of "
         f"numbers is the mean of those before it; within {TIE:g} points of the least it counts as among the best.",

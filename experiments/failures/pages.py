@@ -9,9 +9,9 @@ from experiments.report import Column, Row, markdown
 KINDS = ("tiles", "hard tiles", "scenes")
 
 
-def page(tables: dict[str, list[Row]], head: str) -> str:
+def page(tables: dict[str, list[Row]]) -> str:
     """All tables as Markdown, of the parts that have rows."""
-    text = ["# Where methods fail", "", head, ""]
+    text = ["# Where methods fail", ""]
     makers = {"measures": measures, "cuts": cuts, "places": places, "spots": spots}
     for part, rows in tables.items():
         if rows:

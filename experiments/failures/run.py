@@ -22,10 +22,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
+from experiments import labels
 from experiments.defaults.clouds import Known, tile
 from experiments.failures import cuts, pages, places, spots
 from experiments.isprs import samples
-from experiments.report import Row, machine, read_csv, write_csv
+from experiments.report import Row, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 from jaxfilter.scoring import reference_labels
@@ -34,6 +35,8 @@ HERE = Path(__file__).parent
 SCENES = ("coast", "gorge", "benches", "vineyard", "canopy")
 SIZES = {0.5: (400.0, 300.0), 2.0: (400.0, 300.0), 8.0: (400.0, 160.0)}
 """Extents in metres by density in pulses per square metre."""
+METHODS = {"measures": tuple(jf.FILTERS), "cuts": ("ost", "smrf"), "places": ("ost", "smrf", "pmf"), "spots": ("ost",)}
+"""Methods of each part, where none are named."""
 SEED, SWATH = 101, 250.0
 FILLED = jf.Interpolation(fill=True)
 """Every cell has a height, so that none is left out where ground was lost."""
@@ -50,22 +53,22 @@ def main(arguments: list[str] | None = None) -> None:
     known = list(names(folder, options.clouds))
     if options.part in ("measures", "all"):
         table = Rows(options.out / "measures.csv", options)
-        for name, method in table.open(known, options.methods):
+        for name, method in table.open(known, options.methods or METHODS["measures"]):
             table.add(measured(load(folder, name), method))
     if options.part in ("cuts", "all"):
         table = Rows(options.out / "cuts.csv", options)
         known = [name for name in known if not name.endswith((" 0.5", " 8"))]
         share = -(-options.count // max(len(known), 1))
-        for name, method in table.open(known, options.methods, share):
+        for name, method in table.open(known, options.methods or METHODS["cuts"], share):
             table.add(*cuts.rows(load(folder, name), method, share))
     if options.part in ("places", "all"):
         table = Rows(options.out / "places.csv", options)
-        for number, method in table.open(options.samples, options.methods, options.places):
+        for number, method in table.open(options.samples, options.methods or METHODS["places"], options.places):
             table.add(*places.rows(samples.sample_path(folder, number), number, method, options.places))
     if options.part in ("spots", "all"):
         table = Rows(options.out / "spots.csv", options)
         every = [*spot_names(folder, options.clouds), *(f"samp{number}" for number in options.samples)]
-        for name, method in table.open(every, options.methods):
+        for name, method in table.open(every, options.methods or METHODS["spots"]):
             table.add(*spots.rows(load(folder, name), method))
     if options.part == "fit":
         clouds = (load(folder, name) for name in spot_names(folder, options.clouds))
@@ -76,7 +79,8 @@ def main(arguments: list[str] | None = None) -> None:
         for part in ("measures", "cuts", "places", "spots")
         if (path := options.out / f"{part}.csv").exists()
     }
-    (options.out / "results.md").write_text(pages.page(tables, f"`{command}` on {machine()}.") + "\n")
+    behind = {row["method"] for rows in tables.values() for row in rows}
+    write_page(options.out / "results.md", pages.page(tables), command, (*behind, "scenes"))
     print(f"results are in {options.out}")
 
 
@@ -84,14 +88,15 @@ class Rows:
     """Rows of a file, which is written after each addition."""
 
     def __init__(self, path: Path, options: argparse.Namespace) -> None:
-        """With ``options.fresh``, without the rows that its clouds and methods have."""
+        """Without rows of other labels than now; with ``options.fresh``, without those of its clouds and methods."""
         self._path = path
-        self._rows: list[Row] = read_csv(path) if path.exists() else []
+        rows = read_csv(path) if path.exists() else []
+        self._rows: list[Row] = [row for row in rows if row.get("labels") == labels.word(row["method"])]
         if options.fresh:
             self._rows = [
                 row
                 for row in self._rows
-                if row["method"] not in options.methods or not _wanted(row["cloud"], options.clouds)
+                if row["method"] not in (options.methods or jf.FILTERS) or not _wanted(row["cloud"], options.clouds)
             ]
 
     def open(self, clouds: list[str], methods: list[str], count: int = 1) -> Iterator[tuple[str, str]]:
@@ -106,7 +111,9 @@ class Rows:
 
     def add(self, *rows: Row) -> None:
         """Keep further rows."""
-        self._rows += [{key: _short(value) for key, value in row.items()} for row in rows]
+        self._rows += [
+            {key: _short(value) for key, value in row.items()} | {"labels": labels.word(row["method"])} for row in rows
+        ]
         write_csv(self._path, self._rows)
 
 
@@ -167,7 +174,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("part", choices=["measures", "cuts", "places", "spots", "fit", "all", "page"])
     parser.add_argument("--data", type=Path, help="folder with isprs/, tiles/ and tiles_hard/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
-    parser.add_argument("--methods", nargs="+", choices=list(jf.FILTERS), default=list(jf.FILTERS), metavar="METHOD")
+    parser.add_argument(
+        "--methods", nargs="+", choices=list(jf.FILTERS), metavar="METHOD", help="[as many as the part has time for]"
+    )
     parser.add_argument(
         "--clouds", nargs="*", default=[], metavar="NAME", help="begins of names, such as coast or ign_mnx"
     )

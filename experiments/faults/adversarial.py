@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import shlex
 import subprocess
 import sys
 import time
@@ -176,7 +177,8 @@ def main() -> int:
         report.markdown(COLUMNS, rows),
         "",
     ]
-    (arguments.out / "adversarial.md").write_text("\n".join(lines))
+    command = shlex.join(["python", "experiments/faults/adversarial.py", *sys.argv[1:]])
+    report.write_page(arguments.out / "adversarial.md", "\n".join(lines), command)
     return 1 if bad else 0
 
 

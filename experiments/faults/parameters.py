@@ -14,6 +14,7 @@ import argparse
 import csv
 import json
 import selectors
+import shlex
 import subprocess
 import sys
 import time
@@ -195,7 +196,8 @@ def write(rows: list[dict[str, Any]], out: Path) -> None:
         "",
         *(f"- set {row['set']}, {row['method']}, {row['outcome']}: `{row['fields']}`" for row in bad),
     ]
-    (out / "parameters.md").write_text("\n".join(lines).rstrip() + "\n")
+    command = shlex.join(["python", "experiments/faults/parameters.py", *sys.argv[1:]])
+    report.write_page(out / "parameters.md", "\n".join(lines), command)
 
 
 def main() -> int:

@@ -26,7 +26,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from experiments.faults.worker import SCALE, checksum, rule
-from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.report import Column, Row, markdown, write_csv, write_page
 from jaxfilter.core.errors import OutputError
 from jaxfilter.files.disk import _host, new_file
 from jaxfilter.files.reading import read, write
@@ -55,9 +55,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(" ".join(f"{value}" for value in row.values() if value != ""), file=sys.stderr, flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "runs.csv", rows)
-    (options.out / "results.md").write_text(
-        report(rows, shlex.join(["python", "experiments/faults/run.py", *given])) + "\n"
-    )
+    write_page(options.out / "results.md", report(rows), shlex.join(["python", "experiments/faults/run.py", *given]))
     raise SystemExit(any(row["wrong"] or row["lost"] or row["left_over"] for row in rows))
 
 
@@ -430,7 +428,7 @@ def small_disk(folder: Path, size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
 
 
-def report(rows: list[Row], command: str) -> str:
+def report(rows: list[Row]) -> str:
     """The tables as Markdown."""
     table, outcomes = [], []
     for kind in dict.fromkeys(row["kind"] for row in rows):
@@ -446,7 +444,7 @@ def report(rows: list[Row], command: str) -> str:
     columns: list[Column] = [("kind", "what was done", ""), *((key, key.replace("_", " "), "d") for key in keys)]
     more: list[Column] = [("kind", "what was done", ""), ("outcome", "what came of it", ""), ("runs", "runs", "d")]
     return "\n\n".join([
-        "# Faults", f"`{command}` on {machine()}.", markdown(columns, table),
+        "# Faults", markdown(columns, table),
         "Wrong: a file that is not whole, labels on points that they were not computed for, or an error that does not say "
         "what happened. Lost: a file that was there before, or that a run said it wrote. Left over: any name in the folder "
         "that should not be there, at once, or after kill -9 when the next run into the folder has ended.",

@@ -28,7 +28,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.report import Column, Row, markdown, write_csv, write_page
 from jaxfilter.surveys.executors import attempt
 from jaxfilter.surveys.store import RUN
 from jaxfilter.surveys.targets import MAP, REPORT
@@ -180,7 +180,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "surveys.csv", rows)
     command = shlex.join(["python", "experiments/faults/surveys.py", *given])
-    (options.out / "surveys.md").write_text(report(rows, command) + "\n")
+    write_page(options.out / "surveys.md", report(rows), command)
     raise SystemExit(any(found["wrong"] or found["dead_end"] for found in rows))
 
 
@@ -310,7 +310,7 @@ def tried(survey: Path, out: Path, expected: dict[str, bytes]) -> Row:
     return {"outcome": outcome, "wrong": wrong, "dead_end": dead_end}
 
 
-def report(rows: list[Row], command: str) -> str:
+def report(rows: list[Row]) -> str:
     """The tables as Markdown."""
     table = []
     for what in WHAT:
@@ -327,7 +327,7 @@ def report(rows: list[Row], command: str) -> str:
         ("dead_end", "dead ends", "d"), ("outcome", "what resume did", ""),
     ]  # fmt: skip
     return "\n\n".join([
-        "# Damaged surveys", f"`{command}` on {machine()}.", markdown(columns, table),
+        "# Damaged surveys", markdown(columns, table),
         "Wrong: an output that is not that of an undisturbed run and is not named as failed, an error that is not the "
         "package's own or names no file, or something left over. Dead end: an error without advice, or `overwrite` that does "
         "not lead to the outputs of a first run.",

@@ -11,6 +11,7 @@ import dataclasses
 import io
 import multiprocessing
 import resource
+import shlex
 import struct
 import sys
 import tempfile
@@ -359,10 +360,10 @@ def main() -> None:
                 print(f"{number + 1} files, {time.perf_counter() - start:.0f} s", flush=True)
     mine.close()
     other.close()
-    write_report(arguments.out, arguments.seed, rows, time.perf_counter() - start)
+    write_report(arguments.out, arguments.seed, rows)
 
 
-def write_report(folder: Path, seed: int, rows: list[dict[str, Any]], seconds: float) -> None:
+def write_report(folder: Path, seed: int, rows: list[dict[str, Any]]) -> None:
     """``compressed.csv`` and ``compressed.md``."""
     tables = []
     for column in ("act", "kind"):
@@ -379,11 +380,12 @@ def write_report(folder: Path, seed: int, rows: list[dict[str, Any]], seconds: f
     text = [
         "# Damaged layers, chunk tables and laszip records",
         "",
-        f"{len(rows):,} files, seed {seed}, {seconds / 60:.0f} minutes; {report.machine()}. Failures: {failures}.",
+        f"{len(rows):,} files, seed {seed}. Failures: {failures}.",
         *(line for table in tables for line in ("", report.markdown(columns, table))),
         "",
     ]
-    (folder / "compressed.md").write_text("\n".join(text))
+    command = shlex.join(["python", "experiments/fuzz/compressed.py", *sys.argv[1:]])
+    report.write_page(folder / "compressed.md", "\n".join(text), command)
     report.write_csv(folder / "compressed.csv", tables[0] + tables[1])
     print("\n".join(text))
 

@@ -11,6 +11,7 @@ import csv
 import multiprocessing
 import re
 import resource
+import shlex
 import shutil
 import sys
 import tempfile
@@ -185,7 +186,7 @@ def main() -> None:
                         file.flush()
                         print(f"{group} {seed}: {number + 1} files, {time.perf_counter() - start:.0f} s", flush=True)
     worker.close()
-    write_report(arguments.out, arguments.seeds, rows, time.perf_counter() - start)
+    write_report(arguments.out, arguments.seeds, rows)
 
 
 def keep(found: list[mutations.Seed], row: dict[str, Any], folder: Path) -> None:
@@ -207,7 +208,7 @@ def again(found: list[mutations.Seed], group: str, seed: int, number: int, folde
         traceback.print_exc()
 
 
-def write_report(folder: Path, seeds: list[int], rows: list[dict[str, Any]], seconds: float) -> None:
+def write_report(folder: Path, seeds: list[int], rows: list[dict[str, Any]]) -> None:
     """``results.md`` and ``counts.csv``."""
     kinds, acts, reasons = tables(rows)
     failures = [row for row in rows if row["outcome"] == "failure"]
@@ -216,8 +217,7 @@ def write_report(folder: Path, seeds: list[int], rows: list[dict[str, Any]], sec
     text = [
         "# Damaged files",
         "",
-        f"{len(rows):,} files, seeds {', '.join(map(str, seeds))}, {seconds / 60:.0f} minutes in one process; "
-        f"{report.machine()}. Failures: {len(failures)}.",
+        f"{len(rows):,} files, seeds {', '.join(map(str, seeds))}, one process. Failures: {len(failures)}.",
         "",
         "## By kind of file",
         "",
@@ -243,7 +243,8 @@ def write_report(folder: Path, seeds: list[int], rows: list[dict[str, Any]], sec
             *(f"- {row['group']} {row['seed']} {row['number']}: {row['detail'][:300]}" for row in failures),
             "",
         ]
-    (folder / "results.md").write_text("\n".join(text))
+    command = shlex.join(["python", "experiments/fuzz/run.py", *sys.argv[1:]])
+    report.write_page(folder / "results.md", "\n".join(text), command)
     report.write_csv(folder / "counts.csv", [*kinds, *acts])
     print((folder / "results.md").read_text())
 

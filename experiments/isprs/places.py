@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
-from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.report import Column, Row, markdown, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -52,7 +52,7 @@ def main() -> None:
         )
     write_csv(options.out / "places.csv", rows)
     command = shlex.join(["python", "experiments/isprs/places.py", *sys.argv[1:]])
-    (options.out / "places.md").write_text(_report(rows, options.places, command) + "\n")
+    write_page(options.out / "places.md", _report(rows, options.places), command, options.methods)
 
 
 def _errors(folder: Path, method: str, number: str, places: int) -> list[float]:
@@ -70,7 +70,7 @@ def _errors(folder: Path, method: str, number: str, places: int) -> list[float]:
     return found
 
 
-def _report(rows: list[Row], places: int, command: str) -> str:
+def _report(rows: list[Row], places: int) -> str:
     columns: list[Column] = [
         ("method", "method", ""), ("zero", "from zero", ".2f"), ("corner", "from the corner", ".2f"),
         ("mean", f"{places} random points, mean", ".2f"), ("least", "least", ".2f"), ("largest", "largest", ".2f"),
@@ -78,7 +78,6 @@ def _report(rows: list[Row], places: int, command: str) -> str:
     ]  # fmt: skip
     return "\n\n".join([
         "# The place of the grid",
-        f"`{command}` on {machine()}.",
         markdown(columns, [row | {"method": row["method"].upper()} for row in rows]),
         "Mean total error over the 15 ISPRS samples, percent, fixed protocol. Grids count from zero of the coordinates by "
         "default; before, those of a single file counted from its own lower left corner. Random points are drawn "

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import figures, measure, protocols, samples, search, spaces, tables
-from experiments.report import Row, machine, read_csv, write_csv
+from experiments.report import Row, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 QUICK = ("24", "41", "52", "53")
@@ -65,8 +65,8 @@ def main(arguments: list[str] | None = None) -> None:
     write_csv(options.out / "printed.csv", tables.printed_rows(chosen))
     pictures = _pictures(options, folder, numbers, chosen, summaries) if options.figures else []
     command = shlex.join(["python", "experiments/isprs/run.py", *given])
-    text = tables.report(machine(), command, options.repeats, options.budget, chosen, claims, pictures)
-    (options.out / "results.md").write_text(text)
+    text = tables.report(options.repeats, options.budget, chosen, claims, pictures)
+    write_page(options.out / "results.md", text, command, options.methods)
     for name, rows in chosen.items():
         print(f"{name}\n{tables.summary(rows)}\n")
     print(f"results are in {options.out}")
@@ -75,11 +75,11 @@ def main(arguments: list[str] | None = None) -> None:
 def _one_set(
     options: argparse.Namespace, folder: Path, numbers: Sequence[str], methods: Sequence[str], make: Maker
 ) -> list[Row]:
-    """Rows of one set per method: one run after the other so that nothing disturbs the clock. All that is ever measured
+    """Rows of one set per method: one run after the other so that nothing disturbs the clock. All that is measured
     is kept in ``search/timed.csv`` and not run again."""
     path = options.out / "search" / "timed.csv"
     path.parent.mkdir(exist_ok=True)
-    known = {_key(row): row for row in (read_csv(path) if path.exists() else [])}
+    known = {_key(row): row for row in (read_csv(path) if path.exists() else []) if search.current(row)}
     rows = []
     for number in numbers:
         sample, cloud = f"samp{number}", None

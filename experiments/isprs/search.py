@@ -1,7 +1,7 @@
 """Every method with every set on every sample, once: the table that the class and the oracle protocol choose from.
 
 Rows are appended to ``<out>/<method>.csv`` as they come, so that a run that was cut off goes on where it was. A row counts
-as long as the filter's parameters are what they were; after a change in a method's code its file must be discarded.
+as long as the filter's parameters and the labels of its method (``experiments/labels.py``) are what they were.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jaxfilter as jf
+from experiments import labels
 from experiments.isprs import samples, spaces
-from experiments.report import Row, read_csv
+from experiments.report import Row, read_csv, write_csv
 
 COLUMNS = ("sample", "set", "parameters", "kept", "lost", "accepted", "rejected", "status")
 """``kept`` and ``lost``: ground labelled ground and object; ``accepted`` and ``rejected``: objects likewise."""
@@ -31,8 +32,17 @@ Task = tuple[str, str, Path, dict[int, dict[str, float]]]
 
 
 def digest(filter_: jf.Filter, thresholds: dict[str, float] | None = None) -> str:
-    """A short word for a filter with all its parameters, and the thresholds that are changed in it."""
-    return "p" + hashlib.blake2b(f"{filter_!r}{thresholds or ''}".encode(), digest_size=4).hexdigest()
+    """A short word for a filter with all its parameters and the thresholds that are changed in it, and one for the labels of
+    its method."""
+    names = {method: name for name, method in jf.FILTERS.items()}
+    name = next(names[base] for base in type(filter_).__mro__ if base in names)
+    parameters = hashlib.blake2b(f"{filter_!r}{thresholds or ''}".encode(), digest_size=4).hexdigest()
+    return f"p{parameters}-{labels.word(name)}"
+
+
+def current(row: Row, methods: Iterable[str] = ()) -> bool:
+    """Whether a row that was kept is of the labels of its method, or of one of these, as they are now."""
+    return str(row["parameters"]).partition("-")[2] in {labels.word(name) for name in methods or [row["method"]]}
 
 
 def run(
@@ -51,6 +61,10 @@ def run(
             it is this process that computes.
     """
     out.mkdir(parents=True, exist_ok=True)
+    for method in methods:
+        if (path := out / f"{method}.csv").exists():
+            rows = [row for row in read_csv(path) if current(row, [method])]
+            write_csv(path, rows) if rows else path.unlink()
     tasks = [task for method in methods for task in _missing(out, folder, method, numbers, budget)]
     for number, (task, rows) in enumerate(results(evaluate, tasks, processes), 1):
         _append(out / f"{task[0]}.csv", rows)

@@ -313,8 +313,6 @@ def barred(rows: Sequence[Row]) -> str:
 
 
 def report(
-    machine: str,
-    command: str,
     repeats: int,
     budget: int,
     tables: Mapping[str, Sequence[Row]],
@@ -324,7 +322,6 @@ def report(
     """The whole report as Markdown. ``figures``: file and caption of the pictures there are."""
     text = [
         "# Ground filters on the 15 ISPRS samples",
-        f"`{command}` on {machine}.",
         "Errors and kappa in percent over all points of a sample. T.I: ground lost, T.II: objects accepted, TE: total error. "
         "Mean and median are over the samples, pooled figures over all points. Nothing is edited by hand, and no labels enter "
         f"the removal of outliers. s: seconds of a warm call without I/O, median of {repeats}, fixed protocol.",

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from experiments.mutations.felt import Felt
 from experiments.mutations.kinds import Mutation, places
 from experiments.mutations.reached import Reached, record
-from experiments.report import Row, markdown, read_csv, write_csv
+from experiments.report import Row, markdown, read_csv, write_csv, write_page
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -285,14 +285,14 @@ def write(out: Path, drawn: list[Mutation], done: dict[int, Row], command: str) 
         }
         for row in survivors
     ]
-    text = f"# Mutations\n\nMade by `{command}`.\n\n{markdown(KINDS, [*kinds, total])}\n\n## Survivors\n\n"
+    text = f"# Mutations\n\n{markdown(KINDS, [*kinds, total])}\n\n## Survivors\n\n"
     text += (
         ", ".join(f"{name}: {count}" for name, count in sorted(counts.items()))
         + "\n\n"
         + markdown(LISTED, listed)
         + "\n"
     )
-    (out / "results.md").write_text(text)
+    write_page(out / "results.md", text, command)
 
 
 def _short(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shlex
 import sys
 import time
 import warnings
@@ -238,8 +239,9 @@ def main() -> None:
         if not options.quick:
             tables.append(("Labelled tiles", COLUMNS, list(tile_rows(folder))))
     text = "\n\n".join(f"## {title}\n\n{report.markdown(columns, rows)}" for title, columns, rows in tables)
-    text = f"# Low clusters\n\n{report.machine()}\n\n{text}\n"
-    (options.out / "results.md").write_text(text)
+    text = f"# Low clusters\n\n{text}\n"
+    command = shlex.join(["python", "experiments/outliers/run.py", *sys.argv[1:]])
+    report.write_page(options.out / "results.md", text, command, ("fptd", "scenes"))
     report.write_csv(options.out / "results.csv", [{"table": t, **row} for t, _, rows in tables for row in rows])
     figures(folder, options.out)
     print(text)

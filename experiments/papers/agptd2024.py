@@ -98,7 +98,7 @@ def main(given: Sequence[str] | None = None) -> None:
     trial_and_error(report, clouds, by_run, options.quick)
     claims(report, by_run, [row for row in readings if row["reading"] == BY_LABELS])
     pictures(report, clouds, by_run)
-    report.write()
+    report.write("agptd", "ptd")
 
 
 def removed_share(sample: str) -> float:

@@ -101,7 +101,7 @@ def main(given: list[str] | None = None) -> None:
     barred(report, outliers)
     verdicts(report, rows, site_rows)
     report.text("## Figures", *pictures)
-    report.write()
+    report.write("fptd", "ptd")
 
 
 def _samples(options: argparse.Namespace, repeats: int) -> tuple[list[Row], list[Row], list[str]]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, save_png, with_averages, write_csv
+from experiments.report import Column, Row, markdown, save_png, with_averages, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -115,7 +115,8 @@ class Report:
     def __init__(self, title: str, source: str, options: argparse.Namespace) -> None:
         """``source``: the paper, in full. ``options``: of :func:`arguments`."""
         self.out: Path = options.out
-        self.parts = [f"# {title}", source, f"`{options.command}` on {machine()}."]
+        self._command: str = options.command
+        self.parts = [f"# {title}", source]
 
     def text(self, *paragraphs: str) -> None:
         """Add paragraphs of Markdown."""
@@ -155,7 +156,7 @@ class Report:
         word = {True: "confirmed", False: "refuted", None: "undecided"}[holds]
         self.text(f"- **{claim}** Printed: {printed}. Measured: {measured}. **{word.capitalize()}.**")
 
-    def write(self) -> None:
-        """Write ``results.md``."""
-        (self.out / "results.md").write_text("\n\n".join(self.parts) + "\n")
+    def write(self, *methods: str) -> None:
+        """Write ``results.md``. ``methods``: those whose labels it stands on, and "scenes" (see ``report.write_page``)."""
+        write_page(self.out / "results.md", "\n\n".join(self.parts), self._command, methods)
         print(f"results are in {self.out}")

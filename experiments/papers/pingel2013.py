@@ -37,7 +37,7 @@ def main(given: list[str] | None = None) -> None:
     report.beside(
         "optima", "The authors' optimum per sample, found on its labels: a ceiling", best, optima, values=values
     )
-    report.write()
+    report.write("smrf")
 
 
 if __name__ == "__main__":

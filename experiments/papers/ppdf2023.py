@@ -108,7 +108,7 @@ def main(given: Sequence[str] | None = None) -> None:
                       dpi=110)  # fmt: skip
         report.figure(error_panels(sites[name], results[name]), f"errors_{name}",
                       f"{name}: errors of PPDF and of the best other method of the fixed protocol.", dpi=95)  # fmt: skip
-    report.write()
+    report.write("ppdf", "msf", "pmf", "csf", "ptdf", "scenes")
 
 
 def clouds(folder: Path, quick: bool) -> dict[str, jf.PointCloud]:

@@ -90,7 +90,7 @@ def main(given: Sequence[str] | None = None) -> None:
         figure = maps(name, cloud, {m: results[name, m] for m in ("ptd", "spf")})
         number = 12 + SHOWN.index(name)
         report.figure(figure, name, f"Fig. {number}, {name}: errors of PTD and SPF over the shaded reference ground.")
-    report.write()
+    report.write("spf", "ptd")
 
 
 def seed_row(name: str, method: str, cloud: jf.PointCloud, result: jf.FilterResult) -> Row:

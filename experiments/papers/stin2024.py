@@ -118,7 +118,7 @@ def main(given: Sequence[str] | None = None) -> None:
     sizes(report, by_method, options.quick)
     claims(report, by_method)
     pictures(report, clouds, results)
-    report.write()
+    report.write("stin", "atin", "iptd", "smrf", "scenes")
 
 
 def measure(sample: str, method: str, filter_: jf.Filter, cloud: jf.PointCloud) -> tuple[Row, jf.FilterResult]:

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
-from experiments.report import Row, machine, markdown, write_csv
+from experiments.report import Row, markdown, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.filter import ground_each
 from jaxfilter.core.params import declared
@@ -77,14 +77,14 @@ def main(arguments: list[str] | None = None) -> None:
     ]  # fmt: skip
     text = [
         "# Sweeps against single calls",
-        f"`{command}` on {machine()}. Each set is classified in a sweep of up to {GROUP} and alone; all labels are compared. "
+        f"Each set is classified in a sweep of up to {GROUP} and alone; all labels are compared. "
         "What the sets of a sweep share is the method as `for_cloud` gives it, one of its presets, or another choice in one of "
         "its fields. The fields that calibration searches are drawn from their ranges, the other thresholds of a third of the "
         "sweeps from half to twice their defaults.",
         markdown(columns, table),
         *found,
     ]
-    (options.out / "agreement.md").write_text("\n\n".join(text) + "\n")
+    write_page(options.out / "agreement.md", "\n\n".join(text), command, rows)
     print(f"\nresults are in {options.out}")
 
 

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.defaults import clouds
 from experiments.isprs import samples
-from experiments.report import Row, machine, markdown, read_csv, with_averages, write_csv
+from experiments.report import Row, markdown, read_csv, with_averages, write_csv, write_page
 from experiments.tiles.run import LEFT_OUT
 from jaxfilter.core.compilation import keep_compilations
 
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> None:
     name = "calibration" if options.clouds == "isprs" else "calibration_others"
     rows = kept(options.out / f"{name}.csv", rows)
     command = shlex.join(["python", "experiments/sensitivity/calibration.py", *given])
-    (options.out / f"{name}.md").write_text(report(rows, command))
+    write_page(options.out / f"{name}.md", report(rows), command, ("smrf", *["scenes"] * (options.clouds == "others")))
     print(f"results are in {options.out}")
 
 
@@ -175,11 +175,11 @@ def least(found: jf.Calibration) -> jf.Filter:
     return found.filter.replace(**{name: trials[name].values[best].item() for name in found.searched})
 
 
-def report(rows: list[Row], command: str) -> str:
+def report(rows: list[Row]) -> str:
     """The tables as Markdown."""
     parts = [
         "# Calibration from a few labels",
-        f"`{command}` on {machine()}. SMRF, two rounds of sets over slope, threshold and scaling. Total error in "
+        "SMRF, two rounds of sets over slope, threshold and scaling. Total error in "
         f"percent on the points without labels, medians of several draws of labels for {100 * SHARE:g} % of the points. "
         "Naive = the set with fewest errors on the labels. Oracle = the best of the same search with all labels; loss = "
         "calibrated - oracle. Cross-validated = the score that the calibration itself reports, on its labelled points. "

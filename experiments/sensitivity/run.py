@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
-from experiments.report import Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 
 HERE = Path(__file__).parent
@@ -39,11 +39,11 @@ def main(arguments: list[str] | None = None) -> None:
     folder = samples.data_folder(options.data)
     options.out.mkdir(parents=True, exist_ok=True)
     keep_compilations()
-    text = ["# What the parameters decide", "", f"`{shlex.join(['python', 'experiments/sensitivity/run.py', *given])}`"]
-    text[-1] += f" on {machine()}."
+    text = ["# What the parameters decide"]
     text += smrf(folder, options.samples, options.out)
     text += losses(options.isprs, options.out)
-    (options.out / "results.md").write_text("\n\n".join(part for part in text if part) + "\n")
+    command = shlex.join(["python", "experiments/sensitivity/run.py", *given])
+    write_page(options.out / "results.md", "\n\n".join(part for part in text if part), command, jf.FILTERS)
     print(f"results are in {options.out}")
 
 

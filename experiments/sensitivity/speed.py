@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Row, machine, markdown, read_csv, write_csv
+from experiments.report import Row, markdown, read_csv, write_csv, write_page
 from jaxfilter.core import compilation
 from jaxfilter.sweeps.design import make_design
 
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = kept(options.out / "speed.csv", rows)
     big = kept(options.out / "memory.csv", big)
     command = shlex.join(["python", "experiments/sensitivity/speed.py", *given])
-    (options.out / "speed.md").write_text(report(rows, big, command, options.repeats))
+    write_page(options.out / "speed.md", report(rows, big, options.repeats), command)
     print(f"results are in {options.out}")
 
 
@@ -186,14 +186,14 @@ def large(task: Task) -> Row:
     }  # fmt: skip
 
 
-def report(rows: list[Row], big: list[Row], command: str, repeats: int) -> str:
+def report(rows: list[Row], big: list[Row], repeats: int) -> str:
     """Both tables as Markdown."""
     for row in rows:
         row |= {"ratio": row["singly"] / row["seconds"], "pool_ratio": row["pool"] / row["seconds"]}
     return "\n\n".join(
         [
             "# Sweeps beside single runs",
-            f"`{command}` on {machine()}. Medians of {repeats} warm sweeps. Single runs are made one after the other in the "
+            f"Medians of {repeats} warm sweeps. Single runs are made one after the other in the "
             "same process, all cores at their disposal, and warm; the pool has two warm processes of one thread each. First = "
             "the first sweep of its kind in the process, compilation included. Difference = largest between the total errors "
             "of a set in the sweep and alone, points.",

@@ -8,6 +8,7 @@ python experiments/sensors/run.py pictures
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 import warnings
@@ -19,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 from experiments.sensors import clouds
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
@@ -33,7 +34,8 @@ PROFILES = {"odmsem3d_brighton_small": 0.25, "rf4pcc_test": 0.27, "sea_cliff": 0
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one part, or all, and write the page."""
-    options = _parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(given)
     try:
         folder: Path | None = samples.data_folder(options.data)
     except SystemExit:
@@ -54,7 +56,8 @@ def main(arguments: list[str] | None = None) -> None:
         for name, share in PROFILES.items():
             draw(clouds.real(folder, name), share, PICTURES / f"sensors_{name.partition('_')[0]}.png")
     tables = {part: read_csv(path) for part in ("clouds", "methods") if (path := options.out / f"{part}.csv").exists()}
-    (options.out / "results.md").write_text(page(tables) + "\n")
+    command = shlex.join(["python", "experiments/sensors/run.py", *given])
+    write_page(options.out / "results.md", page(tables), command, (*options.methods, "scenes"))
 
 
 def alike(known: clouds.Sensed) -> Row:
@@ -131,7 +134,7 @@ def draw(known: clouds.Sensed, share: float, path: Path) -> None:
 
 def page(tables: dict[str, list[Row]]) -> str:
     """The tables as Markdown."""
-    text = ["# Clouds of other sensors", "", f"`python experiments/sensors/run.py all` on {machine()}.", ""]
+    text = ["# Clouds of other sensors", "", ""]
     if "clouds" in tables:
         columns: list[Column] = [
             ("cloud", "cloud", ""), ("told", "told as", ""), ("points", "points", ",d"), ("spacing", "spacing, m", ".3f"),

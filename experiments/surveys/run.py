@@ -10,6 +10,7 @@ import json
 import math
 import multiprocessing
 import resource
+import shlex
 import sys
 import tempfile
 import time
@@ -24,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # with a maker of COPC files and a web server
 
 import jaxfilter as jf
+from experiments.report import write_page
 from jaxfilter.files import blocks
 from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import Source
@@ -110,6 +112,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=1_000_000, help="of the virtual point cloud")
     parser.add_argument("--points", type=int, default=5_000_000, help="of the LAS and LAZ files")
+    parser.add_argument("--out", type=Path, help="folder for the page of results")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -124,7 +127,12 @@ def main() -> None:
                 corner, folder / f"in.{suffix}", folder / f"index_{suffix}"
             )
         results["http"] = alone(over_http, folder)
-    print(json.dumps(results, indent=2))
+    text = json.dumps(results, indent=2)
+    print(text)
+    if arguments.out is not None:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        command = shlex.join(["python", "experiments/surveys/run.py", *sys.argv[1:]])
+        write_page(arguments.out / "results.md", f"# What surveys cost\n\n```json\n{text}\n```", command)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples, spaces
-from experiments.report import Column, Row, machine, markdown, save_png, write_csv
+from experiments.report import Column, Row, markdown, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
 
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "tiles.csv", rows)
     command = shlex.join(["python", "experiments/tiles/run.py", *given])
-    (options.out / "results.md").write_text(report(rows, command))
+    write_page(options.out / "results.md", report(rows), command, options.methods)
     heat(rows, options.out / "totals.png")
     print(f"results are in {options.out}")
 
@@ -74,10 +74,10 @@ def tile_row(tile: str, name: str, cloud: jf.PointCloud) -> Row:
     }  # fmt: skip
 
 
-def report(rows: list[Row], command: str) -> str:
+def report(rows: list[Row]) -> str:
     """All tables as Markdown."""
     text = [
-        "# Six labelled tiles, one set per method", "", f"`{command}` on {machine()}.", "",
+        "# Six labelled tiles, one set per method", "",
         "Every method as `for_cloud(cloud)` gives it: defaults, and what follows from the point spacing. OST's defaults "
         "were found on these tiles, twelve others, the ISPRS samples and scenes. Of the others no default was chosen here but "
         "the limit for large clusters of low points, which all methods but SMRF search for, and "

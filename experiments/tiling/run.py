@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.report import Column, Row, markdown, write_csv, write_page
 from experiments.tiles.run import TILES
 from experiments.tiling import country, labels, robustness, scale
 from jaxfilter.core.compilation import keep_compilations
@@ -24,6 +24,10 @@ from jaxfilter.reports.places import REASONS
 
 HERE = Path(__file__).parent
 PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning", "country", "tiles")
+BEHIND = {part: lambda options: () for part in PARTS} | {
+    part: lambda options: (*options.methods, "scenes") for part in ("labels", "halos", "border")
+}
+"""Methods whose labels a part counts. The others measure time and memory, or compare files."""
 LARGE = ("ign_semis_2023_0292_6833", "ign_bridge_0299_6802")
 """Labelled tiles of 1 km2. All others are at most 300 m wide: with a halo of 240 m most windows hold the whole of them."""
 HALOS = (0.0, 15.0, 30.0, 60.0, 120.0)
@@ -37,12 +41,12 @@ def main(arguments: list[str] | None = None) -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
-    command = shlex.join(["python", "experiments/tiling/run.py", *given])
+    asked = [word for word in given if word not in PARTS]
     for part in options.parts:
         rows, columns, text = _WAYS[part](options)
         write_csv(options.out / f"{part}.csv", rows)
-        page = [f"# {text}", "", f"`{command}` on {machine()}.", "", markdown(columns, rows), ""]
-        (options.out / f"{part}.md").write_text("\n".join(page))
+        command = shlex.join(["python", "experiments/tiling/run.py", part, *asked])
+        write_page(options.out / f"{part}.md", f"# {text}\n\n{markdown(columns, rows)}", command, BEHIND[part](options))
     print(f"results are in {options.out}")
 
 

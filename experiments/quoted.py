@@ -1,0 +1,146 @@
+"""The figures that pages quote, from the files of results.
+
+    python experiments/quoted.py
+
+A figure stands between two comments, of which the first says where it is from, and a table likewise:
+
+    <!-- = isprs/summary.csv protocol=fixed method=ost total .1f -->3.4<!-- / -->
+    <!-- = table methods -->
+    ...
+    <!-- / -->
+
+``isprs/summary.csv`` is ``experiments/isprs/results/summary.csv``. Conditions choose its rows; the mean of the column over these
+is shown in the format. Two such places with a minus between them are a difference. It measures nothing.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import statistics
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from experiments.report import Column, Row, markdown, read_csv
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+_FIGURE = re.compile(r"(<!-- = ((?:(?!-->).)+) -->)(.*?)(<!-- / -->)", re.DOTALL)
+
+
+def pages() -> list[Path]:
+    """The pages that may quote figures."""
+    found = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "filters").glob("*.md")]
+    return sorted([*found, *HERE.glob("*/README.md")])
+
+
+def filled(text: str) -> str:
+    """The text of a page with the figures and tables of the files of today.
+
+    Raises: ValueError for a place that no file has.
+    """
+    return _FIGURE.sub(lambda found: found[1] + quoted(found[2]) + found[4], text)
+
+
+def quoted(what: str) -> str:
+    """What stands between the comments. ``what``: as in the first one. Raises: ValueError."""
+    first, *words = shlex.split(what.replace("\n", " "))
+    if first == "table":
+        return f"\n\n{TABLES[words[0]]()}\n\n"
+    words = [first, *words]
+    *parts, form = words
+    if "-" not in parts:
+        return f"{value(parts):{form}}"
+    at = parts.index("-")
+    return f"{value(parts[:at]) - value(parts[at + 1 :]):{form}}"
+
+
+def value(words: list[str]) -> float:
+    """The mean of a column over some rows: file, conditions, column. Raises: ValueError."""
+    file, *conditions, column = words
+    wanted = [condition.rpartition("=")[::2] for condition in conditions]
+    found = [row[column] for row in _rows(file) if all(str(row[key]) == text for key, text in wanted)]
+    if not found or not all(isinstance(one, (int, float)) for one in found):
+        raise ValueError(f"{' '.join(words)}: {'no such row' if not found else 'no number'}")
+    return statistics.fmean(found)
+
+
+@cache
+def _rows(file: str) -> list[Row]:
+    folder, _, name = file.rpartition("/")
+    first, *others = folder.split("/")
+    return read_csv(HERE.joinpath(first, "results", *others, name))
+
+
+PAPERS = {
+    "ost": "this library's own, the default", "fptd": "Li et al. 2021", "stin": "Uray and Varlik 2024",
+    "agptd": "Zheng et al. 2024", "spf": "Chen et al. 2023", "ppdf": "Cai et al. 2023",
+    "ptd": "Axelsson 2000; Zhang and Lin 2013", "ptdf": "the same, upward only",
+    "atin": "the same, adaptive limits as an option", "iptd": "Zhao et al. 2016", "smrf": "Pingel et al. 2013",
+    "pmf": "Zhang et al. 2003", "msf": "Vosselman 2000", "csf": "Zhang et al. 2016",
+}  # fmt: skip
+
+
+def methods() -> str:
+    """Every method with its mean errors on samples and tiles, and its seconds for a million points."""
+    from experiments.isprs import tables
+    from experiments.tiles import run as tiles
+
+    marked = dict.fromkeys(tables.SHARED, f" {tables.MARK}")
+    on_tiles = dict.fromkeys((*tiles.SHARED, "ost"), f" {tables.MARK}")
+    largest = max(row["points"] for row in _rows("bench/bench.csv"))
+    rows = []
+    for name, paper in PAPERS.items():
+        fixed = ["isprs/summary.csv", "protocol=fixed", f"method={name}"]
+        seconds = value(["bench/bench.csv", f"name={name}", f"points={largest}", "density=1.0", "warm_seconds"])
+        rows.append({
+            "method": f"`{name}`", "paper": paper, "seconds": seconds,
+            "total": f"{value([*fixed, 'total']):.1f}{marked.get(name, '')}",
+            "kappa": f"{value([*fixed, 'kappa']):.1f}{marked.get(name, '')}",
+            "tiles": f"{value(['tiles/tiles.csv', f'method={name}', 'total']):.1f}{on_tiles.get(name, '')}",
+        })  # fmt: skip
+    columns: list[Column] = [
+        ("method", "method", ""), ("paper", "paper", ""), ("total", "ISPRS, total error, %", ""), ("kappa", "kappa, %", ""),
+        ("tiles", "tiles, total error, %", ""), ("seconds", "1 M points, s", ".1f"),
+    ]  # fmt: skip
+    return markdown(columns, rows)
+
+
+def country() -> str:
+    """What a country of 40,000 km2 takes, by density and method."""
+    columns: list[Column] = [
+        ("name", "method", ""), ("density", "points per m2", ".0f"), ("per_million", "CPU s per million points read", ".1f"),
+        ("halo", "halo, m", ".0f"), ("tile", "tile, m", ",.0f"), ("times", "times a point is read", ".2f"),
+        ("hours", "core-hours", ",.0f"), ("worker", "memory of a worker, GB", ".1f"),
+    ]  # fmt: skip
+    return markdown(columns, [row | {"name": row["method"].upper()} for row in _rows("tiling/country.csv")])
+
+
+def as_collection() -> str:
+    """OST over 16 files, file by file and as a collection."""
+    columns: list[Column] = [
+        ("how", "", ""), ("tiles", "tiles", "d"), ("times", "times a point is read", ".2f"),
+        ("per_million", "CPU s per million points", ".1f"), ("peak", "memory of all processes, GB", ".1f"),
+    ]  # fmt: skip
+    rows = [row | {"per_million": 1e6 * row["cpu"] / row["points"]} for row in _rows("tiling/tiles.csv")]
+    return markdown(columns, rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {"methods": methods, "country": country, "tiles": as_collection}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Write the figures into the pages."""
+    for path in pages():
+        before = path.read_text()
+        if (after := filled(before)) != before:
+            path.write_text(after)
+            print(f"wrote {path}")
+
+
+if __name__ == "__main__":
+    main()
