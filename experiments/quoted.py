@@ -5,12 +5,14 @@
 A figure stands between two comments, of which the first says where it is from, and a table likewise:
 
     <!-- = isprs/summary.csv protocol=fixed method=ost total .1f -->3.4<!-- / -->
+    <!-- = ablation "PTD: 30 degrees" -->6.4<!-- / -->
     <!-- = table methods -->
     ...
     <!-- / -->
 
 ``isprs/summary.csv`` is ``experiments/isprs/results/summary.csv``. Conditions choose its rows; the mean of the column over these
-is shown in the format. Two such places with a minus between them are a difference. It measures nothing.
+is shown, in the format, or with one decimal. Two such places with a minus between them are a difference. The words of
+:data:`SHORT` stand for files that are quoted often; the column is then the total error. It measures nothing.
 """
 
 from __future__ import annotations
@@ -29,6 +31,13 @@ from experiments.report import Column, Row, markdown, read_csv
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
+SHORT = {
+    "ablation": (["ablations/summary.csv"], ["variant"], "total"),
+    "defaults": (["defaults/means.csv"], ["choice", "alternative"], "mean"),
+    "isprs": (["isprs/summary.csv", "protocol=fixed"], ["method"], "total"),
+}
+"""Files with fixed conditions, the columns whose values are named, and the column that is shown where none is named."""
+_FORM = re.compile(r"[+,]*(\.\d)?[dfg]")
 _FIGURE = re.compile(r"(<!-- = ((?:(?!-->).)+) -->)(.*?)(<!-- / -->)", re.DOTALL)
 
 
@@ -48,24 +57,27 @@ def filled(text: str) -> str:
 
 def quoted(what: str) -> str:
     """What stands between the comments. ``what``: as in the first one. Raises: ValueError."""
-    first, *words = shlex.split(what.replace("\n", " "))
-    if first == "table":
-        return f"\n\n{TABLES[words[0]]()}\n\n"
-    words = [first, *words]
-    *parts, form = words
-    if "-" not in parts:
-        return f"{value(parts):{form}}"
-    at = parts.index("-")
-    return f"{value(parts[:at]) - value(parts[at + 1 :]):{form}}"
+    words = shlex.split(what.replace("\n", " "))
+    if words[0] == "table":
+        return f"\n\n{TABLES[words[1]]()}\n\n"
+    form = words.pop() if _FORM.fullmatch(words[-1]) else ".1f"
+    if "-" not in words:
+        return f"{value(words):{form}}"
+    at = words.index("-")
+    return f"{value(words[:at]) - value(words[at + 1 :]):{form}}"
 
 
 def value(words: list[str]) -> float:
     """The mean of a column over some rows: file, conditions, column. Raises: ValueError."""
+    if words[0] in SHORT:
+        file, keys, column = SHORT[words[0]]
+        given = [f"{key}={text}" for key, text in zip(keys, words[1:], strict=False)]
+        words = [*file, *given, *(words[1 + len(keys) :] or [column])]
     file, *conditions, column = words
-    wanted = [condition.rpartition("=")[::2] for condition in conditions]
+    wanted = [condition.split("=", 1) for condition in conditions]
     found = [row[column] for row in _rows(file) if all(str(row[key]) == text for key, text in wanted)]
     if not found or not all(isinstance(one, (int, float)) for one in found):
-        raise ValueError(f"{' '.join(words)}: {'no such row' if not found else 'no number'}")
+        raise ValueError(f"{' '.join(words)}: {'no number' if found else 'no such row'}")
     return statistics.fmean(found)
 
 

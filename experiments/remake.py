@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import time
@@ -231,7 +232,7 @@ def make(name: str, page: Page) -> bool:
     keep({"spent": spent, "start": start})
     with open(log, "w") as file:
         process = subprocess.Popen(
-            [sys.executable, *shlex.split(page.command)], cwd=ROOT, env=os.environ | {SPENT: str(spent)},
+            [sys.executable, *shlex.split(page.command)], cwd=ROOT, env=os.environ | {SPENT: str(spent), "PYTHONUNBUFFERED": "1"},
             stdout=file, stderr=subprocess.STDOUT,
         )  # fmt: skip
         try:
@@ -255,6 +256,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="pages whose place holds one of these")
     parser.add_argument("--budget", type=float, default=float("inf"), help="minutes; what takes longer is not begun")
     options = parser.parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))  # either stops the command that runs, too
     end = time.time() + 60 * options.budget
     todo = list(plan(options.only))
     print(f"{len(todo)} stale pages, about {_long(sum(expected for expected, _, _ in todo))}:")
