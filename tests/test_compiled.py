@@ -179,6 +179,7 @@ def kernels(tmp_path, monkeypatch):
     """A folder of its own for what JAX compiles; nothing is known of it yet."""
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path))
     monkeypatch.setattr(compilation, "_keeps", False)
+    monkeypatch.setattr(compilation, "_quiet", True)
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     jax_cache.reset_cache()
@@ -283,6 +284,60 @@ def test_the_command_says_once_that_it_keeps_nothing(way, kernels, monkeypatch):
     with Session(quiet=True, debug=False) as session:
         assert hits() == 0 and new_process()[1] == [0.0, 2.0, 8.0]
     assert len(session.warnings) == 1 and str(kernels.parent) in session.warnings[0]
+
+
+SCRIPT = """
+import sys, numpy as np, jax
+from jaxfilter.core import compilation
+from jaxfilter.engines.grid import morphology
+compilation.watch_compilations()
+out = morphology.erosion(np.eye(5, dtype=np.float32), 1, reach=3)
+print(float(np.asarray(out).sum()), compilation.compilations()[0], jax.config.jax_compilation_cache_dir)
+"""
+
+
+def in_script(**variables):
+    """Elevations, compilations and JAX's own cache of a script, and what it says."""
+    own = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_COMPILATION", "JAXFILTER"))}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=own | variables, check=True
+    )
+    return done.stdout.split(), done.stderr
+
+
+def test_a_script_keeps_what_it_compiles_and_says_so_once(tmp_path):
+    first, second = (in_script(JAXFILTER_CACHE=str(tmp_path)) for _ in range(2))
+    assert first[0] == ["0.0", "1", "None"] and second[0] == ["0.0", "0", "None"]
+    assert f"{tmp_path / 'jax'}: compiled code is kept here" in first[1] and not second[1]
+
+
+@pytest.mark.parametrize("variable", ["JAXFILTER_CACHE", "JAX_COMPILATION_CACHE_DIR"])
+def test_a_script_keeps_nothing_if_told_so_or_if_jax_does(variable, tmp_path):
+    own = "off" if variable == "JAXFILTER_CACHE" else str(tmp_path / "own")
+    for _ in range(2):
+        found, said = in_script(**{"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), variable: own})
+        assert found == ["0.0", "1", "None" if own == "off" else own] and "kept" not in said
+    assert not list(tmp_path.rglob("*.jax"))
+
+
+@pytest.mark.parametrize("block", [
+    lambda: jax.disable_jit(), lambda: jax.debug_nans(True), lambda: jax.default_device(jax.devices()[0]),
+])  # fmt: skip
+def test_kept_code_is_not_used_where_jax_shall_run_in_another_way(block, kernels):
+    with keeping(), block():
+        assert (
+            compilation.jit(scaled, static_argnames=("power", "label"))(2.0, {"x": jax.numpy.ones(2)}, 2).values.sum()
+            == 4
+        )
+    assert not kernels.exists() or not list(kernels.iterdir())
+
+
+def test_another_precision_is_another_program(kernels):
+    function = compilation.jit(scaled, static_argnames=("power", "label"))
+    for precision in ("float32", "bfloat16", "float32"):
+        with keeping(), jax.default_matmul_precision(precision):
+            function(2.0, {"x": np.ones(2)}, 2)
+    assert len(list(kernels.iterdir())) == 2
 
 
 def test_a_cache_that_jax_was_given_is_left_to_jax(kernels, tmp_path):

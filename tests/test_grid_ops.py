@@ -42,10 +42,15 @@ def test_inside_marks_the_true_extent():
     assert mask.sum() == 8 and mask[:4, :2].all()
 
 
-@pytest.mark.parametrize("n, padded", [(1, 128), (128, 128), (129, 256), (1000, 1024), (2236, 2304), (5000, 5120)])
+@pytest.mark.parametrize("n, padded", [(1, 256), (257, 512), (1000, 1024), (1025, 1152), (2236, 2304), (5000, 5120)])
 def test_padded_length(n, padded):
     assert padded_length(n) == padded
-    assert padded_shape((n, 1)) == (padded, 128)
+    assert padded_shape((n, 1)) == (padded, max(256, padded if padded <= 512 else 0))
+
+
+def test_small_grids_have_two_shapes():
+    assert {padded_shape((n, m)) for n in range(1, 513, 7) for m in range(1, 513, 7)} == {(256, 256), (512, 512)}
+    assert padded_shape((100, 50), least=(1, 300)) == (512, 512)
 
 
 def test_padding_wastes_little_on_large_grids():

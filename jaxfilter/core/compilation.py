@@ -127,11 +127,12 @@ def _open_to_others(folder: Path) -> str:
 
 
 def cache_folder(kind: str) -> Path | None:
-    """The private folder for compiled code of a kind, in ``JAXFILTER_CACHE`` if set, else in the user's cache folder; see
-    :func:`private_folder`."""
+    """The private folder for compiled code of a kind, in ``JAXFILTER_CACHE`` if set, else in the user's cache folder; None where
+    that is "off". See :func:`private_folder`."""
     import platformdirs
 
-    return private_folder(Path(os.environ.get("JAXFILTER_CACHE") or platformdirs.user_cache_dir("jaxfilter")) / kind)
+    given = os.environ.get("JAXFILTER_CACHE") or platformdirs.user_cache_dir("jaxfilter")
+    return None if given.lower() == "off" else private_folder(Path(given) / kind)
 
 
 def read_kept(path: Path, stamp: bytes) -> bytes | None:
@@ -162,7 +163,7 @@ def write_kept(path: Path, stamp: bytes, content: bytes) -> None:
 
 
 class jit:
-    """``jax.jit``, but in the commands the machine code for each kind of arguments is kept on disk.
+    """``jax.jit``, but the machine code for each kind of arguments is kept on disk.
 
     The next process calls it without tracing the function anew, which takes longer than reading it. It is executed, so it
     lies in a private folder (:func:`cache_folder`), and is used only for the same source, versions, settings and processor.
@@ -179,16 +180,16 @@ class jit:
         return self if instance is None else functools.partial(self, instance)
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        if not _keeps or (folder := _kept_folder()) is None:
+        if not _keeps or _unusual() or (folder := _kept_folder()) is None:
             return self._jit(*args, **named)
         given = dict(zip(self._names, args, strict=False)) | named
         fixed = tuple((name, given[name]) for name in self._static if name in given)
         places = [value for value, name in zip(args, self._names, strict=False) if name not in self._static]
         others = {name: value for name, value in named.items() if name not in self._static}
         leaves, tree = jax.tree.flatten((places, others))
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if any(isinstance(leaf, jax.Array) and not _plain(leaf) for leaf in leaves):
             return self._jit(*args, **named)
-        key = tree, fixed, tuple(_kind(leaf) for leaf in leaves)
+        key = tree, fixed, tuple(_kind(leaf) for leaf in leaves), _precision()
         if key not in self._ready:
             digest = sha256(repr((self.__module__, key)).encode()).hexdigest()
             path = folder / f"{self._name}-{digest[:32]}.jax"
@@ -203,6 +204,29 @@ class jit:
             return made  # JAX cannot serialise every program: this one is compiled anew in each process
         write_kept(path, _stamp(), content)
         return made
+
+
+def _precision() -> tuple[Any, ...]:
+    """Settings that a program depends on and that may be others in a block ``with``."""
+    config: Any = jax.config
+    return config.jax_enable_x64, config.jax_default_matmul_precision, config.jax_numpy_dtype_promotion
+
+
+def _unusual() -> bool:
+    """Whether JAX shall run functions in a way that kept code does not know: on another device, or watched."""
+    config: Any = jax.config
+    watched = config.jax_disable_jit or config.jax_debug_nans or config.jax_debug_infs
+    return bool(watched) or config.jax_default_device is not None
+
+
+def _plain(leaf: jax.Array) -> bool:
+    """Whether an array has values, on the device that is the default."""
+    return not isinstance(leaf, jax.core.Tracer) and leaf.sharding.device_set == _default_device()
+
+
+@functools.cache
+def _default_device() -> set[Any]:
+    return {jax.local_devices()[0]}
 
 
 def _kind(leaf: Any) -> Any:
@@ -235,8 +259,10 @@ def _stamp() -> bytes:
     return sha256(repr((sources, settings, machine, versions)).encode()).digest()
 
 
-_keeps = False
+_keeps = True
 """Whether :class:`jit` keeps machine code now."""
+_quiet = False
+"""Whether somebody has asked for it, who need not be told."""
 
 
 @functools.cache
@@ -245,9 +271,15 @@ def _kept_folder() -> Path | None:
     given a cache directory, that is all there is."""
     if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         return None
-    if jax.default_backend() == "cpu" and jax.config.jax_default_device is None:  # type: ignore[attr-defined]
-        return cache_folder("jax")
-    if (folder := cache_folder("xla")) is not None:
+    cpu = jax.default_backend() == "cpu"
+    if (folder := cache_folder("jax" if cpu else "xla")) is not None and not _quiet and not any(folder.iterdir()):
+        warn(
+            f"{folder}: compiled code is kept here from now on, so that the next process need not compile it (said once); set "
+            "JAXFILTER_CACHE to another folder, or to off for none"
+        )
+    if cpu:
+        return folder
+    if folder is not None:
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -255,8 +287,8 @@ def _kept_folder() -> Path | None:
 
 
 def keep_compilations(on: bool = True) -> bool:
-    """Let the next process reuse what this one compiles from now on, or no longer. Commands and workers call it; an import of
-    the package does not. Returns: whether it was so before."""
-    global _keeps
-    before, _keeps = _keeps, on
+    """Let the next process reuse what this one compiles from now on, which is so by default, or no longer. Returns: whether it
+    was so before. Who calls it is not told of the folder."""
+    global _keeps, _quiet
+    before, _keeps, _quiet = _keeps, on, True
     return before

@@ -125,7 +125,7 @@ class SMRF(GridFilter):
 
     def prepare(self, cells: Cells) -> Opened:
         """Steps 1 to 4, for all slopes at once. Pure."""
-        return self._open(cells, fill_membrane(cells.lowest, cells.seen, cells.valid).z)
+        return self._open(cells, _spanned(cells.lowest, cells.lowest, cells.seen, cells, math.inf)[0].z)
 
     @jit
     def _open(self, cells: Cells, surface: jax.Array) -> Opened:
@@ -149,9 +149,10 @@ class SMRF(GridFilter):
     def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts = prepared
-        known, objects = _kept(steepest, bare, cells.frame, slope)
-        terrain = fill_membrane(surface, known, cells.valid).z  # as in prepare(), so that it is compiled once
-        return Surface.over(cells, terrain, counts={**counts, "object_cells": objects})
+        terrain, objects = _spanned(
+            surface, steepest, bare, cells, slope
+        )  # as in prepare(), so that it is compiled once
+        return terrain._replace(counts={**counts, "object_cells": objects})
 
     def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
         """How many cells are left: of slopes between which there is none the terrain is the same."""
@@ -206,7 +207,10 @@ class Opened(NamedTuple):
 
 
 @jit
-def _kept(steepest: jax.Array, bare: jax.Array, frame: jax.Array, slope: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cells that the terrain goes through, bool[rows, columns], and the number of objects, net included."""
-    objects = steepest > slope * frame[2]
-    return bare & ~objects, objects.sum(dtype=jnp.int32)
+def _spanned(
+    z: jax.Array, steepest: jax.Array, bare: jax.Array, cells: Cells, slope: jax.Array | float
+) -> tuple[Surface, jax.Array]:
+    """The membrane through the cells that are ``bare`` and no objects, and the number of objects, net included."""
+    objects = steepest > slope * cells.frame[2]
+    filled = fill_membrane(z, bare & ~objects, cells.valid).z
+    return Surface.over(cells, jax.lax.optimization_barrier(filled)), objects.sum(dtype=jnp.int32)

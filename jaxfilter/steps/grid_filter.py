@@ -124,7 +124,7 @@ class GridFilter(Filter):
 
         >>> cells = jf.SMRF().cells(jf.SMRF().points_of(cloud))
         >>> cells.lowest.shape, np.asarray(cells.extent).tolist(), float(cells.frame[2])
-        ((128, 128), [61, 61], 1.0)
+        ((256, 256), [61, 61], 1.0)
         """
         x, y = points.offset(self.cell)
         corner = (x - self.cell / 2, y - self.cell / 2) if self.CENTRED else (x, y)

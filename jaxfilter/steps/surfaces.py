@@ -11,19 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, jit
+from ..core.compilation import jit
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
 from ..engines.chunks import in_chunks
-from ..engines.grid.cells import cell_index, inside, padded_shape
+from ..engines.grid.cells import cell_index, padded_shape
 from ..engines.grid.minima import cell_minima, places_in
 from ..engines.grid.morphology import progressive_opening
 
 MAX_CELLS = 100_000_000  # about 10 GB
 _WORK, _WORK_PER_POINT = 250_000_000, 64_000
 """Cells times openings that are done for few points, and for each point of many: some seconds of a processor."""
-_CHUNK = 2**18  # points that are handed to the device at a time
+_CHUNK, _SMALL_CHUNK = 2**18, 2**14  # points that are handed to the device at a time, of large clouds and of others
 _IN_FLIGHT = 8  # chunks that may be computed at once
 
 
@@ -45,9 +45,9 @@ class Cells:
         place: f32[rows, columns, 2], x and y of the lowest points, zero in empty cells; None unless a method needs it.
     """
 
-    lowest: jax.Array
-    seen: jax.Array
-    valid: jax.Array
+    lowest: np.ndarray | jax.Array
+    seen: np.ndarray | jax.Array
+    valid: np.ndarray | jax.Array
     extent: np.ndarray | jax.Array
     frame: np.ndarray | jax.Array
     place: np.ndarray | jax.Array | None = None
@@ -99,8 +99,10 @@ def lowest_cells(
     z = xyz[:, 2]
     if barred is not None and barred.any():
         z = np.where(barred, np.float32(np.inf), z)
-    z, seen, valid = _occupied(cell_minima(xyz, z, frame, extent, shape).reshape(shape), extent)
-    return Cells(z, seen, valid, extent, frame)
+    lowest = cell_minima(xyz, z, frame, extent, shape).reshape(shape)
+    seen, valid = lowest < np.inf, np.zeros(shape, bool)
+    valid[: grid.ny, : grid.nx] = True
+    return Cells(np.where(seen, lowest, np.float32(0)), seen, valid, extent, frame)
 
 
 def highest_in(xyz: np.ndarray, cells: Cells) -> np.ndarray:
@@ -139,9 +141,9 @@ def lowest_places(xyz: np.ndarray, cells: Cells, barred: np.ndarray | None) -> n
 def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, ...]]) -> list[np.ndarray]:
     """``test`` of all points f32[n, 3], a chunk at a time: arrays f32[n], as many as it returns.
 
-    ``test`` is given points f32[m, 3], padded to one of few sizes, and returns arrays f32[m].
+    ``test`` is given points f32[m, 3], padded to one of two sizes, and returns arrays f32[m].
     """
-    size = min(_CHUNK, bucket(len(xyz)))
+    size = _CHUNK if len(xyz) > _CHUNK else _SMALL_CHUNK
     return list(in_chunks(test, lambda rows: (xyz[rows],), len(xyz), size, _IN_FLIGHT))
 
 
@@ -176,13 +178,6 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
         return (after - before) / (cell * jnp.where(first | last, 1, 2))
 
     return jnp.hypot(difference(0), difference(1))
-
-
-@jit
-def _occupied(lowest: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Minima with zeros in empty cells, the cells with points, the cells that exist; [rows, columns] each."""
-    (rows, columns), seen = lowest.shape, lowest < jnp.inf
-    return jnp.where(seen, lowest, 0), seen, inside((rows, columns), extent)
 
 
 @jit

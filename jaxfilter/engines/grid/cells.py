@@ -16,14 +16,20 @@ from ...core.compilation import jit
 
 
 def padded_length(n: int) -> int:
-    """The padded number of rows or columns that holds ``n``: the next multiple of 128, of 256 from 2048, of 512 from 4096."""
-    step = max(128, 2 ** (max(n - 1, 1).bit_length() - 4))
+    """The padded number of rows or columns that holds ``n``: the next multiple of 256; from 1024 on of 128, 256 from 2048, 512
+    from 4096, so that a large grid is never padded by more than an eighth of its side.
+    """
+    step = max(128, 2 ** (max(n - 1, 1).bit_length() - 4)) if n > 1024 else 256
     return -(-max(n, 1) // step) * step
 
 
 def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
-    """:func:`padded_length` of rows and columns, or of ``least`` where that is more."""
-    return padded_length(max(shape[0], least[0])), padded_length(max(shape[1], least[1]))
+    """:func:`padded_length` of rows and columns, or of ``least`` where that is more; up to 512 cells a side, a square.
+
+    So all grids of at most 512 x 512 cells have one of two shapes: to compile for another one takes longer than empty cells do.
+    """
+    rows, columns = (padded_length(max(pair)) for pair in zip(shape, least, strict=True))
+    return (max(rows, columns),) * 2 if max(rows, columns) <= 512 else (rows, columns)
 
 
 def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:

@@ -20,6 +20,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 
 from ...core.compilation import jit
+from .cells import padded_length
 
 _COARSEST = 48  # rows and columns at which coarsening stops
 _FACTOR = 2  # cells of one level along the side of a cell of the next; 1 along an axis that is a single cell long
@@ -311,7 +312,8 @@ def fill_membrane(
 def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Array, max_rounds: int) -> Membrane:
     """:func:`fill_membrane`, of one grid, or of several in the third axis of ``known``, and of other arguments or not."""
     rows, columns = known.shape[:2]
-    depth = max(1, math.ceil(math.log(max(rows, columns) / _COARSEST, _FACTOR)))
+    longest = padded_length(max(rows, columns))  # so that the levels do not depend on how tightly the grid is padded
+    depth = max(1, math.ceil(math.log(longest / _COARSEST, _FACTOR)))
     halvings = [max(1, min(depth, math.ceil(math.log(n, _FACTOR)))) for n in (rows, columns)]  # until one cell is left
     plan = [(_FACTOR if k < halvings[0] else 1, _FACTOR if k < halvings[1] else 1) for k in range(1, depth)]
     margin = [(0, -rows % _FACTOR ** halvings[0]), (0, -(columns + 1) % _FACTOR ** halvings[1] + 1)]

@@ -78,6 +78,10 @@ def _bordered(z: jax.Array, width: int, rows: int | None = None) -> jax.Array:
 def _erode_round(z: jax.Array, radius: jax.Array, reach: int, diamond: bool) -> jax.Array:
     """Strip by strip, since all runs of a strip fit into a processor's cache; elsewhere the whole is one strip."""
     rows, columns = z.shape
+    if reach == 1:  # a disk or diamond of one cell is the cross
+        near = _bordered(z, 1)
+        cross = (lax.slice(near, (1 + i, 1 + j), (1 + i + rows, 1 + j + columns)) for i, j in _CROSS)
+        return jnp.where(radius > 0, functools.reduce(jnp.minimum, cross), z)
     tall = max(_STRIP // columns, 2 * reach, 1) if jax.default_backend() == "cpu" else rows
     strips = -(-rows // tall)
     tall = -(-rows // strips)
