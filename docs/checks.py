@@ -30,7 +30,7 @@ def public_names() -> list[str]:
     """Every name that users may rely on, as ``module.name``."""
     names = [f"jaxfilter.{name}" for name in jf.__all__ if not isinstance(getattr(jf, name), types.ModuleType)]
     names += [f"jaxfilter.scenes.{name}" for name in jf.scenes.__all__]
-    for module in (jf.plots, *(import_module(f"jaxfilter.{name}") for name in ARRAYS)):
+    for module in (jf.plots, jf.datasets, *(import_module(f"jaxfilter.{name}") for name in ARRAYS)):
         for name, value in vars(module).items():
             home = getattr(value, "__module__", module.__name__) or ""
             ours = home == module.__name__ or (module is jf.plots and home.startswith("jaxfilter.plots."))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from .core.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from . import plots, scenes
+    from . import datasets, plots, scenes
     from .citing import citation
     from .core.cloud import PointCloud
     from .core.errors import ForkError, InputError, JaxfilterError, JaxfilterWarning, OutputError, ParameterError
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .surveys.products import products
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
+    from .sweeps.fit import Fit, fit
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
     from .terrain.interpolation import Interpolation
@@ -48,22 +49,23 @@ _HOMES = {
     "files.reading": ("Classes", "class_changes", "info", "read", "write"), "terrain.raster": ("Raster",), "pdal":
     ("from_pdal",), "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("Scores",
     "evaluate"), "sweeps.calibrate": ("Calibration", "CrossValidation", "Study", "calibrate"), "sweeps.comparison":
-    ("Comparison", "compare"), "sweeps.sweep": ("SweepOptions", "sweep"), "terrain.interpolation": ("Interpolation",),
-    "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("HeightErrors", "dtm_rmse"), "reports":
-    ("ReportOptions", "report", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",),
-    "surveys.heights": ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers":
-    ("chm", "contours", "count", "density", "dsm", "hillshade", "voids"),
+    ("Comparison", "compare"), "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("SweepOptions", "sweep"),
+    "terrain.interpolation": ("Interpolation",), "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy":
+    ("HeightErrors", "dtm_rmse"), "reports": ("ReportOptions", "report", "review"), "surveys.collection": ("Collection",
+    "open"), "surveys.ground": ("ground",), "surveys.heights": ("heights",), "surveys.model": ("terrain_model",),
+    "surveys.products": ("products",), "terrain.layers": ("chm", "contours", "count", "density", "dsm", "hillshade", "voids"),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AGPTD", "ATIN", "CSF", "FILTERS", "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN",
-    "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "Filter", "FilterResult", "ForkError",
-    "GroundFilter", "HeightErrors", "InputError", "Interpolation", "JaxfilterError", "JaxfilterWarning", "OutputError",
-    "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "Scores", "Status", "Study",
-    "SweepOptions", "calibrate", "chm", "citation", "class_changes", "compare", "contours", "count", "default_filter", "density",
-    "dsm", "dtm", "dtm_rmse", "evaluate", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open",
-    "plots", "products", "read", "report", "review", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
+    "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "Filter", "FilterResult",
+    "Fit", "ForkError", "GroundFilter", "HeightErrors", "InputError", "Interpolation", "JaxfilterError", "JaxfilterWarning",
+    "OutputError", "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "Scores", "Status",
+    "Study", "SweepOptions", "calibrate", "chm", "citation", "class_changes", "compare", "contours", "count", "datasets",
+    "default_filter", "density", "dsm", "dtm", "dtm_rmse", "evaluate", "fit", "from_pdal", "ground", "height_above_ground",
+    "heights", "hillshade", "info", "open", "plots", "products", "read", "report", "review", "scenes", "soft_labels", "sweep",
+    "terrain_model", "voids", "write",
 ]  # fmt: skip
 
 

@@ -27,12 +27,18 @@ def pytest_configure(config):
 
 @pytest.fixture(scope="session")
 def data():
-    """The folder with isprs/, isprs_sites/ and tiles/: JAXFILTER_DATA, or a copy beside the checkout."""
-    places = [os.environ.get("JAXFILTER_DATA"), Path(__file__).resolve().parents[2] / "shared" / "data"]
-    for place in places:
-        if place and (Path(place) / "isprs" / "samp11.txt").exists():
-            return Path(place)
-    pytest.skip("the ISPRS samples are not here: point JAXFILTER_DATA to a folder with isprs/samp11.txt and the rest")
+    """The folder with isprs/, isprs_sites/ and tiles/, as of ``jf.datasets.home``."""
+    import jaxfilter as jf
+
+    try:
+        place = jf.datasets.home()
+    except jf.InputError:
+        place = Path()
+    if not (place / "isprs" / "samp11.txt").exists():
+        pytest.skip(
+            "the ISPRS samples are not here: point JAXFILTER_DATA to a folder with isprs/samp11.txt and the rest"
+        )
+    return place
 
 
 @pytest.fixture(scope="session")

@@ -6,14 +6,16 @@ import dataclasses
 import itertools
 import math
 import re
+import warnings
 
 import numpy as np
 import pandas
 import pytest
+import scipy.stats
 
 import jaxfilter as jf
 from jaxfilter.core.markup import sheet
-from jaxfilter.sweeps.comparison import Comparison, holm, paired
+from jaxfilter.sweeps.comparison import Comparison, holm, least_p, paired
 from jaxfilter.sweeps.tables import latex, markdown
 
 
@@ -175,3 +177,72 @@ def test_what_notebooks_show_is_escaped_and_complete(town):
     assert "0.4 (default 0.5)" in result.run.filter._repr_html_()
     assert "ground is at most this far from level terrain" in jf.SMRF()._repr_html_()
     assert "<table" in jf.PointCloud.from_arrays(np.zeros((0, 3)))._repr_html_()
+
+
+def test_the_effect_is_the_rank_biserial_correlation(rng):
+    other = rng.normal(10, 1, 11)
+    own = other - rng.normal(0.3, 0.6, 11)
+    found = paired(np.column_stack([other, own]))
+    statistic = scipy.stats.wilcoxon(own, other).statistic  # the smaller of both sums of ranks
+    assert abs(found["effect"]) == pytest.approx(1 - 2 * statistic / (11 * 12 / 2))
+    assert found["effect"] * found["median_difference"] < 0  # positive: the method errs less
+    assert paired([(2.0, 1.0), (3.0, 1.0)])["effect"] == 1.0 and paired([(1.0, 1.0)])["effect"] == 0.0
+
+
+def table_of(values):
+    """Methods to a total error per cloud; clouds are of the groups a, a, b, b, ..."""
+    rows = [
+        {"method": m, "cloud": f"c{i}", "group": "abcdefgh"[i // 2], "total": v, "kappa": 100 - v}
+        for m, line in values.items()
+        for i, v in enumerate(line)
+    ]
+    return Comparison(pandas.DataFrame(rows))
+
+
+def test_too_few_clouds_for_any_significance_are_said():
+    assert least_p(4) == 0.125 == scipy.stats.wilcoxon([1.0, 2.0, 3.0, 4.0]).pvalue
+    four = table_of({"A": [1.0, 2.0, 3.0, 4.0], "B": [2.0, 4.0, 6.0, 8.0]})
+    with pytest.warns(jf.JaxfilterWarning, match=r"4 clouds cannot give p below 0\.12.* at least 6 clouds"):
+        assert four.significance()["p"].tolist() == [0.125]
+    eight = table_of({"A": np.arange(8.0), "B": np.arange(8.0) * 1.1 + 1})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert eight.significance()["clouds"].tolist() == [8]
+    with pytest.warns(jf.JaxfilterWarning, match="4 groups cannot"):
+        found = eight.significance(by="group")
+    assert found["clouds"].tolist() == [4] and found["mean"].tolist() == [3.5]
+
+
+def test_methods_by_clouds_have_means_and_the_best_in_bold():
+    found = table_of({"A_1": [1.0, 4.0], "B": [2.0, 3.0]})
+    assert found.markdown("total").splitlines()[2:] == [
+        "| A_1 | **1.00** | 4.00 | **2.50** |",
+        "| B | 2.00 | **3.00** | **2.50** |",
+    ]
+    assert r"A\_1 & \textbf{1.00} & 4.00 & \textbf{2.50} \\" in found.latex("total")
+    assert "| A_1 | **99.00** | 96.00 |" in found.markdown("kappa")
+
+
+def test_of_a_list_each_group_is_filtered_with_what_is_best_on_the_others(town):
+    x = town.xyz[:, 0]
+    thirds = np.searchsorted(np.quantile(x, (1 / 3, 2 / 3)), x)
+    clouds = {
+        f"part {k}": jf.PointCloud.from_arrays(town.xyz[thirds == k], reference=town.truth[thirds == k])
+        for k in range(3)
+    }
+    sets = [jf.SMRF(threshold=t) for t in (0.1, 0.2, 0.4)]
+    groups = {"part 0": "west", "part 1": "west", "part 2": "east"}
+    found = jf.compare({"SMRF": sets, "plain": jf.SMRF()}, clouds, groups=groups, repeats=0, cell=None)
+    total = {
+        (one.threshold, name): jf.evaluate(one(cloud), cloud).total for one in sets for name, cloud in clouds.items()
+    }
+    for name in clouds:
+        others = [other for other in clouds if groups[other] != groups[name]]
+        best = min(sets, key=lambda one: np.mean([total[one.threshold, other] for other in others]))
+        row = found.table[(found.table["method"] == "SMRF") & (found.table["cloud"] == name)].iloc[0]
+        assert row["parameters"] == repr(best) and row["total"] == total[best.threshold, name]
+    assert found.by_method(by="group").index.tolist() == ["west", "east"]
+    with pytest.raises(jf.ParameterError, match="one group only"):
+        jf.compare({"SMRF": sets}, clouds, groups=dict.fromkeys(clouds, "all"))
+    with pytest.raises(jf.ParameterError, match="there is no cloud 'x'"):
+        jf.compare({"SMRF": sets}, clouds, groups={"x": "a"})

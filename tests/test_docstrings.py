@@ -48,9 +48,13 @@ def public():
     Of what a method adds to those of all filters: what takes no arguments. Its steps are for people who change it.
     """
     found = {name: getattr(jf, name) for name in jf.__all__} | {"GridFilter": GridFilter}
-    for module in (jf.plots, jf.scenes):
+    for module in (jf.datasets, jf.plots, jf.scenes):
         short = module.__name__.partition(".")[2]
-        names = {name: value for name, value in vars(module).items() if name[0] != "_" and callable(value)}
+        names = {
+            name: value
+            for name, value in vars(module).items()
+            if name[0] != "_" and callable(value) and value.__module__.startswith("jaxfilter." + short)
+        }
         found |= {f"{short}.{name}": value for name, value in names.items()}
     found |= dict(operations())
     for name, value in list(found.items()):

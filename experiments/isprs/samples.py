@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
+import jaxfilter as jf
 from experiments.report import Row, read_csv
 
 HERE = Path(__file__).parent
 SAMPLES = ("11", "12", "21", "22", "23", "24", "31", "41", "42", "51", "52", "53", "54", "61", "71")
 SITES = ("CSite1", "CSite2", "CSite3", "CSite4", "FSite5", "FSite6", "FSite7", "FSite8")
-
-HOW_TO_GET = """\
-It must hold isprs/samp11.txt ... isprs/samp71.txt (columns x, y, z, label; label 0 = ground), and for the unlabelled
-sites isprs_sites/CSite1*.laz ... isprs_sites/FSite8*.laz. The data are those of ISPRS Working Group III/3: G. Sithole,
-G. Vosselman (2004): Experimental comparison of filter algorithms for bare-Earth extraction from airborne laser scanning
-point clouds. ISPRS J. Photogramm. Remote Sens. 59 (1-2), 85-101; the ISPRS benchmark pages distribute them. Name the
-folder with --data, or with the environment variable JAXFILTER_DATA."""
 
 
 def published(table: str) -> list[Row]:
@@ -37,14 +30,13 @@ def oracle_parameters() -> dict[str, dict[str, float]]:
 
 
 def data_folder(given: Path | None) -> Path:
-    """The folder with the data: ``given``, else JAXFILTER_DATA, else ``shared/data`` beside the checkout.
-
-    Raises: SystemExit saying how to get the data.
-    """
-    fallback = HERE.parents[2] / "shared" / "data"
-    folder = given or Path(os.environ.get("JAXFILTER_DATA") or fallback)
+    """The folder with the data, as of ``jf.datasets.home``. Raises: SystemExit saying how to get the data."""
+    try:
+        folder = jf.datasets.home(given)
+    except jf.InputError as error:
+        raise SystemExit(str(error)) from None
     if not (folder / "isprs").is_dir():
-        raise SystemExit(f"{folder} has no folder 'isprs' with the reference samples.\n{HOW_TO_GET}")
+        raise SystemExit(f"{folder} has no folder 'isprs' with the reference samples. {jf.datasets.HOW_TO_GET}")
     return folder
 
 
@@ -52,7 +44,7 @@ def sample_path(folder: Path, sample: str) -> Path:
     """The file of a sample such as "11". Raises: SystemExit."""
     path = folder / "isprs" / f"samp{sample}.txt"
     if not path.is_file():
-        raise SystemExit(f"{path} is missing.\n{HOW_TO_GET}")
+        raise SystemExit(f"{path} is missing. {jf.datasets.HOW_TO_GET}")
     return path
 
 

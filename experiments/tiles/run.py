@@ -40,14 +40,15 @@ def main(arguments: list[str] | None = None) -> None:
     options = _parser().parse_args(given)
     folder = samples.data_folder(options.data) / "tiles"
     keep_compilations()
+    # what producers set apart is filtered like the rest: a user's cloud has no classes yet
+    reading = jf.Reading(units="m", returns="all", ignore_classes=(7, 18))
+    data = jf.datasets.folder(folder, ignore=LEFT_OUT, reading=reading)
     rows: list[Row] = []
     for tile in options.tiles:
-        path = next(folder.glob(f"{tile}.la[sz]"), None)
-        if path is None:
+        if tile not in data:
             print(f"{tile} is left out: it is not in {folder}", file=sys.stderr)
             continue
-        # what producers set apart is filtered like the rest: a user's cloud has no classes yet
-        cloud = jf.read(path, units="m", returns="all", ignore_classes=(7, 18))
+        cloud = data[tile]
         rows += [tile_row(tile, name, cloud) for name in options.methods]
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "tiles.csv", rows)
@@ -65,8 +66,7 @@ def tile_row(tile: str, name: str, cloud: jf.PointCloud) -> Row:
     start = time.perf_counter()
     result = filter_(cloud)
     seconds = time.perf_counter() - start
-    scored = ~np.isin(cloud.classification, (0, *LEFT_OUT))
-    scores = jf.evaluate(result, cloud.classification == 2, ignore=~scored)
+    scores = jf.evaluate(result, cloud)
     print(f"{tile:26} {name:6} total error {scores.total:6.2f}  {seconds:.2f} s", file=sys.stderr, flush=True)
     return {
         "tile": tile, "cover": TILES[tile], "method": name, "points": len(cloud), "density": round(1 / spacing**2, 2),

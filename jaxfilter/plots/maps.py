@@ -12,6 +12,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import InputError
 from ..core.grid import Grid, grid_over
 from ..core.result import FilterResult
+from ..scoring import reference_labels
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"
@@ -150,7 +151,7 @@ def hillshade(surface: np.ndarray | tuple[np.ndarray, Grid], *, ax: Any = None, 
 def error_map(
     cloud: PointCloud,
     result: FilterResult | np.ndarray,
-    reference: np.ndarray,
+    reference: np.ndarray | None = None,
     *,
     surface: tuple[np.ndarray, Grid] | None = None,
     ax: Any = None,
@@ -163,29 +164,29 @@ def error_map(
     Args:
         cloud: n points.
         result: FilterResult or bool[n], True = ground.
-        reference: bool[n], True = ground.
+        reference: as for :func:`jaxfilter.evaluate`; by default the cloud's own. Points without a label are not drawn.
         surface: (z, Grid) to shade instead of the reference ground points.
         ax: matplotlib Axes; by default those of a new figure.
 
-    Returns: the Axes.
+    Returns: the Axes. Raises: InputError without a reference.
 
     >>> ax = jf.plots.error_map(cloud, result, truth)
     >>> ax.figure.savefig("errors.png")
     """
-    ground = _labels(result)
-    z, grid = surface or rasterise(cloud.xyz[reference], over=cloud.xyz)
+    ground, (truth, counted) = _labels(result), reference_labels(cloud if reference is None else reference)
+    z, grid = surface or rasterise(cloud.xyz[truth & counted], over=cloud.xyz)
     ax = axes_or_new(ax, map_size(grid, legend=0.4))
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
     picture = np.repeat(np.nan_to_num(shade(z, grid.cell), nan=1.0)[:, :, None], 3, axis=2)
-    real = _valid(cloud)
-    objects = np.unique(grid.flat(cloud.xyz[~ground & ~reference & real]))
+    real = _valid(cloud) & counted
+    objects = np.unique(grid.flat(cloud.xyz[~ground & ~truth & real]))
     pixels = picture.reshape(-1, 3)
     pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT))
     _image(ax, picture, grid)
     handles = [Patch(color=OBJECT, label="objects found")]
-    for label, wrong, colour in _errors(ground, reference):
+    for label, wrong, colour in _errors(ground, truth):
         where = wrong & real
         ax.scatter(*cloud.xyz[where, :2].T, s=1.6, c=colour, linewidths=0, rasterized=True)
         handles.append(Patch(color=colour, label=f"{label} ({int(where.sum()):,})"))
@@ -274,19 +275,20 @@ def profile(
     return ax
 
 
-def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.ndarray) -> Any:
+def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.ndarray | None = None) -> Any:
     """A figure of four: ground surface of the reference, of the result, the error map, and a west-east profile.
 
     Args:
         cloud: n points.
         result: FilterResult or bool[n], True = ground.
-        reference: bool[n], True = ground.
+        reference: bool[n], True = ground; by default the cloud's own.
 
-    Returns: the matplotlib Figure.
+    Returns: the matplotlib Figure. Raises: InputError without a reference.
 
     >>> len(jf.plots.panel(cloud, result, truth).axes)
     4
     """
+    reference = reference_labels(cloud if reference is None else reference)[0]
     truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
     map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))
     figure = new_figure((11.0, map_height + 3.1))

@@ -12,6 +12,7 @@ from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError
 from ..core.grid import Grid
 from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score, word
+from ..sweeps.fit import Fit
 from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
 
 if TYPE_CHECKING:
@@ -196,6 +197,41 @@ def sweep_map(
     ax.set_title(title, fontsize=10)
     if limits is None:
         _colour_bar(ax, dataset, score, [ax])
+    return ax
+
+
+def fit_curves(found: Fit, *, ax: Any = None, title: str = "") -> Any:
+    """Both curves of a fit: the error of soft labels on the clouds that took part, and on those that were held out, against the
+    steps; and the total error of the labels of the latter, with the step whose parameters were returned.
+
+    Args:
+        found: from :func:`jaxfilter.fit`.
+        ax: matplotlib Axes; by default those of a new figure.
+
+    Returns: the Axes.
+
+    >>> found = jf.fit(jf.SMRF(), cloud, truth, steps=4, validation=jf.CrossValidation(2, block=10.0))
+    >>> jf.plots.fit_curves(found).get_xlabel()
+    'step'
+    """
+    ax = axes_or_new(ax, (3.6, 2.8))
+    curves = found.curves
+    scored = curves["total"].dropna("step")
+    ax.plot(
+        curves["step"], curves["fitted"], color=TYPE_2, linewidth=1, linestyle="--", label="soft labels, fitted clouds"
+    )
+    ax.plot(
+        curves["step"], curves["held_out"], color="0.55", linewidth=1, linestyle="--", label="soft labels, held out"
+    )
+    ax.plot(scored["step"], scored, color=TYPE_2, linewidth=1.4, marker="o", markersize=2.5, label="labels, held out")
+    step = int(scored["step"][int(scored.argmin())]) if found.moved else 0
+    label = "returned" if found.moved else "returned: the start"
+    ax.plot(step, float(scored.sel(step=step)), "*", color=BEST, markersize=9, linestyle="none", zorder=4, label=label)
+    ax.set_xlabel("step", fontsize=8)
+    ax.set_ylabel(_NAMES["total"], fontsize=8)
+    ax.set_title(title, fontsize=10)
+    ax.tick_params(labelsize=7)
+    ax.legend(**LEGEND)
     return ax
 
 

@@ -77,7 +77,8 @@ class Calibration:
         )
 
 
-def _check_whole(least: int = 1, **arguments: Any) -> None:
+def check_whole(least: int = 1, **arguments: Any) -> None:
+    """Raises ParameterError for what is no whole number, or below ``least``."""
     for name, value in arguments.items():
         if not isinstance(value, numbers.Integral) or value < least:
             raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
@@ -101,7 +102,7 @@ class CrossValidation:
     block: float | None = None
 
     def __post_init__(self) -> None:
-        _check_whole(2, folds=self.folds)
+        check_whole(2, folds=self.folds)
         if self.block is not None and not 0 < self.block < math.inf:
             raise ParameterError(f"block={self.block!r}: must be > 0 metres, and finite")
 
@@ -125,11 +126,16 @@ class CrossValidation:
             raise InputError(
                 "labels: all labelled points lie in one block; label points in several places, or pass block="
             )
-        fold_of, size = np.zeros(len(count), np.int64), np.zeros(min(self.folds, len(count)))
-        for number in np.argsort(-count, kind="stable"):  # the largest first, each to the fold that has least
-            fold_of[number] = int(np.argmin(size))
-            size[fold_of[number]] += count[number]
-        return fold_of[owner]
+        return deal(count, self.folds)[owner]
+
+
+def deal(sizes: np.ndarray, folds: int) -> np.ndarray:
+    """i64[n]: the fold of each part, so that all folds are about as large; at most as many as there are parts."""
+    fold_of, full = np.zeros(len(sizes), np.int64), np.zeros(min(folds, len(sizes)))
+    for number in np.argsort(-sizes, kind="stable"):  # the largest first, each to the fold that has least
+        fold_of[number] = int(np.argmin(full))
+        full[fold_of[number]] += sizes[number]
+    return fold_of
 
 
 class Study:
@@ -174,8 +180,8 @@ class Study:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(map(repr, SCORES))}")
         self.filter, self.score = filter_, score
         cloud = as_cloud(cloud)
-        self.ranges = _ranges(filter_, axes)
-        truth, known = _labels(cloud, labels)
+        self.ranges = ranges_of(filter_, axes)
+        truth, known = known_labels(cloud, labels)
         for name, kind in (("ground", truth), ("object", ~truth)):
             if not (known & kind).any():
                 raise InputError(f"labels: no point is labelled {name}; both classes are needed")
@@ -408,12 +414,12 @@ def calibrate(
     >>> 0.2 <= found.filter.threshold <= 1.0, found.filter.slope
     (True, 0.15)
     """
-    _check_whole(size=size, rounds=rounds)
-    _check_whole(0, seed=seed)
+    check_whole(size=size, rounds=rounds)
+    check_whole(0, seed=seed)
     options, validation = SweepOptions(key, workers, memory), CrossValidation(folds, block)
     cloud = as_cloud(cloud)
     if labelled is not None:
-        mask, (truth, known) = np.asarray(labelled), _labels(cloud, labels)
+        mask, (truth, known) = np.asarray(labelled), known_labels(cloud, labels)
         if mask.shape != (len(cloud),) or mask.dtype != bool:
             raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
         labels = np.where(known & mask, truth, -1).astype(np.int8)
@@ -436,8 +442,8 @@ def calibrate(
     return study.result()
 
 
-def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
-    """Checked search ranges."""
+def ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]:
+    """Checked search ranges. Raises ParameterError."""
     ranges = search_ranges(filter_)
     if axes is not None:
         if not isinstance(axes, Mapping):
@@ -468,8 +474,8 @@ def _ranges(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Range]
     return ranges
 
 
-def _labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
-    """bool[n] ground, bool[n] whether that is known."""
+def known_labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
+    """bool[n] ground, bool[n] whether that is known; without labels, what the cloud says. Raises InputError."""
     array = cloud if labels is None else np.asarray(labels)
     if isinstance(array, np.ndarray) and array.shape != (len(cloud),):
         raise InputError(f"labels: {len(cloud)} are needed, one per point of the cloud, not an array {array.shape}")

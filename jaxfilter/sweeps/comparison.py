@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, JaxfilterError, ParameterError
+from ..core.errors import InputError, JaxfilterError, ParameterError, warn
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
+from ..datasets import Labelled
 from ..methods import FILTERS
 from ..scoring import evaluate
 from ..terrain.accuracy import FIGURES, dtm_rmse
 from ..terrain.interpolation import Interpolation
-from .best import SCORES
+from .best import LARGER_IS_BETTER, SCORES, cost
 from .sweep import check_reference, named_clouds
-from .tables import Column, latex, markdown
+from .tables import Column, Marked, Row, latex, markdown
 
 if TYPE_CHECKING:
     import pandas
@@ -46,6 +47,8 @@ _COLUMNS: tuple[Column, ...] = (
     ("first_seconds", "s, first call", ".3f"),
 )
 _TIMES = ("seconds", "first_seconds")
+_LEVEL = 0.05
+"""Of significance, where it is said that there are too few clouds."""
 _OPTIONAL = (*SCORES, *FIGURES)  # what takes a reference
 
 
@@ -57,7 +60,7 @@ class Comparison:
         table: a row per method and cloud: ``method``, ``cloud``, ``points``, ``ground``; ``type1``, ``type2``, ``total`` and
             ``kappa`` in percent, NaN without a reference; the figures of :func:`jaxfilter.dtm_rmse` by the names of ``as_dict``,
             NaN without a terrain model; ``seconds`` of a call, median, and ``first_seconds`` of the first one, compilation
-            included; ``status``, and ``parameters``. A method that failed has NaN and the error as status.
+            included; ``status``, and ``parameters``; ``group``. A method that failed has NaN and the error as status.
 
     >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
     >>> compared.table[["method", "cloud"]].values.tolist()
@@ -66,8 +69,8 @@ class Comparison:
 
     table: pandas.DataFrame
 
-    def by_method(self, score: str = "total") -> pandas.DataFrame:
-        """One figure, a row per cloud and a column per method.
+    def by_method(self, score: str = "total", by: str = "cloud") -> pandas.DataFrame:
+        """One figure, a row per cloud and a column per method; ``by`` = "group": a row per group, the mean of its clouds.
 
         >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
         >>> compared.by_method("kappa").columns.tolist()
@@ -75,17 +78,24 @@ class Comparison:
         """
         if score not in (known := (*_OPTIONAL, *_TIMES)):
             raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
-        wide = self.table.pivot(index="cloud", columns="method", values=score)
-        return wide.loc[list(dict.fromkeys(self.table["cloud"])), list(dict.fromkeys(self.table["method"]))]
+        if by not in ("cloud", "group"):
+            raise ParameterError(f"by={by!r}: choose 'cloud' or 'group'")
+        wide = self.table.pivot_table(index=by, columns="method", values=score, dropna=False, sort=False)
+        return wide.reindex(list(dict.fromkeys(self.table[by])), columns=list(dict.fromkeys(self.table["method"])))
 
-    def significance(self, score: str = "total", against: str | None = None) -> pandas.DataFrame:
+    def significance(self, score: str = "total", against: str | None = None, *, by: str = "cloud") -> pandas.DataFrame:
         """Every two methods on the clouds that both have a figure for; with ``against``, every other against that one.
+
+        With ``by`` = "group" the means of groups stand for clouds: clouds of one site are no independent witnesses.
 
         A row has ``method`` and ``other``, the ``clouds``, the means of both (``mean``, ``mean_other``), mean and median of
         ``method`` less ``other`` (``difference``, ``median_difference``), on how many clouds it is ``better`` and ``worse``,
-        ``p`` of Wilcoxon's signed-rank test, two-sided, and ``p_holm``, corrected for the number of rows (Holm 1979).
+        the size of the ``effect``, ``p`` of Wilcoxon's signed-rank test, two-sided, and ``p_holm``, corrected for the number of
+        rows (Holm 1979). The effect is the matched-pairs rank-biserial correlation (Kerby 2014, Comprehensive Psychology 3,
+        11.IT.3.1): the share of the ranks for the method less the share against it; 1 = better everywhere, -1 = worse everywhere.
 
         Raises: ParameterError for a score or a method that is not in the table.
+        Warns: if there are so few clouds that p cannot be below 0.05 whatever they say, with the correction or without.
 
         >>> compared = jf.compare({"SMRF": jf.SMRF(), "MSF": jf.MSF()}, {"scene": cloud}, repeats=0)
         >>> compared.significance("total", against="SMRF")[["method", "other", "clouds"]].values.tolist()
@@ -93,7 +103,7 @@ class Comparison:
         """
         import pandas
 
-        wide = self.by_method(score)
+        wide = self.by_method(score, by)
         names = list(wide.columns)
         if against is not None and against not in names:
             raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
@@ -106,23 +116,49 @@ class Comparison:
         table = pandas.DataFrame(rows)
         if len(table):
             table["p_holm"] = holm(table["p"].tolist())
+            most = int(table["clouds"].max())
+            needed = next(n for n in range(1, 99) if len(table) * least_p(n) <= _LEVEL)
+            if 0 < most < needed:
+                warn(
+                    f"significance: {most} {by}s cannot give p below {least_p(most):.2g}, nor p_holm below "
+                    f"{min(1.0, len(table) * least_p(most)):.2g}, by the exact signed-rank test; for {len(table)} comparisons at "
+                    f"the level {_LEVEL} at least {needed} {by}s are needed"
+                )
         return table
 
-    def markdown(self) -> str:
-        """The table as Markdown.
+    def markdown(self, score: str | None = None) -> str:
+        """The table as Markdown; with a ``score``, that figure only, methods by clouds with their mean, the best in bold.
 
-        >>> jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).markdown().startswith("| method")
+        >>> compared = jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0)
+        >>> compared.markdown().startswith("| method | cloud"), compared.markdown("total").startswith("| method | scene | mean |")
+        (True, True)
+        """
+        return markdown(*(self._long() if score is None else self._wide(score, "**{}**")))
+
+    def latex(self, score: str | None = None) -> str:
+        """The same as a LaTeX ``tabular``; needs the package booktabs.
+
+        >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        return markdown(self._columns(), self.table.to_dict("records"))  # type: ignore[arg-type]
+        return latex(*(self._long() if score is None else self._wide(score, "\\textbf{{{}}}")))
 
-    def latex(self) -> str:
-        """The table as a LaTeX ``tabular``; needs the package booktabs.
+    def _long(self) -> tuple[list[Column], list[Row]]:
+        return self._columns(), self.table.to_dict("records")  # type: ignore[return-value]
 
-        >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex()
-        True
-        """
-        return latex(self._columns(), self.table.to_dict("records"))  # type: ignore[arg-type]
+    def _wide(self, score: str, bold: str) -> tuple[list[Column], list[Row]]:
+        """Methods by clouds. The best of each column, as it is printed, is set in ``bold``."""
+        wide = self.by_method(score).T
+        wide["mean"] = wide.mean(axis=1, skipna=False)
+        spec = next(spec for key, _, spec in _COLUMNS if key == score)
+        best = (wide.max() if score in LARGER_IS_BETTER else wide.min()).map(lambda value: format(value, spec))
+
+        def shown(name: str, value: float) -> Any:
+            text = format(value, spec)
+            return value if math.isnan(value) else Marked(bold.format(text)) if text == best[name] else text
+
+        rows = [{"method": one} | {name: shown(name, v) for name, v in line.items()} for one, line in wide.iterrows()]
+        return [("method", "method", ""), *((name, name, spec) for name in wide.columns)], rows  # type: ignore[return-value]
 
     def _columns(self) -> list[Column]:
         """Scores only where there are any."""
@@ -142,6 +178,8 @@ def compare(
     filters: Any,
     clouds: Any,
     *,
+    groups: Mapping[str, Any] | None = None,
+    choose: str = "total",
     repeats: int = 1,
     cell: float | None = 1.0,
     workers: int | None = None,
@@ -151,8 +189,12 @@ def compare(
 
     Args:
         filters: a list, or a mapping from names. Filters are taken as they are; classes and names ("smrf") stand for
-            ``for_cloud(cloud)`` of the method. In a list filters are named by what differs from the defaults.
+            ``for_cloud(cloud)`` of the method. In a list filters are named by what differs from the defaults. A value of a
+            mapping may be a list, such as presets: each group of clouds is filtered with the one of them that is best in the
+            mean of the clouds of the *other* groups. So no parameter is chosen on labels that it is scored on.
         clouds: one, a list, or a mapping from names, as for :func:`jaxfilter.sweep`.
+        groups: name of each cloud (of a list its number) to its group, such as the site; by default each cloud is a group.
+        choose: the score by which filters of a list are chosen.
         repeats: timed calls after the first one, whose median counts; 0 leaves the first one's time only.
         cell: side, in metres, of the cells on which terrain models are compared with that of the reference; outside of its hull
             a model is as high as at its nearest ground point. None: no terrain models.
@@ -170,19 +212,38 @@ def compare(
     import pandas
 
     named = _named_filters(filters)
+    if choose not in SCORES:
+        raise ParameterError(f"choose={choose!r}: choose one of {', '.join(SCORES)}")
     check_resources(workers)
     if cell is not None and not 0 < cell < math.inf:
         raise ParameterError(f"cell={cell!r}: a positive number of metres is needed, or None")
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 0:
         raise ParameterError(f"repeats={repeats!r}: a whole number from 0 on is needed")
-    of_name = named_clouds(clouds, "compare")[1]
-    for name, cloud in of_name.items():
-        check_reference(name, cloud, "compare")
-    rows, report = [], progress or silent
-    for done, ((name, one), (place, cloud)) in enumerate(itertools.product(named.items(), of_name.items())):
-        report(done / (len(named) * len(of_name)), f"{name}, {place}")
-        rows.append({"method": name, "cloud": place, "points": len(cloud), **_row(one, cloud, repeats, cell, workers)})
+    of_name = clouds if isinstance(clouds, Labelled) else named_clouds(clouds, "compare")[1]
+    group = {name: str((groups or {}).get(name, name)) for name in of_name}
+    if strange := {str(name) for name in groups or ()} - set(of_name):
+        raise ParameterError(f"groups: there is no cloud {min(strange)!r}; there are {', '.join(of_name)}")
+    if len(set(group.values())) < 2 and any(len(some) > 1 for some in named.values()):
+        raise ParameterError("filters: one of a list is chosen on other groups of clouds; there is one group only")
+    for name in of_name:
+        check_reference(name, of_name[name], "compare")
+    found, report = {}, progress or silent
+    for done, place in enumerate(of_name):
+        cloud = of_name[place]
+        for part, name in enumerate(named):
+            report((done + part / len(named)) / len(of_name), f"{place}, {name}")
+            facts = {"method": name, "cloud": place, "points": len(cloud)}
+            tried = [facts | _row(one, cloud, repeats, cell, workers) for one in named[name]]
+            found[name, place] = [row | {"group": group[place]} for row in tried]
     report(1.0, "done")
+    rows = []
+    for name, place in itertools.product(named, of_name):
+        others = [found[name, other] for other in of_name if group[other] != group[place]]
+        means = np.array([[cost(row[choose], choose) for row in tried] for tried in others]).reshape(
+            -1, len(named[name])
+        )
+        best = 0 if means.shape[1] == 1 else int(np.argmin(np.nan_to_num(means.mean(axis=0), nan=np.inf)))
+        rows.append(found[name, place][best])
     return Comparison(pandas.DataFrame(rows))
 
 
@@ -206,21 +267,28 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
         larger_is_better: False for errors and seconds, True for kappa.
 
     Returns: ``clouds``; ``mean``, ``mean_other``; ``difference`` and ``median_difference`` of method less other; ``better`` and
-        ``worse``, numbers of clouds; ``p`` of Wilcoxon's signed-rank test, two-sided, 1 where nothing differs. Figures of no
-        clouds are NaN.
+        ``worse``, numbers of clouds; ``effect``, the matched-pairs rank-biserial correlation, and ``p`` of Wilcoxon's signed-rank
+        test, two-sided, 0 and 1 where nothing differs. Figures of no clouds are NaN.
     """
-    from scipy.stats import wilcoxon
+    from scipy.stats import rankdata, wilcoxon
 
     other, own = np.asarray(pairs, np.float64).reshape(-1, 2).T
     gain = own - other if larger_is_better else other - own
     better, worse = int((gain > 0).sum()), int((gain < 0).sum())
-    figures = dict.fromkeys(("mean", "mean_other", "difference", "median_difference", "p"), math.nan)
+    figures = dict.fromkeys(("mean", "mean_other", "difference", "median_difference"), math.nan)
+    effect = p = math.nan
     if len(own):
         means = own.mean(), other.mean(), (own - other).mean(), np.median(own - other)
-        figures = dict(zip(figures, map(float, means), strict=False))
-        figures["p"] = float(wilcoxon(gain).pvalue) if better + worse else 1.0
-    p = figures.pop("p")
-    return {"clouds": len(own), **figures, "better": better, "worse": worse, "p": p}
+        figures = dict(zip(figures, map(float, means), strict=True))
+        rank = rankdata(np.abs(gain[gain != 0]))
+        effect = float(rank @ np.sign(gain[gain != 0]) / rank.sum()) if better + worse else 0.0
+        p = float(wilcoxon(gain).pvalue) if better + worse else 1.0
+    return {"clouds": len(own), **figures, "better": better, "worse": worse, "effect": effect, "p": p}
+
+
+def least_p(clouds: int) -> float:
+    """The least p that the exact signed-rank test, two-sided, can give for so many clouds: all have the same sign."""
+    return 2.0 ** (1 - clouds)
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -254,10 +322,14 @@ def _row(
     return row | {"status": result.status.name, "parameters": repr(filter_)}
 
 
-def _named_filters(filters: Any) -> dict[str, Filter | type[Filter]]:
-    """Filters and methods by name. Raises ParameterError."""
+def _named_filters(filters: Any) -> dict[str, list[Filter | type[Filter]]]:
+    """Filters and methods by name, several where one is to be chosen. Raises ParameterError."""
     if isinstance(filters, Mapping):
-        out = {str(name): _known(one) for name, one in filters.items()}
+        out = {}
+        for name, some in filters.items():
+            out[str(name)] = [_known(one) for one in (some if isinstance(some, (list, tuple)) else [some])]
+            if not some:
+                raise ParameterError(f"filters: the list of {name} is empty")
     else:
         several = isinstance(filters, Iterable) and not isinstance(filters, str)
         out = {}
@@ -267,7 +339,7 @@ def _named_filters(filters: Any) -> dict[str, Filter | type[Filter]]:
                 raise ParameterError(
                     f"filters: there are two of the name {name}: pass a mapping from names of your own"
                 )
-            out[name] = one
+            out[name] = [one]
     if not out:
         raise ParameterError("filters: there is none; pass filters, classes of filters or their names")
     return out

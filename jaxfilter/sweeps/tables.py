@@ -11,6 +11,10 @@ Column = tuple[str, str, str]
 """Key in the row, heading, and format of the values (as in ``format(value, spec)``; none for text)."""
 
 
+class Marked(str):
+    """A cell with markup of its own, which is not escaped."""
+
+
 def markdown(columns: Sequence[Column], rows: Iterable[Row]) -> str:
     """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right."""
     heading = "| " + " | ".join(title for _, title, _ in columns) + " |"
@@ -33,7 +37,7 @@ def latex(columns: Sequence[Column], rows: Iterable[Row]) -> str:
 def _cell(value: Any, spec: str, absent: str = "–") -> str:
     if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
         return absent
-    return str(value) if isinstance(value, str) else format(value, spec)
+    return value if isinstance(value, str) else format(value, spec)
 
 
 _LATEX = str.maketrans(
@@ -43,4 +47,4 @@ _LATEX = str.maketrans(
 
 
 def _escaped(text: str) -> str:
-    return text.translate(_LATEX)
+    return text if isinstance(text, Marked) else text.translate(_LATEX)

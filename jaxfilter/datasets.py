@@ -1,0 +1,157 @@
+"""Labelled clouds by name, and folders of them, read when they are used. Nothing is downloaded."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from .core.cloud import PointCloud
+from .core.errors import InputError
+from .core.reading import Reading
+from .files.reading import read
+from .scoring import GROUND, NEVER_CLASSIFIED
+
+SUFFIXES = (".las", ".laz", ".txt", ".xyz", ".csv")
+HOW_TO_GET = """\
+Data sets lie in the folder that JAXFILTER_DATA names, or in shared/data beside the checkout. The data of ISPRS Working Group
+III/3 (Sithole and Vosselman 2004, ISPRS J. Photogramm. Remote Sens. 59, 85-101; the ISPRS benchmark pages distribute them) are
+isprs/samp11.txt to samp71.txt there (columns x, y, z, label; 0 = ground) and isprs_sites/CSite1*.laz to FSite8*.laz. Other
+labelled files go into a folder of any name."""
+
+
+def home(path: str | os.PathLike[str] | None = None) -> Path:
+    """The folder with the data sets: ``path``, else what JAXFILTER_DATA names, else ``shared/data`` beside the checkout.
+
+    Raises: InputError that says what to put where.
+
+    >>> jf.datasets.home(".") == Path(".")
+    True
+    """
+    folder = Path(path or os.environ.get("JAXFILTER_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder. {HOW_TO_GET}")
+    return folder
+
+
+def load(name: str, *, data: str | os.PathLike[str] | None = None, reading: Reading = Reading()) -> PointCloud:
+    """A cloud with reference labels by its name, which is its path in the folder of data sets without the ending.
+
+    Args:
+        name: such as "isprs/samp12"; the path of a file will do.
+        data: the folder, see :func:`home`.
+        reading: as for :func:`jaxfilter.read`.
+
+    Raises: InputError that says what to put where, and which names there are.
+
+    >>> jf.write("labelled.laz", cloud, truth)
+    >>> len(jf.datasets.load("labelled", data=".")) == len(cloud)
+    True
+    """
+    path = Path(name)
+    if not path.is_file():
+        root = home(data)
+        path = next((p for p in (root / name, *(root / f"{name}{end}" for end in SUFFIXES)) if p.is_file()), path)
+    if not path.is_file():
+        inside = root / Path(name).parent
+        near = sorted(p.stem for p in inside.glob("*") if p.suffix.lower() in SUFFIXES)
+        there = f"{inside} has {', '.join(near[:20])}" if near else f"{inside} has no clouds"
+        raise InputError(f"there is no data set {name!r}: {there}. {HOW_TO_GET}")
+    return _read(path, reading)
+
+
+def folder(
+    path: str | os.PathLike[str],
+    *,
+    ground: Iterable[int] = (GROUND,),
+    ignore: Iterable[int] = (7, 9, 12, 18),
+    splits: Mapping[str, Iterable[str]] | None = None,
+    reading: Reading = Reading(ignore_classes=(7, 18)),
+) -> Labelled:
+    """The labelled files of a folder: a mapping from names to clouds, each of which is read when it is used.
+
+    Args:
+        path: the folder, or its name among the data sets (:func:`home`), such as "isprs". Files may lie in folders of it.
+        ground: classes that are ground in the reference.
+        ignore: classes without a reference, which are not scored: by default noise, water and overlap. Class 0 has none either.
+        splits: name of each part to the names of its clouds; ``*`` stands for anything. By default each folder in it is a part.
+        reading: as for :func:`jaxfilter.read`. By default only noise is set aside, so that no method profits from what a
+            producer has classified.
+
+    The ``classification`` of a cloud says what the reference is: 2 = ground, 0 = without; other classes are as in the file.
+    Labels of text are taken as they are.
+
+    Raises: InputError for a folder without clouds, a part that has none, and two files of one name.
+
+    >>> jf.write("labelled.laz", cloud, truth, overwrite=True)
+    >>> data = jf.datasets.folder(".", splits={"test": ["lab*"]})
+    >>> list(data.split("test")), data.split("test")["labelled"].reference.sum() == truth.sum()
+    (['labelled'], True)
+    """
+    root = Path(path) if Path(path).is_dir() else home() / path
+    files = sorted(p for p in root.rglob("*") if p.suffix.lower() in SUFFIXES)
+    if not files:
+        raise InputError(f"{root} holds no file that ends with {', '.join(SUFFIXES)}. {HOW_TO_GET}")
+    names = [p.relative_to(root).with_suffix("").as_posix() for p in files]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"{root}: two files are called {min(twice)}: give them different names")
+    parts = splits or {name.split("/")[0]: [name.split("/")[0] + "/*"] for name in names if "/" in name}
+    found = {part: tuple(n for n in names if any(fnmatch.fnmatch(n, p) for p in some)) for part, some in parts.items()}
+    for part, some in found.items():
+        if not some:
+            raise InputError(f"splits: no file of {root} is in {part!r}; there are {', '.join(names[:20])}")
+    return Labelled(dict(zip(names, files, strict=True)), tuple(ground), tuple(ignore), found, reading)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Labelled(Mapping[str, PointCloud]):
+    """Labelled clouds by name, from :func:`folder`. :func:`jaxfilter.compare` reads one at a time.
+
+    Attributes:
+        paths: of the files.
+        ground, ignore: classes that are ground, and classes without a reference.
+        splits: names of the clouds in each part.
+        reading: how they are read.
+
+    >>> jf.write("labelled.laz", cloud, truth, overwrite=True)
+    >>> type(jf.datasets.folder(".")).__name__
+    'Labelled'
+    """
+
+    paths: dict[str, Path]
+    ground: tuple[int, ...]
+    ignore: tuple[int, ...]
+    splits: dict[str, tuple[str, ...]]
+    reading: Reading
+
+    def __getitem__(self, name: str) -> PointCloud:
+        cloud = _read(self.paths[name], self.reading)
+        if cloud.classification is None:
+            return cloud
+        of_class = np.arange(256, dtype=np.uint8)
+        of_class[GROUND] = 1  # an object, unless it is ground or without a reference
+        of_class[list(self.ground)] = GROUND
+        of_class[list(self.ignore)] = NEVER_CLASSIFIED
+        classes = of_class[cloud.classification]
+        return dataclasses.replace(cloud, classification=classes, reference=classes == GROUND)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def split(self, name: str) -> Labelled:
+        """The clouds of a part. Raises: InputError naming the parts."""
+        if name not in self.splits:
+            raise InputError(f"split({name!r}): there are {', '.join(self.splits) or 'no parts'}")
+        return dataclasses.replace(self, paths={one: self.paths[one] for one in self.splits[name]})
+
+
+def _read(path: Path, reading: Reading) -> PointCloud:
+    return read(path, **{f.name: getattr(reading, f.name) for f in dataclasses.fields(reading) if f.name != "aoi"})

@@ -1,0 +1,99 @@
+"""Fits by gradient: what goes down is what soft labels say, and clouds that took no part decide."""
+
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.steps.grid_filter import fit_data, soft_errors
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    return {f"scene {n}": jf.scenes.make("mixed", size=(50.0, 50.0), density=1.0, seed=n).cloud for n in (3, 4, 5)}
+
+
+@pytest.mark.parametrize("start", [jf.SMRF(window=9.0), jf.PMF(max_window=17.0)], ids=["SMRF", "PMF"])
+def test_what_goes_down_is_the_error_of_soft_labels_and_its_gradient_that_of_differences(clouds, start):
+    cloud = clouds["scene 3"]
+    points, name = start.points_of(cloud), {"SMRF": "threshold", "PMF": "initial_distance"}[type(start).__name__]
+    truth = points.gather(cloud.reference)
+    rows, out = np.arange(0, len(points), 2), np.zeros((1, 2048), bool)
+    data = fit_data(
+        start, points, (start.replace(slope=0.05), start.replace(slope=0.5)), rows, np.stack([truth, ~truth])[:, rows]
+    )
+
+    def error(slope, value):
+        fields = {"slope": jnp.float32([slope]), name: jnp.float32([value])}
+        return soft_errors(start, data, out[:, : len(data[1])], fields, 0.1)
+
+    (inside, outside), slopes = error(0.21, 0.6)
+    soft = jf.soft_labels(
+        start.replace(slope=0.21, **{name: 0.6}), start.cells(points), jnp.asarray(points.xyz[rows]), 0.1
+    )
+    assert inside[0] == pytest.approx(100 * np.abs(np.asarray(soft) - truth[rows]).mean(), rel=1e-4)
+    assert np.isnan(outside[0])  # all points take part
+    steps = {
+        "slope": (error(0.212, 0.6), error(0.208, 0.6), 0.004),
+        name: (error(0.21, 0.605), error(0.21, 0.595), 0.01),
+    }
+    for field, (above, below, step) in steps.items():
+        assert slopes[field][0] == pytest.approx(float(above[0][0][0] - below[0][0][0]) / step, rel=0.05, abs=0.3)
+
+
+def test_a_fit_from_a_bad_start_gains_on_clouds_that_it_has_not_seen(clouds):
+    start = jf.SMRF(window=9.0, threshold=1.4, scaling=2.5)
+    seen = {name: clouds[name] for name in ("scene 3", "scene 4")}
+    found = jf.fit(start, seen, steps=12)
+    assert found.moved and found.after + found.spread < found.before and "no better" not in str(found)
+    unseen = clouds["scene 5"]
+    before, after = (jf.evaluate(one(unseen), unseen).total for one in (start, found.filter))
+    assert after < before - 1
+    first, last = found.curves["fitted"].values[[0, -1]]
+    assert last < first and found.curves.attrs["fields"] == ["slope", "threshold", "scaling"]
+    held = [jf.evaluate(start(cloud), cloud).total for cloud in seen.values()]
+    assert found.before == found.curves["total"][0] == pytest.approx(np.mean(held))
+    assert (found.filter.window, found.filter.cell) == (9.0, 1.0)
+    assert jf.plots.fit_curves(found).get_ylabel() == "total error (%)"
+
+
+def test_the_start_is_returned_where_clouds_contradict_each_other(clouds):
+    start, names = jf.SMRF(window=9.0, threshold=0.5), list(clouds)[:2]
+    labels = {n: start.replace(threshold=t)(clouds[n]).ground for n, t in zip(names, (0.1, 1.5), strict=True)}
+    found = jf.fit(start, {n: clouds[n] for n in names}, labels, axes={"threshold": (0.1, 1.5)}, steps=6)
+    assert not found.moved and found.filter == start and "no better than the start" in str(found)
+
+
+def test_one_cloud_is_cut_into_blocks_and_clouds_of_a_group_stay_together(clouds):
+    start, cloud = jf.SMRF(window=9.0, threshold=1.4), clouds["scene 3"]
+    labels = np.where(cloud.xyz[:, 0] < 30, cloud.reference, -1)
+    found = jf.fit(start, cloud, labels, steps=4, validation=jf.CrossValidation(2, block=10.0))
+    fold = jf.CrossValidation(2, block=10.0).assign(cloud.xyz[labels >= 0])
+    wrong = (start(cloud).ground != cloud.reference)[labels >= 0]
+    assert found.before == pytest.approx(np.mean([100 * wrong[fold == k].mean() for k in range(2)]))
+    with pytest.raises(jf.InputError, match="all clouds are of the group town"):
+        jf.fit(start, clouds, groups=dict.fromkeys(clouds, "town"))
+
+
+@pytest.mark.parametrize(
+    "start, options, words",
+    [
+        (jf.PTD(), {}, "only filters on a grid have soft labels"),
+        (jf.PMF.preset("pcl"), {}, "only filters on a grid have soft labels"),
+        (jf.SMRF(), {"axes": {"window": (5.0, 10.0)}}, "window has no gradient; choose from slope, threshold, scaling"),
+        (jf.MSF(), {"axes": {"slope": (0.1, 0.3)}}, "no gradient in slope"),
+        (jf.SMRF(), {"steps": 0}, "steps=0"),
+        (jf.SMRF(), {"groups": {"scene 3": "a"}}, "scene 4 has no group"),
+    ],
+)
+def test_what_cannot_be_fitted_is_said(clouds, start, options, words):
+    with pytest.raises((jf.ParameterError, jf.InputError), match=words):
+        jf.fit(start, clouds, **options)
+
+
+def test_without_optax_the_error_says_how_to_install_it(clouds, monkeypatch):
+    monkeypatch.setitem(sys.modules, "optax", None)
+    with pytest.raises(jf.ParameterError, match=r"pip install 'jaxfilter\[fit\]'"):
+        jf.fit(jf.SMRF(), clouds)
