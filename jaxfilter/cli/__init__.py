@@ -6,4 +6,5 @@ from . import report as report
 from . import surveys as surveys
 from . import sweeps as sweeps
 from . import terrain as terrain
+from . import verdicts as verdicts
 from .commands import main as main

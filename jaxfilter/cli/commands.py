@@ -53,8 +53,6 @@ _INSTEAD = {
     "--resolution": "the side of a method's cells is --cell, as in jaxfilter ground smrf "
     "--cell 1 IN OUT; jaxfilter ground METHOD --help lists the parameters of each",
     "compare": "jaxfilter evaluate OUT REFERENCE scores labels, jf.compare(['ost', 'smrf'], clouds) in Python whole methods",
-    "review": "jaxfilter ground IN OUT --review places.gpkg lists the places to look at, jaxfilter report IN page.html shows "
-    "them",
     "classify": "that is jaxfilter ground IN OUT",
     "filter": "that is jaxfilter ground IN OUT",
 }

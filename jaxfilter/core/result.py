@@ -99,6 +99,8 @@ class FilterResult:
         info: counts of the run (seeds, rounds, facets, ...).
         trace: a dict of counts per round, in order; with ``trace=True`` also ``"ground"``: bool[n] after that round.
         doubt: f32[n] or None; probability that the label is wrong, by methods that state it (OST); NaN if never judged.
+        water, deck: bool[n] or None; points of the surface of a body of water, which are ground, and of bridge decks, which are
+            not; None if nobody has looked for them.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
         low_noise: bool[n]; low outliers: barred from the seeds, not ground in the end, and below the final surface, unless they
             are given. Methods that bar no points, such as SMRF, which bars cells, have none.
@@ -123,6 +125,8 @@ class FilterResult:
     trace: list[dict[str, Any]]
     settled: np.ndarray | None = None
     doubt: np.ndarray | None = None
+    water: np.ndarray | None = None
+    deck: np.ndarray | None = None
     low_noise: np.ndarray = None  # type: ignore[assignment]
     run: Call | None = dataclasses.field(default=None, repr=False)
 

@@ -224,21 +224,16 @@ class OST(Filter):
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
-        height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
-        tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
-        kept = ("margin", "height", "slope")
-        angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
-        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
-        growth = Growth(HeightRule(height, tilt), vertices=Vertices(sinks=False), beyond=beyond, kept=kept)
+        limits, kept = self.limits(spacing, around, rough), ("margin", "height", "slope")
+        height, distance = limits.first.height, limits.then.distance
+        growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         with GroundTin.start(network, growth, workers=workers) as ground:
             ground.margin.fill(0)
             ground.change(growth.rule, but=low)
             ground.step()
-            relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
-            distance = np.float32(self.max_distance * height) + relief * around
-            ground.change(AngleRule(distance, angle, float(self.noise)))
+            ground.change(limits.then)
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
             scatter = Scatter.of(ground.tin)
@@ -270,6 +265,17 @@ class OST(Filter):
             "scatter": spread,
         }
         return labels
+
+    def limits(self, spacing: float, around: np.ndarray, rough: np.ndarray | np.float32) -> Limits:
+        """How far from the triangulation points are ground. ``spacing``: metres; ``around``: f32[m], slope of the landscape;
+        ``rough``: f32[m], 1 where steep terrain was given back, or one for all."""
+        height = min(self.tolerance + self.tolerance_spacing * spacing, MAX_TOLERANCE)
+        tilt = min(max(self.scaling * spacing, TILTS[0]), TILTS[1])
+        angle = np.float32(self.max_angle) + np.float32(self.angle_relief) * around
+        beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
+        relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
+        distance = np.float32(self.max_distance * height) + relief * around
+        return Limits(HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond)
 
     @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
     def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Openings:
@@ -350,6 +356,14 @@ class OST(Filter):
             reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)
             rock = np.asarray(dilation(rock.astype(np.float32), reach, reach)) > 0
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), rock, landscape
+
+
+class Limits(NamedTuple):
+    """The rules of OST's growth: the ``first`` round, those ``then``, and outside the hull (step 6)."""
+
+    first: HeightRule
+    then: AngleRule
+    beyond: Beyond
 
 
 class Openings(NamedTuple):

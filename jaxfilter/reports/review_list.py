@@ -44,7 +44,8 @@ def review(
 
     Returns: GeoDataFrame with the CRS of the cloud, coordinates in its units, and the columns ``rank`` (from 1), ``x`` and
     ``y`` (in a cell that holds points), ``area`` (m2), ``volume`` (m3: expected error, area times height), ``chance`` (that a
-    square metre of it is off by more than half a metre), ``reason`` and ``geometry``.
+    square metre of it is off by more than half a metre), ``reason``, ``verdict`` (empty: what a person decides there, for
+    :func:`jaxfilter.apply`) and ``geometry``.
     Raises: ParameterError; InputError (labels of another length, too large an extent); OutputError
     (suffix, exists, disk). Warns: if a file is written and the cloud has no CRS.
 
@@ -73,6 +74,7 @@ def table_of(places: Sequence[Place], metre: float, crs: Any) -> geopandas.GeoDa
         boxes = shapely.box(low[:, 0], low[:, 1], low[:, 0] + side, low[:, 1] + side)
         # The corners of neighbouring cells are equal but for rounding: snapped to a ten thousandth of a side.
         shapes.append(shapely.union_all(boxes, grid_size=side / 10_000))
-    columns = {name: [place.facts()[name] for place in places] for name in COLUMNS}
+    columns: dict[str, list[Any]] = {name: [place.facts()[name] for place in places] for name in COLUMNS}
+    columns["verdict"] = [""] * len(places)
     ranks = {"rank": np.arange(1, len(places) + 1)}
     return geopandas.GeoDataFrame(ranks | columns, geometry=shapes, crs=crs)

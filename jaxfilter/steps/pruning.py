@@ -79,11 +79,13 @@ def overgrown(ground: GroundTin, scatter: Scatter, limit: np.ndarray) -> np.ndar
     return over
 
 
-def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, limit: np.ndarray) -> int:
+def prune(
+    ground: GroundTin, scatter: Scatter, scene: float, local: float, limit: np.ndarray, among: np.ndarray | bool = True
+) -> int:
     """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
 
     Those are dropped that lie more than ``scene`` metres above it, and more than ``local`` times the root mean square among
-    the neighbours.
+    the neighbours. ``among``: bool[m], the others stay.
     """
     tin = ground.tin
     nodes = np.flatnonzero(tin.vertex)
@@ -92,7 +94,7 @@ def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, limit
     inner[ghosts[ghosts >= 0]] = False
     over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
     over = np.maximum(over, overgrown(ground, scatter, limit))
-    drop = nodes[inner[nodes] & (over[nodes] > 0)]
+    drop = nodes[(inner & among)[nodes] & (over[nodes] > 0)]
     ground.margin[drop] = over[drop]
     ground.drop(drop)
     return len(drop)

@@ -16,14 +16,14 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.text import SUFFIXES as TEXT
-from ..files.vectors import check_suffix, write_features
+from ..files.vectors import check_suffix
 from ..files.writing import Additions, Classes, class_changes, write_cloud
 from .collection import Collection
 from .executors import LOCAL
 from .labels import collected, packed
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .places import places_in, suspects_in
+from .places import list_places, suspects_in
 from .product import FileTask, Product
 from .report import RunReport, Summary
 from .survey import Cut, Survey, open_files
@@ -81,14 +81,7 @@ class GroundProduct(Product):
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at, and write them. Raises: InputError, OutputError."""
-        places = places_in(self, report, collection.metre)
-        report.places = [place.facts() for place in places]
-        if self.review is not None:
-            from ..reports.review_list import table_of
-
-            table = table_of(places, collection.metre, collection.crs)
-            write_features(self.review, [table], "review", overwrite=options.overwrite or options.resume)
-            report.review = str(self.review)
+        list_places(self, report, collection, self.review, options.overwrite or options.resume)
 
     def facts(self) -> dict[str, Any]:
         """Classes and quantities."""

@@ -61,7 +61,7 @@ class FileLabels:
 def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> FileLabels:
     """The labels of a file, from its tiles, and quantities of such ``kinds``. Raises: InputError if a point has none."""
     store, reader, source = product.store, product.reader, task.source
-    label, quantities, checksum = _gathered(store, task, kinds)
+    label, quantities, checksum = gathered(store, task, kinds)
     reading, rows = reader.reading, label > 0
     if reading.bounds is not None or reading.aoi is not None:
         label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
@@ -78,7 +78,7 @@ def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> Fi
     return FileLabels(cloud, (label & GROUND) > 0, (label & NOISE) > 0, quantities)
 
 
-def _gathered(
+def gathered(
     store: Store, task: FileTask, kinds: Mapping[str, type]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], int | None]:
     """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and the checksum of the points, if

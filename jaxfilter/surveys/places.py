@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.result import FilterResult
+from ..files.vectors import write_features
+from .collection import Collection
 from .product import Product
 from .report import RunReport
 from .store import KEPT
@@ -19,7 +22,9 @@ if TYPE_CHECKING:
     from ..reports.places import Place
 
 
-def suspects_in(around: Around, result: FilterResult, tile: Tile, reading: Reading) -> dict[str, np.ndarray]:
+def suspects_in(
+    around: Around, result: FilterResult | np.ndarray, tile: Tile, reading: Reading
+) -> dict[str, np.ndarray]:
     """Arrays to keep of a tile: its cells whose terrain may be wrong. ``reading``: its bounds and its area of
     interest hold all places.
 
@@ -45,6 +50,18 @@ def suspects_in(around: Around, result: FilterResult, tile: Tile, reading: Readi
         at = (found.cell.T + 0.5) * SIDE / around.cloud.units.xy
         found = found.part(within(area, *at))
     return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
+
+
+def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:
+    """Put the places of a run into its report, and into a file. Raises: InputError, OutputError."""
+    places = places_in(product, report, collection.metre)
+    report.places = [place.facts() for place in places]
+    if path is not None:
+        from ..reports.review_list import table_of
+
+        table = table_of(places, collection.metre, collection.crs)
+        write_features(path, [table], "review", overwrite=replace)
+        report.review = str(path)
 
 
 def places_in(product: Product, report: RunReport, metre: float) -> list[Place]:

@@ -135,6 +135,61 @@ class Plan:
         return found.hexdigest()
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class BoxPlan(Plan):
+    """Tiles that lie anywhere. ``boxes``: f64[t, 2, 4], core and window of each, file units."""
+
+    boxes: np.ndarray
+
+    @classmethod
+    def over(cls, bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> BoxPlan:
+        """``bounds``, ``counts``: of files, as in :func:`plan_tiles`."""
+        points, files = np.zeros(len(boxes)), bounds + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
+        pairs: list[list[np.ndarray]] = [[], []]  # of a tile, and a file that its core, or its window, meets
+        for number, box in enumerate(boxes):
+            for kind, (x0, y0, x1, y1) in enumerate(box):
+                meets = (
+                    (files[:, 0] <= x1) & (files[:, 2] >= x0) & (files[:, 1] <= y1) & (files[:, 3] >= y0) & (counts > 0)
+                )
+                near = np.flatnonzero(meets)
+                pairs[kind].append(np.stack([np.full(len(near), number), near]))
+            low, high = np.maximum(bounds[near, :2], box[1, :2]), np.minimum(bounds[near, 2:], box[1, 2:])
+            share = (high - low).clip(0).prod(axis=1) / (bounds[near, 2:] - bounds[near, :2]).clip(1e-12).prod(axis=1)
+            points[number] = share @ counts[near]
+        home, near_by = (Lists.of(*np.concatenate(kind, axis=1), len(boxes)) for kind in pairs)
+        width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
+        cell = np.zeros((len(boxes), 2), np.int64)
+        return cls(
+            (0.0, 0.0),
+            width,
+            height,
+            0.0,
+            1.0,
+            cell,
+            points,
+            near_by,
+            home,
+            home.turned(len(bounds)),
+            (True, True),
+            boxes,
+        )
+
+    def core(self, number: int) -> Bounds:
+        return tuple(self.boxes[number, 0].tolist())  # type: ignore[return-value]
+
+    def window(self, number: int) -> Bounds:
+        return tuple(self.boxes[number, 1].tolist())  # type: ignore[return-value]
+
+    def cores(self) -> np.ndarray:
+        return self.boxes[:, 0]
+
+    def largest(self) -> tuple[float, float]:
+        return self.width, self.height
+
+    def digest(self) -> str:
+        return hashlib.sha256(super().digest().encode() + self.boxes.tobytes()).hexdigest()
+
+
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
     """A box, ``halo`` around it, and further to multiples of ``lattice``; all in file units."""
     x0, y0, x1, y1 = core

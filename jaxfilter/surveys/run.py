@@ -54,6 +54,8 @@ class Run:
             for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
                 self._is_written[file] = True
                 self._need_no_more(file)
+        if options.in_place:  # what no tile labels stays as it is
+            self._is_written |= self._missing == 0
         files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
         files *= product.writes_files
         self._standing = Standing("tiles", len(plan), 0, files, times_read=times)

@@ -89,25 +89,26 @@ class GroundNeeded(Product):
                 cloud = dataclasses.replace(around.cloud, core=near)
                 result = self.filter(cloud, workers=local.threads, progress=local.progress)
                 summary.seconds["filter"] += time.perf_counter() - read
-            ground = self._classified(around.cloud, tile) if result is None else result.ground
+            ground = ground_by_class(around.cloud, self.classes_of_ground, tile) if result is None else result.ground
             yield Surroundings(around, wide, halo, ground, near, result)
             if tile.core is None:
                 return
 
-    def _classified(self, cloud: PointCloud, tile: Tile) -> np.ndarray:
-        """bool[n]: ground by class, or by the labels of text. Raises: InputError if there are neither."""
-        if not self.classes_of_ground:
-            return np.zeros(len(cloud), bool)
-        if cloud.classification is not None:
-            ground = np.isin(cloud.classification, self.classes_of_ground)
-            return ground if cloud.withheld is None else ground & ~cloud.withheld
-        if cloud.reference is not None or not len(cloud):
-            return np.zeros(0, bool) if cloud.reference is None else cloud.reference
-        raise InputError(f"{tile.sources[0].uri} has neither classes nor labels: {FIND_GROUND}")
-
     def facts(self) -> dict[str, object]:
         """Classes of ground points."""
         return {"classes_of_ground": self.classes_of_ground}
+
+
+def ground_by_class(cloud: PointCloud, classes: Iterable[int] | None, tile: Tile) -> np.ndarray:
+    """bool[n]: ground by class, or by the labels of text. Raises: InputError if there are neither."""
+    if not classes:
+        return np.zeros(len(cloud), bool)
+    if cloud.classification is not None:
+        ground = np.isin(cloud.classification, classes)
+        return ground if cloud.withheld is None else ground & ~cloud.withheld
+    if cloud.reference is not None or not len(cloud):
+        return np.zeros(0, bool) if cloud.reference is None else cloud.reference
+    raise InputError(f"{tile.sources[0].uri} has neither classes nor labels: {FIND_GROUND}")
 
 
 def source_of_ground(ground: GroundSource) -> tuple[Recipe | None, tuple[int, ...] | None]:

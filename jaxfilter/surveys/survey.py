@@ -27,7 +27,7 @@ from .collection import open as open_collection
 from .executors import check_main
 from .measures import Recipe, Sampler, whole_of
 from .options import RunOptions, check_memory
-from .plan import WHOLE, Plan, plan_tiles
+from .plan import WHOLE, BoxPlan, Plan, plan_tiles
 from .product import Product
 from .report import RunReport
 from .run import Run
@@ -46,11 +46,13 @@ _TOO_OFTEN = 3.0
 @dataclasses.dataclass(frozen=True)
 class Cut:
     """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
-    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo."""
+    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
+    themselves, f64[t, 2, 4], see :class:`BoxPlan`."""
 
     halo: float
     lattice: float
     reach: float | None = None
+    boxes: np.ndarray | None = None
 
 
 def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
@@ -164,6 +166,8 @@ class Survey:
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
+        if cut.boxes is not None:
+            return BoxPlan.over(files.footprints, files.counts, cut.boxes)
         plan = plan_tiles(
             files.footprints,
             files.counts,

@@ -177,11 +177,13 @@ def target_of(place: Place, alone: bool, options: RunOptions) -> Targets:
     return _beside([place], options, alone)
 
 
-def targets_beside(places: list[Place], options: RunOptions) -> Targets:
-    """Several outputs in one folder, into which others may write as well. Raises: ParameterError, OutputError."""
+def targets_beside(places: list[Place], options: RunOptions, name: str = "products") -> Targets:
+    """Several outputs in one folder, into which others may write as well; the folder of the run is called after a ``name``.
+
+    Raises: ParameterError, OutputError."""
     first = places[0].absolute()
     beside = first if isinstance(first, Remote) else first.parent
-    return Targets(places, None, _store(_local(options.work, first, beside) / f".products{_HIDDEN}", first, options))
+    return Targets(places, None, _store(_local(options.work, first, beside) / f".{name}{_HIDDEN}", first, options))
 
 
 def _beside(places: list[Place], options: RunOptions, alone: bool) -> Targets:

@@ -1,0 +1,91 @@
+"""Checked by people: ``review`` lists places, ``apply`` carries out what was decided there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .commands import main
+from .options import READING, RUN, STATED, check_inputs, open_files, take, take_run
+from .output import Answer, count, in_session, run_facts, tell
+from .session import Session
+from .values import CLASS, INPUT, option, with_options
+
+_RUN = [one for one in RUN if one.name in ("workers", "memory", "client", "work", "resume", "overwrite")]
+
+
+@main.command()
+@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
+@with_options(
+    option("--classified classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
+    *STATED,
+    *_RUN,
+)
+@in_session
+def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], **options: Any) -> Answer:
+    """List the places of classified files where the terrain may be wrong, worst first.
+
+    IN is a file, or IN are folders, patterns, several files, a virtual point cloud (.vpc) or URLs, all with ground classes. OUT
+    is a GeoPackage (.gpkg) or GeoJSON (.geojson). Its column verdict is empty: fill it in, in any GIS, and jaxfilter apply
+    changes the files. jaxfilter ground IN OUT --review places.gpkg finds places better, since OST knows how sure it is.
+    """
+    from ..files.vectors import DRIVERS
+    from ..reports.verdicts import WORDS
+    from ..surveys.verdicts import review_survey
+
+    files = open_files(session, names, options, tuple(DRIVERS))
+    assert files.out is not None
+    with session.step("run", files.collection.count):
+        report = review_survey(files.collection, files.out, classes, reading=files.reading, run=files.run)
+    tell(session, report)
+    area = sum(place["area"] for place in report.places)
+    text = f"{files.out}: {count(len(report.places), 'place')} of {area:,.0f} m2 in all; column verdict takes {', '.join(WORDS)}"
+    return Answer(run_facts(session, report, files), text, complete=report.complete)
+
+
+@main.command()
+@click.argument("places", metavar="PLACES", type=INPUT)
+@click.argument("names", metavar="SURVEY...", nargs=-1, required=True)
+@with_options(
+    option("--ground-class", "Class of ground points.", CLASS, default=2),
+    option("--other-class", "Class for points that are no ground any more.", CLASS, default=1),
+    option(
+        "--bridge-class", "Class for points of bridges that were ground (ASPRS: 17).  [default: --other-class]", CLASS
+    ),
+    *(one for one in READING if one.name not in ("bounds", "aoi")),
+    *_RUN,
+)
+@in_session
+def apply(session: Session, places: Path, names: tuple[str, ...], bridge_class: int | None, **options: Any) -> Answer:
+    """Change classified files by what people have decided at places.
+
+    PLACES is what --review or jaxfilter review has written, with the column verdict filled in: ground, object, bridge, water or
+    fine. Empty verdicts are passed over. SURVEY are the files that jaxfilter ground has written, .las or .laz, or their folder.
+    They are changed in place, each as a whole or not at all. Files in which no point changes are not touched.
+
+    Ground grows again at these places and 4 m around them, from what was said. verdicts.json beside the files lists what was
+    carried out; it is not carried out again. Verdicts that contradict each other, are no verdicts, or lie beside the data are
+    named and left out. Then the exit code is 1.
+    """
+    from ..core.reading import Reading
+    from ..files.writing import Classes
+    from ..surveys.collection import open as open_collection
+    from ..surveys.verdicts import apply_survey
+
+    reading, run, classes = take(Reading, options), take_run(options, session), take(Classes, options)
+    check_inputs(names)
+    with session.step("headers"):
+        collection = open_collection(names, units=reading.units, crs=reading.crs)
+    with session.step("run", collection.count):
+        report = apply_survey(places, collection, classes=classes, bridge_class=bridge_class, reading=reading, run=run)
+    tell(session, report)
+    said = ", ".join(f"{n} {word}" for word, n in report.applied.items()) or "none"
+    text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} were before"
+    text += (
+        f"; {count(report.changed, 'point')} in {count(len(report.files), 'file')} changed in {report.elapsed:.1f} s"
+    )
+    if report.problems:
+        text += f"; {count(len(report.problems), 'verdict')} left out"
+    return Answer(run_facts(session, report), text, complete=report.complete)

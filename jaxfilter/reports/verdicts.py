@@ -1,0 +1,291 @@
+"""What people have decided at places, and the labels that follow: ground grows again there, from what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import shapely
+
+from ..core.cloud import PointCloud
+from ..core.errors import InputError, warn
+from ..core.points import Points, has_area
+from ..engines.ground import grow
+from ..engines.neighbours import groups
+from ..engines.tin.ground import GroundTin
+from ..engines.tin.growth import Growth, Outliers, Vertices
+from ..engines.tin.network import one_network
+from ..files.disk import Bounds
+from ..methods.ost import OST
+from ..steps.pruning import Scatter, prune
+from .places import SIDE
+
+if TYPE_CHECKING:
+    pass
+
+GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
+"""What may be said of a place."""
+RIM = 2 * SIDE
+"""Metres around a place in which points are tested again: two of the cells that places are made of."""
+HALO = 40.0
+"""Metres around that whose ground takes part, as around the tiles of terrain models."""
+LEVEL = 0.3
+"""Metres above and below the plane through the lowest points of a body of water that are its surface."""
+_OVERLAP = 1.0
+"""Square metres that two places may share."""
+_BLOCK = 5.0
+"""Metres: ground is averaged in such squares before its slope is taken, as in the landscape of OST."""
+
+
+class Verdict(NamedTuple):
+    """What is said of a place.
+
+    Attributes:
+        word: one of :data:`WORDS`. shape: polygons in file coordinates. name: the place in words. key: tells it from others.
+    """
+
+    word: str
+    shape: shapely.Geometry
+    name: str
+    key: str
+
+    @classmethod
+    def of(cls, word: str, shape: shapely.Geometry, name: str) -> Verdict:
+        """With a key that word and shape decide, to a millimetre."""
+        plain = shapely.set_precision(shape, 0.001).normalize()
+        return cls(word, shape, name, hashlib.sha256(word.encode() + shapely.to_wkb(plain)).hexdigest()[:24])
+
+
+class Given(NamedTuple):
+    """Verdicts that can be carried out, and in words why others cannot."""
+
+    verdicts: list[Verdict]
+    problems: list[str]
+
+
+def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -> Given:
+    """The verdicts in a file or table of places, in coordinates of the data.
+
+    Args:
+        places: name of a GeoPackage or GeoJSON, or a GeoDataFrame, with a column ``verdict``; empty ones are passed over.
+        crs, bounds: of the data.
+
+    Raises: InputError if it cannot be read, or has no such column. Warns: if it is transformed.
+    """
+    import geopandas
+
+    table: Any = places
+    if isinstance(places, (str, os.PathLike)):
+        name = os.fspath(places)
+        try:
+            table = geopandas.read_file(name)
+        except Exception as error:  # GDAL has many of its own
+            raise InputError(f"{name}: cannot be read as places: {error}") from error
+    if "verdict" not in table:
+        raise InputError(
+            f"{name}: has no column verdict; it has {', '.join(map(str, table.columns))}: add it, with one of {', '.join(WORDS)}"
+        )
+    if crs is not None and table.crs is not None and not table.crs.equals(crs):
+        warn(f"{name}: transformed from {table.crs.name} to {crs.name}")
+        table = table.to_crs(crs)
+    verdicts, problems = [], []
+    numbers = table["rank"] if "rank" in table else np.arange(1, len(table) + 1)
+    for number, said, shape in zip(numbers, table["verdict"], table.geometry, strict=True):
+        word = said.strip().lower() if isinstance(said, str) else ""
+        which = f"place {number}"
+        if not word:
+            continue
+        if word not in WORDS:
+            problems.append(f"{name}: {which}: {said!r} is no verdict: choose one of {', '.join(WORDS)}")
+        elif shape is None or shape.is_empty or shape.geom_type not in ("Polygon", "MultiPolygon"):
+            problems.append(f"{name}: {which}: is no polygon")
+        elif not shape.intersects(shapely.box(*bounds)):
+            problems.append(f"{name}: {which}: lies outside of the data: is it in another CRS?")
+        else:
+            verdicts.append(Verdict.of(word, shapely.make_valid(shape), which))
+    wrong = _contradictions(verdicts)
+    problems += [f"{name}: {verdicts[a].name} is {verdicts[a].word} and {verdicts[b].name}, which overlaps it, "
+                 f"{verdicts[b].word}: neither is carried out" for a, b in wrong]  # fmt: skip
+    left_out = {row for pair in wrong for row in pair}
+    return Given([one for row, one in enumerate(verdicts) if row not in left_out], problems)
+
+
+def _contradictions(verdicts: Sequence[Verdict]) -> list[tuple[int, int]]:
+    """Pairs that overlap and say different things."""
+    shapes = [one.shape for one in verdicts]
+    pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects").T.tolist()
+    return [(a, b) for a, b in sorted(map(tuple, pairs)) if a < b and verdicts[a].word != verdicts[b].word
+            and shapes[a].intersection(shapes[b]).area > _OVERLAP]  # fmt: skip
+
+
+class Site(NamedTuple):
+    """Verdicts that are carried out together, since points are in the rims of several.
+
+    Attributes:
+        verdicts: of these places. touched: box around them and their rims. window: box whose points take part. File coordinates.
+    """
+
+    verdicts: list[Verdict]
+    touched: Bounds
+    window: Bounds
+
+
+def sites(verdicts: Sequence[Verdict], metre: float) -> list[Site]:
+    """Places whose rims meet are a site; where nothing is to be changed there is none. ``metre``: metres per unit of the file."""
+    if not verdicts:
+        return []
+    rims = [one.shape.buffer(RIM / metre) for one in verdicts]
+    ends = shapely.STRtree(rims).query(rims, predicate="intersects")
+    of, found = groups(*ends, len(rims)), []
+    for number in range(int(of.max()) + 1):
+        own = [verdicts[row] for row in np.flatnonzero(of == number).tolist()]
+        acting = [one.shape for one in own if one.word != FINE]
+        if acting:
+            box = shapely.union_all(acting).bounds
+            found.append(Site(own, _wider(box, RIM / metre), _wider(box, (RIM + HALO) / metre)))
+    return found
+
+
+def _wider(box: Bounds, by: float) -> Bounds:
+    return box[0] - by, box[1] - by, box[2] + by, box[3] + by
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Repaired:
+    """Labels of n points after verdicts, bool[n] each: ``changed``; ``ground``; ``water``, the surface of water where that was
+    said; ``deck``: points of bridges that were ground."""
+
+    changed: np.ndarray
+    ground: np.ndarray
+    water: np.ndarray
+    deck: np.ndarray
+
+
+def repaired(cloud: PointCloud, ground: np.ndarray, site: Site, filter_: OST) -> Repaired:
+    """Carry out the verdicts of a site on the points of its window.
+
+    Points in an object or a bridge are no ground. In water those near the plane of its lowest points are. In ground the lowest
+    points of cells are seeds, and what is ground already stays. From these, and from the ground around, the ground grows by the
+    rules of ``filter_`` through the places that are ground and the rims of all places. Ground in the rim of an object or a bridge
+    must pass again. Points elsewhere, and those of places that are fine, keep their labels.
+
+    Args:
+        cloud: n points, of the window. ground: bool[n]. filter_: with a ``spacing``, metres.
+    """
+    points = filter_.points_of(cloud)
+    word, rim, cleared = _zones(points, site)
+    was = points.gather(ground)
+    now, grows = was & (word == ""), (word == GROUND) | rim
+    now &= ~cleared
+    now |= was & (word == FINE)
+    for one in site.verdicts:
+        if one.word == WATER:
+            inside = np.flatnonzero(_inside(points, one.shape) & (word == WATER))
+            now[inside[_level(points.xyz[inside])]] = True
+    water = now & (word == WATER)
+    seeds = now.copy()
+    if (places := word == GROUND).any():
+        seeds |= was & places
+        seeds[_lowest(points, places & ~filter_.low(points))] = True
+    if (grows & ~seeds).any() and has_area(points.xyz[seeds]):
+        now = _grown(points, seeds, grows, places, filter_)
+    else:
+        now |= seeds
+    changed = points.spread(now != was, False)
+    after = np.where(changed, points.spread(now, False), ground)
+    deck = points.spread((word == BRIDGE) & was, False) & ground
+    return Repaired(changed, after, points.spread(water, False), deck)
+
+
+def _inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
+    """bool[m]: points in a shape or on its border."""
+    shapely.prepare(shape)
+    cloud = points.cloud
+    x, y = (cloud.origin[axis] + points.xyz[:, axis].astype(np.float64) / cloud.units.xy for axis in range(2))
+    return np.asarray(shapely.intersects_xy(shape, x, y))
+
+
+def _zones(points: Points, site: Site) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is said of each point, U[m], "" = nothing; bool[m]: those in rims; and of these, those beside what is no ground."""
+    word = np.full(len(points), "", "U6")
+    near, beside, rim = (np.zeros(len(points), bool) for _ in range(3))
+    for one in site.verdicts:
+        word[_inside(points, one.shape)] = one.word
+        if one.word != FINE:
+            near = _inside(points, one.shape.buffer(RIM / points.cloud.units.xy))
+            rim |= near
+            beside |= near & (one.word in (OBJECT, BRIDGE))
+    rim &= word == ""
+    return word, rim, beside & rim
+
+
+def _lowest(points: Points, counted: np.ndarray) -> np.ndarray:
+    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`places.SIDE` metres from the anchor."""
+    rows = np.flatnonzero(counted)
+    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / SIDE).astype(np.int64)
+    order = np.lexsort((rows, points.xyz[rows, 2], cell[:, 0], cell[:, 1]))
+    first = np.ones(len(rows), bool)
+    first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
+    return np.sort(rows[order[first]])
+
+
+def _level(xyz: np.ndarray) -> np.ndarray:
+    """bool[k]: points f32[k, 3] of a place that are the surface of its water."""
+    if len(xyz) == 0:
+        return np.zeros(0, bool)
+    near = xyz.astype(np.float64) - xyz.mean(axis=0, dtype=np.float64)
+    columns, z = np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2]
+    kept = z <= np.quantile(z, 0.25) + LEVEL
+    for _ in range(5):  # the plane of the lower half, as far as it is level
+        plane = np.linalg.lstsq(columns[kept], z[kept], rcond=None)[0]
+        kept = np.abs(z - columns @ plane) <= LEVEL
+        if kept.sum() < 3:
+            return np.asarray(np.abs(z - z.min()) <= LEVEL)
+    return np.asarray(kept)
+
+
+def _slope(xyz: np.ndarray) -> float:
+    """Rise over run between means of squares of ground points f32[k, 3], averaged."""
+    at = np.floor(xyz[:, :2] / _BLOCK).astype(np.int64)
+    at -= at.min(axis=0)
+    shape = tuple((at.max(axis=0) + 1).tolist())
+    key = at[:, 0] * shape[1] + at[:, 1]
+    size = shape[0] * shape[1]
+    with np.errstate(invalid="ignore"):
+        z = (np.bincount(key, xyz[:, 2], size) / np.bincount(key, minlength=size)).reshape(shape)
+    rises = [(z[2:, 1:-1] - z[:-2, 1:-1]), (z[1:-1, 2:] - z[1:-1, :-2])] if min(shape) > 2 else []
+    slopes = np.hypot(*rises) / (2 * _BLOCK) if rises else np.zeros(0)
+    known = slopes[np.isfinite(slopes)]
+    return float(known.mean()) if len(known) else 0.0
+
+
+def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, places: np.ndarray, filter_: OST) -> np.ndarray:
+    """bool[m]: ground from ``seeds`` on, among the points that it ``grows`` over; seeds in ``places`` may be dropped again."""
+    rows = np.flatnonzero(seeds | grows)
+    some = dataclasses.replace(points, xyz=points.xyz[rows], weight=points.weight[rows])
+    seed, within = seeds[rows], places[rows]
+    around = np.full(len(rows), _slope(some.xyz[seed]), np.float32)
+    limits = filter_.limits(
+        points.spacing() if filter_.spacing is None else filter_.spacing, around, within * np.float32(1)
+    )
+    growth = Growth(
+        limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=("margin", "height", "slope")
+    )
+    none = np.zeros(len(rows), bool)
+    network = one_network(some, np.flatnonzero(seed), np.zeros((0, 2)), Outliers(none, none))
+    network = dataclasses.replace(network, open=grows[rows])
+    with GroundTin.start(network, growth, workers=1) as ground:
+        ground.margin.fill(0)
+        ground.step()
+        ground.change(limits.then)
+        grow(ground, filter_.rounds)
+        scatter = Scatter.of(ground.tin)
+        spread = float(filter_.scene_spread) * scatter.of_scene(ground.tin)
+        prune(ground, scatter, spread, float(filter_.local_spread), limits.then.distance, within)
+        now = np.zeros(len(points), bool)
+        now[rows] = ground.ground
+    return now

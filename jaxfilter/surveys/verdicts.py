@@ -1,0 +1,357 @@
+"""Verdicts on places are carried out, on a result in memory or on classified files; and places of such files are listed."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import os
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import GROUND_CLASS
+from ..core.errors import InputError, ParameterError, warn
+from ..core.filter import Filter
+from ..core.inputs import class_numbers
+from ..core.reading import Reading
+from ..core.result import Decision, FilterResult
+from ..core.version import __version__
+from ..files.disk import Seal, new_file
+from ..files.storage import Remote, place_of
+from ..files.vectors import check_suffix
+from ..files.windows import file_cloud
+from ..files.writing import LAS_SUFFIXES, Classes, write_cloud
+from ..methods.default import default_filter
+from ..methods.ost import OST
+from ..reports.places import SIDE
+from ..reports.verdicts import FINE, HALO, RIM, WORDS, Site, Verdict, read_verdicts, repaired, sites
+from ..terrain.layer import extent_of
+from .collection import Collection
+from .labels import CANDIDATE, GROUND, NOISE, gathered, packed
+from .measures import Recipe
+from .options import RunOptions
+from .places import list_places, suspects_in
+from .product import FileTask, Product
+from .report import RunReport, Summary
+from .store import KEPT
+from .surroundings import ground_by_class
+from .survey import Cut, Survey, open_files
+from .targets import Targets, target_of, targets_beside
+from .tiles import Tile, TileReader, inside, part_of
+
+LOG = "verdicts.json"
+"""Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""
+_FEW = 200
+"""Sites up to which one process is enough: others take longer to start."""
+
+
+def apply(result: FilterResult, places: Any) -> FilterResult:
+    """Carry out what people have decided at places: labels inside these and at their rim become what follows from it.
+
+    ============  ========================================================================================================
+    verdict       what is done
+    ============  ========================================================================================================
+    ``ground``    the lowest points of cells of 2 m are seeds, and the ground grows from them; what is ground stays
+    ``object``    no point is ground
+    ``bridge``    the same; points that were ground are marked as ``deck``
+    ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
+    ``fine``      nothing changes, here and where the rim of another place meets it
+    ============  ========================================================================================================
+
+    The ground around the place is known. From it and the seeds the ground grows again through the place and the 4 m around it,
+    by the rules of OST. Ground in these 4 m must pass again around objects and bridges. All other labels stay as they are.
+    Places whose rims meet are done together, and each sees the ground up to 40 m away.
+
+    Args:
+        result: of any filter; the limits are those of OST, as set up for the cloud if another method has found the ground.
+        places: what :func:`jaxfilter.review` returns or has written, with its column ``verdict`` filled in; or any other polygons
+            with such a column. Empty ones are passed over. Places in another CRS are transformed.
+
+    Returns: FilterResult with other ``ground`` and ``decision``, ``water`` and ``deck``; ``doubt`` is NaN where labels changed.
+    Raises: InputError for places that cannot be read or have no such column, and for a result without its cloud. Warns: of each
+        verdict that is left out, since it is none, lies beside the data, or contradicts one that overlaps it.
+
+    >>> places = jf.review(cloud, result)
+    >>> places["verdict"] = "fine"
+    >>> bool((jf.apply(result, places).ground == result.ground).all())
+    True
+    """
+    if result.run is None:
+        raise InputError(
+            "result: was put together by hand, so its points are not known: pass what a filter has returned"
+        )
+    cloud = result.run.cloud
+    given = read_verdicts(places, cloud.crs, extent_of(cloud))
+    for problem in given.problems:
+        warn(problem)
+    filter_: Any = result.run.filter
+    filter_ = filter_.replace() if isinstance(filter_, OST) else default_filter(cloud)
+    if filter_.spacing is None:
+        filter_ = filter_.replace(spacing=filter_.points_of(cloud).spacing())
+    ground, decision = result.ground.copy(), np.array(result.decision)
+    doubt = None if result.doubt is None else result.doubt.copy()
+    water, deck = (np.zeros(len(cloud), bool) if old is None else old.copy() for old in (result.water, result.deck))
+    for site in sites(given.verdicts, cloud.units.xy):
+        rows = np.flatnonzero(inside(cloud, site.window))
+        found = repaired(part_of(cloud, rows), result.ground[rows], site, filter_)
+        changed = rows[found.changed]
+        ground[changed] = found.ground[found.changed]
+        decision[changed] = np.where(ground[changed], Decision.ACCEPTED, Decision.SURFACE)
+        water[rows[found.water]], deck[rows[found.deck]] = True, True
+        if doubt is not None:
+            doubt[changed] = np.nan
+    return dataclasses.replace(
+        result, ground=ground, decision=decision, doubt=doubt, water=water & ground, deck=deck & ~ground
+    )
+
+
+@dataclasses.dataclass
+class VerdictReport(RunReport):
+    """What :func:`apply_survey` has done: of :class:`RunReport`, and
+
+    Attributes:
+        changed: points whose class was changed. applied: number of verdicts by word.
+        before: verdicts that were carried out by an earlier run. problems: in words, of verdicts that were left out.
+    """
+
+    changed: int = 0
+    applied: dict[str, int] = dataclasses.field(default_factory=dict)
+    before: int = 0
+    problems: list[str] = dataclasses.field(default_factory=list)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every verdict was carried out, and every file written that it changes."""
+        return super().complete and not self.problems
+
+
+@dataclasses.dataclass(frozen=True)
+class VerdictProduct(Product):
+    """Files in which some classes follow verdicts; a tile is a site."""
+
+    NAME = "verdicts"
+    REPORT = VerdictReport
+    sites: tuple[Site, ...]
+    new: tuple[Verdict, ...]
+    classes: Classes
+
+    def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
+        """The points of a site that change. Raises: InputError."""
+        summary, start = Summary(), time.perf_counter()
+        around = self.reader.read(tile)
+        cloud, (filter_, site) = around.cloud, (self.filter, self.sites[tile.number])
+        assert isinstance(filter_, OST)
+        summary.seconds["read"] = (read := time.perf_counter()) - start
+        if cloud.classification is None:
+            return {}, summary
+        ground = cloud.classification == self.classes.ground_class
+        cloud = dataclasses.replace(cloud, candidate=cloud.candidate | ground, core=None)  # whatever echoes were judged
+        found = repaired(cloud, ground, site, filter_)
+        summary.seconds["filter"] = time.perf_counter() - read
+        summary.points, summary.read, summary.unread = int(around.core.sum()), len(cloud), around.left_out
+        summary.candidates, summary.ground = (
+            int(cloud.candidate[around.core].sum()),
+            int(found.ground[around.core].sum()),
+        )
+        some = dataclasses.replace(around, cloud=cloud, core=found.changed)
+        arrays = packed(some, found.ground, {}, found.deck)
+        kept = {"files": np.unique(around.file[found.changed]), "changed": np.array(int(found.changed.sum()))}
+        return arrays | {f"{KEPT}{name}": values for name, values in kept.items()}, summary
+
+    def file(self, task: FileTask) -> None:
+        """Write a file whose points have changed. Raises: InputError, OutputError."""
+        label, _, _ = gathered(self.store, task, {})
+        if label.any():
+            cloud = file_cloud(task.source, (label & CANDIDATE) > 0, self.reader.index)
+            result = FilterResult.of_labels((label & GROUND) > 0, (label & NOISE) > 0)
+            write_cloud(task.target, cloud, result, self.classes, overwrite=True, in_place=True)
+
+    def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
+        assert isinstance(report, VerdictReport)
+        kept = [self.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
+        numbers = {file for arrays in kept for file in arrays.get(f"{KEPT}files", np.zeros(0, int)).tolist()}
+        written = {str(targets.places[number]) for number in numbers}
+        report.files = [name for name in report.files if name in written]
+        report.changed = sum(int(arrays.get(f"{KEPT}changed", 0)) for arrays in kept)
+        if not (report.set_aside or report.failed or report.left_out):
+            _Log(targets.store.path.parent / LOG).add(self.new, collection)
+
+    def facts(self) -> dict[str, Any]:
+        """Classes and verdicts."""
+        keys = sorted(one.key for site in self.sites for one in site.verdicts)
+        return {"classes": dataclasses.asdict(self.classes), "verdicts": keys}
+
+
+def apply_survey(
+    places: Any,
+    what: Any,
+    *,
+    classes: Classes = Classes(),
+    bridge_class: int | None = None,
+    reading: Reading = Reading(),
+    run: RunOptions = RunOptions(),
+) -> VerdictReport:
+    """Carry out verdicts on classified files, as :func:`apply` does in memory; the files are changed in place.
+
+    Only windows around places are read. Of the points of a place and its rim only those that become ground, or are no more,
+    change their class; noise, water, bridges and what else is not judged keep theirs. A file in which a point changes is written
+    anew, whole or not at all. Other files are not touched. ``verdicts.json`` beside the files lists what was carried out. A
+    verdict that stands there is not carried out again, unless its files were changed by something else since.
+
+    Args:
+        places: as in :func:`apply`. what: the LAS and LAZ files, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
+        classes: what is ground in the files, and the class of points that are no more.
+        bridge_class: for points of bridges that were ground (ASPRS: 17); None: they get that of others.
+        reading: which points are judged, as when the ground was found.
+        run: how it is carried out. With ``resume`` a run that was stopped goes on.
+
+    Returns: VerdictReport, in which verdicts that were left out are named.
+    Raises: as :func:`jaxfilter.ground`; InputError for places that cannot be read, or have no verdicts.
+
+    >>> report = jf.ground("survey", "classified", review="places.gpkg", reading=jf.Reading(units="m"))
+    >>> made = jf.apply_survey("places.gpkg", "classified", reading=jf.Reading(units="m"))
+    >>> made.complete, made.files  # no verdict was filled in
+    (True, [])
+    """
+    run = dataclasses.replace(run, in_place=True)
+    collection = open_files(what, None, reading, run)
+    files = [place_of(uri) for uri in collection.uris]
+    if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
+        raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
+    given = read_verdicts(places, collection.crs, collection.bounds)
+    for problem in given.problems:
+        warn(problem)
+    targets = targets_beside(files, run, "verdicts")
+    log = _Log(targets.store.path.parent / LOG)
+    new = tuple(one for one in given.verdicts if not log.holds(one.key))
+    keys = {one.key for one in new if one.word != FINE}
+    found = tuple(
+        site for site in sites(given.verdicts, collection.metre) if any(one.key in keys for one in site.verdicts)
+    )  # verdicts of before that meet a new one are kept to
+    report = VerdictReport()
+    if found:
+        classes = dataclasses.replace(
+            classes, noise_class=bridge_class
+        )  # the label of decks takes the place of that of noise
+        if run.workers is None and run.client is None and len(found) <= _FEW:
+            run = dataclasses.replace(run, workers=1)
+        # a sample of the files says what the filter is, as for surveys in tiles, and nothing more is measured
+        sampled = dataclasses.replace(run, tile=HALO, measures={})
+        boxes = np.array([[site.touched, site.window] for site in found])
+
+        def product_for(reader: TileReader, filter_: Filter | None) -> VerdictProduct:
+            return VerdictProduct(reader, targets.store.path, filter_, found, new, classes)
+
+        survey = Survey(collection, targets, Recipe(), reading, sampled)
+        report = survey.run(lambda filter_, halo: Cut(0.0, 1.0, boxes=boxes), product_for)
+    else:
+        targets.store.discard()
+        log.add(new, collection)
+    report.problems, report.before = given.problems, len(given.verdicts) - len(new)
+    report.applied = {word: n for word in WORDS if (n := sum(one.word == word for one in new))}
+    return report
+
+
+class _Log:
+    """The list of verdicts that were carried out on files of a folder."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises: InputError if it is damaged."""
+        self.path = path
+        try:
+            self.facts: dict[str, Any] = json.loads(path.read_text())
+            self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
+            broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
+        except FileNotFoundError:
+            self.facts, self._known, broken = {"files": {}, "verdicts": []}, {}, {}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(
+                f"{path}: is damaged ({error}): remove it, and all verdicts are carried out anew"
+            ) from error
+        self._broken = {name for name, words in broken.items() if words is not None}
+        for name in sorted(self._broken):
+            warn(f"{name}: {broken[name]} since verdicts were carried out on it, so those of it are carried out anew")
+
+    def holds(self, key: str) -> bool:
+        """Whether a verdict was carried out, and its files are as they were left."""
+        return key in self._known and not self._broken.intersection(self._known[key])
+
+    def add(self, verdicts: Sequence[Verdict], collection: Collection) -> None:
+        """Write down verdicts, and how their files are now. Raises: OutputError."""
+        if not verdicts:
+            return
+        keys, today = {one.key for one in verdicts}, datetime.date.today().isoformat()
+        entries = [one for one in self.facts["verdicts"] if one["key"] not in keys]
+        for one in verdicts:
+            inner, area = one.shape.representative_point(), one.shape.area * collection.metre**2
+            near = collection.within(one.shape.buffer(RIM / collection.metre).bounds)
+            files = [os.path.relpath(collection.uris[n], self.path.parent) for n in near]
+            facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
+            entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
+        names = sorted({name for one in entries for name in one["files"]})
+        seals = {name: dataclasses.asdict(Seal.of(self.path.parent / name)) for name in names}
+        with new_file(self.path, overwrite=True) as part:
+            part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
+
+
+@dataclasses.dataclass(frozen=True)
+class ReviewProduct(Product):
+    """The places of files that have classes; ``ground``: those of ground points; ``path``: of the list."""
+
+    NAME = "review"
+    ground: tuple[int, ...]
+    path: Path
+
+    def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
+        """Cells of a tile whose terrain may be wrong. Raises: InputError if points have no classes."""
+        summary, around = Summary(), self.reader.read(tile)
+        ground = ground_by_class(around.cloud, self.ground, tile)
+        summary.points, summary.read, summary.unread = int(around.core.sum()), len(around.cloud), around.left_out
+        summary.ground = int(ground[around.core].sum())
+        return suspects_in(around, ground, tile, self.reader.reading), summary
+
+    def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
+        """Write the list. Raises: InputError, OutputError."""
+        list_places(self, report, collection, self.path, True)
+
+    def facts(self) -> dict[str, Any]:
+        """Classes of ground points."""
+        return {"classes_of_ground": self.ground}
+
+
+def review_survey(
+    what: Any,
+    path: str | Path,
+    ground: Iterable[int] = (GROUND_CLASS,),
+    *,
+    reading: Reading = Reading(),
+    run: RunOptions = RunOptions(),
+) -> RunReport:
+    """List the places to look at in files that have classes, as :func:`review` does for one cloud.
+
+    Labels alone state no doubt: the list of ``jf.ground(..., review=...)`` is better, where OST finds the ground.
+
+    Args:
+        what, reading, run: as in :func:`jaxfilter.ground`. path: a GeoPackage (.gpkg) or GeoJSON (.geojson).
+        ground: classes of the points that are ground, less withheld ones. In text it is label 0.
+
+    Returns: RunReport, whose ``places`` are listed. Raises: as :func:`jaxfilter.ground`.
+
+    >>> report = jf.review_survey("survey", "places.geojson", reading=jf.Reading(units="m"))
+    >>> report.complete, report.points == len(cloud)
+    (True, True)
+    """
+    target, classes = Path(path), class_numbers(ground)
+    check_suffix(target)
+    collection = open_files(what, None, reading, dataclasses.replace(run, in_place=True))
+    targets = target_of(target, len(collection) == 1, run)
+
+    def product_for(reader: TileReader, filter_: Filter | None) -> ReviewProduct:
+        return ReviewProduct(reader, targets.store.path, None, classes, target)
+
+    return Survey(collection, targets, None, reading, run).run(lambda filter_, halo: Cut(HALO, SIDE), product_for)

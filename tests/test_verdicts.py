@@ -1,0 +1,296 @@
+"""What people have decided at places: labels in memory and in files, what cannot be carried out, and runs that are stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import geopandas
+import laspy
+import numpy as np
+import pyproj
+import pytest
+import shapely
+from click.testing import CliRunner
+from test_tiles_run import Here
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
+
+pytestmark = [
+    pytest.mark.usefixtures("compilation_cache"),
+    pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
+]
+UTM = pyproj.CRS.from_epsg(25832)
+WIDE, HIGH = 160.0, 120.0
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A plain of half-metre points with a hill, a house, a bridge over a level river, and stakes in it. Elevation is 50 m."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0, WIDE, 0.8) + 0.2, np.arange(0, HIGH, 0.8) + 0.3))
+    rng = np.random.default_rng(1)
+    z = 50 + rng.normal(0, 0.02, x.size)
+    z += 6 * np.exp(-((x - 40) ** 2 + (y - 90) ** 2) / 2 / 6**2)  # too steep for a filter that is told of small slopes
+    z += np.where(within(x, y, HOUSE), 5.0, 0.0)
+    z -= np.where(within(x, y, RIVER), 2.0, 0.0)
+    z += np.where(within(x, y, BRIDGE), 5.0, 0.0)
+    stake = within(x, y, RIVER) & ~within(x, y, BRIDGE) & (rng.random(x.size) < 0.1)
+    z += np.where(stake, rng.uniform(0.6, 3, x.size), 0.0)
+    return np.column_stack([x + 500_000, y + 5_400_000, z]), stake
+
+
+def box(x0, y0, x1, y1):
+    return shapely.box(500_000 + x0, 5_400_000 + y0, 500_000 + x1, 5_400_000 + y1)
+
+
+HOUSE, HILL, RIVER, BRIDGE = (100, 80, 120, 100), (25, 75, 55, 105), (50, 0, 74, 50), (50, 20, 74, 30)
+
+
+def within(x, y, limits):
+    x0, y0, x1, y1 = limits
+    return (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
+
+
+def inside(xyz, *limits, by=0.0):
+    x0, y0, x1, y1 = limits
+    return within(xyz[:, 0] - 500_000, xyz[:, 1] - 5_400_000, (x0 - by, y0 - by, x1 + by, y1 + by))
+
+
+def table(**places):
+    """Verdicts by name of a place."""
+    shapes = {"house": box(*HOUSE), "hill": box(*HILL), "river": box(*RIVER) - box(*BRIDGE), "bridge": box(*BRIDGE)}
+    return geopandas.GeoDataFrame(
+        {"verdict": list(places.values())}, geometry=[shapes.get(k.rstrip("_")) for k in places], crs=UTM
+    )
+
+
+def labelled(xyz, ground):
+    """A result with these labels."""
+    cloud = jf.PointCloud.from_arrays(xyz, crs=UTM)
+    result = jf.FilterResult.of_labels(ground)
+    return dataclasses.replace(result, run=jf.OST(spacing=0.8)(cloud).run)
+
+
+@pytest.fixture(scope="module")
+def wrong(scene):
+    """Labels with the hill as an object, and all else, roof, deck and stakes, as ground."""
+    xyz, _ = scene
+    return ~(inside(xyz, *HILL) & (xyz[:, 2] > 50.3))
+
+
+@pytest.mark.parametrize("word", ["object", "bridge"])
+def test_an_object_is_no_ground_and_its_rim_is_judged_again(scene, wrong, word):
+    xyz, _ = scene
+    made = jf.apply(labelled(xyz, wrong), table(house=word))
+    house, near = inside(xyz, *HOUSE), inside(xyz, *HOUSE, by=RIM)
+    assert not made.ground[house].any() and made.ground[near & ~house].all()
+    np.testing.assert_array_equal(made.ground[~near], wrong[~near])
+    np.testing.assert_array_equal(made.deck, house & (word == "bridge"))
+    assert (made.decision[house] == jf.Decision.SURFACE).all()
+
+
+def test_false_ground_beside_an_object_goes_with_it(scene, wrong):
+    """The place is smaller than the house: the roof goes on in the rim, and there it does not pass again."""
+    xyz, _ = scene
+    x0, y0, x1, y1 = HOUSE
+    small = table(house="object")
+    small.geometry = [box(x0 + 3, y0 + 3, x1 - 3, y1 - 3)]
+    made = jf.apply(labelled(xyz, wrong), small)
+    house = inside(xyz, *HOUSE)
+    assert not made.ground[house].any() and made.ground[~house & wrong].all()
+
+
+def test_ground_grows_from_the_lowest_points_of_a_place(scene, wrong):
+    xyz, _ = scene
+    hill = inside(xyz, *HILL)
+    before = labelled(xyz, wrong)
+    made = jf.apply(before, table(hill="ground"))
+    assert wrong[hill].mean() < 0.75 and made.ground[hill].mean() > 0.98
+    np.testing.assert_array_equal(made.ground[~hill], wrong[~hill])
+
+
+def test_what_stands_in_water_is_no_ground(scene, wrong):
+    xyz, stakes = scene
+    made = jf.apply(labelled(xyz, wrong), table(river="water", bridge="bridge"))
+    river = inside(xyz, *RIVER) & ~inside(xyz, *BRIDGE)
+    np.testing.assert_array_equal(made.ground[river], ~stakes[river])
+    np.testing.assert_array_equal(made.water, river & ~stakes)
+    np.testing.assert_array_equal(made.deck, inside(xyz, *BRIDGE))
+
+
+def test_fine_places_keep_their_labels_in_the_rim_of_others(scene, wrong):
+    xyz, _ = scene
+    x0, y0, x1, y1 = HOUSE
+    places = table(house="object", fine="fine")
+    places.geometry = [box(x0, y0, x1 - 5, y1), box(x1 - 5, y0, x1, y1)]
+    made = jf.apply(labelled(xyz, wrong), places)
+    rest = inside(xyz, x1 - 4.9, y0, x1, y1)
+    assert made.ground[rest].all() and not made.ground[inside(xyz, x0, y0, x1 - 5, y1)].any()
+
+
+def test_order_of_points_and_of_places_does_not_count(scene, wrong):
+    xyz, _ = scene
+    order = np.random.default_rng(2).permutation(len(xyz))
+    places = table(house="object", hill="ground", river="water")
+    made = jf.apply(labelled(xyz, wrong), places)
+    other = jf.apply(labelled(xyz[order], wrong[order]), places.iloc[::-1])
+    np.testing.assert_array_equal(made.ground[order], other.ground)
+
+
+def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
+    xyz, _ = scene
+    places = table(house="Object ", hill="ground", hill_="object", bridge="road", river=None)
+    places.loc[len(places)] = ["object", box(900, 900, 950, 950)]
+    with pytest.warns(jf.JaxfilterWarning) as caught:
+        made = jf.apply(labelled(xyz, wrong), places)
+    words = [str(one.message) for one in caught]
+    assert len(words) == 3
+    assert any("'road' is no verdict: choose one of ground" in one for one in words)
+    assert any("place 6: lies outside of the data" in one for one in words)
+    assert any("place 2 is ground and place 3, which overlaps it, object" in one for one in words)
+    np.testing.assert_array_equal(made.ground, wrong & ~inside(xyz, *HOUSE))
+
+
+def test_places_in_another_crs_are_transformed_and_that_is_said(scene, wrong):
+    xyz, _ = scene
+    places = table(house="object")
+    with pytest.warns(jf.JaxfilterWarning, match="transformed from WGS 84 to ETRS89"):
+        made = jf.apply(labelled(xyz, wrong), places.to_crs(4326))
+    np.testing.assert_array_equal(made.ground, jf.apply(labelled(xyz, wrong), places).ground)
+
+
+def test_errors_name_what_is_missing(scene, wrong):
+    xyz, _ = scene
+    with pytest.raises(jf.InputError, match="no column verdict; it has word, geometry"):
+        jf.apply(labelled(xyz, wrong), table(house="object").rename(columns={"verdict": "word"}))
+    with pytest.raises(jf.InputError, match="put together by hand"):
+        jf.apply(jf.FilterResult.of_labels(wrong), table(house="object"))
+
+
+def test_places_whose_rims_meet_are_a_site():
+    shapes = [box(0, 0, 10, 10), box(17, 0, 20, 10), box(40, 0, 50, 10), box(90, 0, 99, 9)]
+    places = geopandas.GeoDataFrame({"verdict": ["object", "ground", "water", "fine"]}, geometry=shapes, crs=UTM)
+    found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6)).verdicts, 1.0)
+    assert [len(site.verdicts) for site in found] == [2, 1], "where all is fine there is nothing to do"
+    np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(RIM, join_style="mitre").bounds)
+    np.testing.assert_allclose(found[1].window, box(40, 0, 50, 10).buffer(RIM + HALO, join_style="mitre").bounds)
+
+
+# files
+
+
+@pytest.fixture
+def survey(scene, wrong, tmp_path):
+    """Four files of the scene with wrong classes; every fifth point, in the house as well, is vegetation for somebody."""
+    folder, (xyz, _) = tmp_path / "survey", scene
+    folder.mkdir()
+    classes = np.where(wrong, 2, 5).astype(np.uint8)
+    classes[::50] = 20
+    for name, limits in (
+        ("sw", (0, 0, 80, 60)),
+        ("se", (80, 0, WIDE, 60)),
+        ("nw", (0, 60, 80, HIGH)),
+        ("ne", (80, 60, WIDE, HIGH)),
+    ):
+        rows = inside(xyz, *limits)
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.add_crs(UTM)
+        las.header.scales, las.header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
+        las.x, las.y, las.z = xyz[rows].T
+        las.gps_time, las.classification = np.flatnonzero(rows).astype(float), classes[rows]
+        las.write(folder / f"{name}.laz")
+    return folder
+
+
+def classes_of(folder, n):
+    out = np.zeros(n, np.uint8)
+    for path in sorted(folder.glob("*.laz")):
+        las = laspy.read(path)
+        out[las.gps_time.astype(int)] = las.classification
+    return out
+
+
+def states(folder):
+    return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in sorted(folder.glob("*.laz"))}
+
+
+def command(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, scene, tmp_path):
+    (xyz, _), places = scene, tmp_path / "places.gpkg"
+    table(house="object", bridge="bridge", river="water").to_file(places, layer="review")
+    before, old = states(survey), classes_of(survey, len(xyz))
+    done = command("apply", places, survey, "--bridge-class", "17", "--json")
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    assert [path.rpartition("/")[2] for path in facts["files"]] == ["ne.laz", "sw.laz"]
+    after, new = states(survey), classes_of(survey, len(xyz))
+    assert {name for name in after if after[name] != before[name]} == {"ne.laz", "sw.laz"}
+    changed = old != new
+    assert facts["changed"] == changed.sum() and set(old[changed]) == {2} and set(new[changed]) == {1, 17}
+    house, deck = inside(xyz, *HOUSE), inside(xyz, *BRIDGE)
+    assert set(new[house]) == {1, 20} and set(new[deck]) == {17, 20}, "what somebody has edited is kept"
+    assert not list(survey.glob(".*")), "nothing is left of the run"
+    log = json.loads((survey / "verdicts.json").read_text())
+    assert [one["verdict"] for one in log["verdicts"]] == ["object", "bridge", "water"]
+    again = command("apply", places, survey)
+    assert "0 verdicts carried out (none), 3 were before" in again.output and states(survey) == after
+
+
+def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
+    (xyz, _), places = scene, table(house="object", hill="ground", river="water")
+    old = classes_of(survey, len(xyz))
+    jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+    cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
+    like = dataclasses.replace(labelled(xyz, wrong & (old == 2)))
+    filter_ = jf.default_filter(cloud)
+    memory = jf.apply(dataclasses.replace(like, run=dataclasses.replace(like.run, cloud=cloud, filter=filter_)), places)
+    np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
+
+
+def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_path):
+    places = table(house="object", hill="ground")
+    kept = shutil.copytree(survey, tmp_path / "kept")
+    jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+    done = states(survey)
+    shutil.copy(kept / "ne.laz", survey / "ne.laz")
+    with pytest.warns(jf.JaxfilterWarning, match="ne.laz: .* since verdicts were carried out"):
+        report = jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+    assert report.applied == {"object": 1} and report.before == 1
+    assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
+
+
+@pytest.mark.parametrize("tasks", [0, 2, 4, 5])
+def test_a_run_that_is_stopped_goes_on(survey, scene, tasks, tmp_path):
+    places = table(house="object", hill="ground", river="water")
+    whole = shutil.copytree(survey, tmp_path / "whole")
+    jf.apply_survey(places, whole, run=jf.RunOptions(workers=1))
+    with pytest.raises(KeyboardInterrupt):
+        jf.apply_survey(places, survey, run=jf.RunOptions(executor=Here(stop_after=tasks)))
+    report = jf.apply_survey(places, survey, run=jf.RunOptions(executor=Here(), resume=True))
+    assert report.complete and (survey / "verdicts.json").exists()
+    n = len(scene[0])
+    np.testing.assert_array_equal(classes_of(survey, n), classes_of(whole, n))
+
+
+def test_the_command_says_what_it_leaves_out(survey, tmp_path):
+    places = tmp_path / "places.geojson"
+    table(house="object", hill="grond").to_file(places)
+    done = command("apply", places, survey)
+    assert done.exit_code == 1 and "'grond' is no verdict" in done.output
+    assert "1 verdict carried out (1 object)" in done.output and "1 verdict left out" in done.output
+    table(house="object").rename(columns={"verdict": "v"}).to_file(tmp_path / "none.geojson")
+    assert command("apply", tmp_path / "none.geojson", survey).exit_code == 1
+
+
+def test_review_lists_the_places_of_classified_files(survey, scene, wrong, tmp_path):
+    done = command("review", survey, tmp_path / "places.gpkg", "--json")
+    assert done.exit_code == 0, done.output
+    places = geopandas.read_file(tmp_path / "places.gpkg")
+    assert len(places) == len(json.loads(done.stdout)["places"]) > 0
+    assert places.verdict.fillna("").eq("").all() and places.geometry.intersects(box(*HILL)).any()
