@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .reports import ReportOptions, report, review
     from .scoring import Scores, evaluate
     from .steps.grid_filter import soft_labels
+    from .surveys.accuracy import accuracy_statement
     from .surveys.collection import Collection, open
     from .surveys.ground import ground
     from .surveys.heights import heights
@@ -55,7 +56,7 @@ _HOMES = {
     ("dtm_rmse", "HeightErrors"), "reports": ("report", "ReportOptions", "review"), "surveys.collection": ("Collection",
     "open"), "surveys.ground": ("ground",), "surveys.heights": ("heights",), "surveys.model": ("terrain_model",),
     "surveys.products": ("products",), "terrain.layers": ("chm", "contours", "count", "density", "dsm", "hillshade",
-    "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
+    "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"), "surveys.accuracy": ("accuracy_statement",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -64,10 +65,11 @@ __all__ = [
     "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
     "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
     "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores",
-    "Status", "Study", "SweepOptions", "apply", "apply_survey", "calibrate", "chm", "citation", "class_changes", "compare",
-    "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse", "evaluate", "fit", "from_pdal",
-    "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products", "read", "report",
-    "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
+    "Status", "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "calibrate", "chm", "citation",
+    "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
+    "evaluate", "fit", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots",
+    "products", "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids",
+    "write",
 ]  # fmt: skip
 
 

@@ -188,7 +188,7 @@ def survey(scene, wrong, tmp_path):
     folder, (xyz, _) = tmp_path / "survey", scene
     folder.mkdir()
     classes = np.where(wrong, 2, 5).astype(np.uint8)
-    classes[::50] = 20
+    classes[::37] = 20
     for name, limits in (
         ("sw", (0, 0, 80, 60)),
         ("se", (80, 0, WIDE, 60)),

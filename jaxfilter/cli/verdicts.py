@@ -1,4 +1,4 @@
-"""Checked by people: ``review`` lists places, ``apply`` carries out what was decided there."""
+"""Checked by people: ``review`` lists places, ``apply`` does what was decided there, ``accuracy`` makes a statement."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from .commands import main
-from .options import READING, RUN, STATED, check_inputs, open_files, take, take_run
+from .options import READING, RUN, STATED, check_inputs, check_target, open_files, take, take_run
 from .output import Answer, count, in_session, run_facts, tell
-from .session import Session
+from .session import BadUsage, Session
 from .values import CLASS, INPUT, option, with_options
 
 _RUN = [one for one in RUN if one.name in ("workers", "memory", "client", "work", "resume", "overwrite")]
@@ -89,3 +89,45 @@ def apply(session: Session, places: Path, names: tuple[str, ...], bridge_class: 
     if report.problems:
         text += f"; {count(len(report.problems), 'verdict')} left out"
     return Answer(run_facts(session, report), text, complete=report.complete)
+
+
+@main.command()
+@click.argument("names", metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True)
+@with_options(
+    option("--checkpoints", "Check points as CSV: x, y, z, and if you like land_cover and vertical_datum.", INPUT),
+    option("--classified ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
+    *STATED,
+    *_RUN,
+)
+@in_session
+def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None, **options: Any) -> Answer:
+    """State how accurate a terrain model is, on a page for a client, and as JSON.
+
+    CLASSIFIED are the files, or their folder, that MODEL, a GeoTIFF of heights, was made of. OUT is a .html file; the JSON has
+    the same name. The page has NVA and VVA of the check points by the ASPRS standards of 2014 and 2023, expected wrong points
+    per km2 by doubt, the area of places where the terrain may be wrong, density of ground points, voids, versions and
+    parameters. Check points in another vertical datum than that of the model are refused.
+    """
+    from ..core.reading import Reading
+    from ..surveys.accuracy import accuracy_statement
+    from ..surveys.collection import open as open_collection
+
+    if len(names) < 3:
+        raise BadUsage("name the classified files, the model, and the page to write: CLASSIFIED... MODEL OUT.html")
+    *inputs, model, out = names
+    check_inputs([*inputs, model])
+    reading, run, ground = take(Reading, options), take_run(options, session), options["ground"]
+    check_target(Path(out), run.overwrite, (".html", ".htm"))
+    with session.step("headers"):
+        collection = open_collection(inputs, units=reading.units, crs=reading.crs)
+    with session.step("run", collection.count):
+        facts = accuracy_statement(collection, model, out, checkpoints, ground=ground, reading=reading, run=run)
+    for note in facts["notes"]:
+        session.note(f"note: {note}")
+    points, labels = facts["checkpoints"], facts["labels"]
+    text = f"{out}: {labels['ground']:,} ground points, {count(labels['named_places'], 'place')} of {labels['named_m2']:,.0f} m2"
+    if points is not None:
+        nva, vva = points["nva"], points["vva"]
+        text += f"; NVA: RMSEz {nva['rmse_m']:.3f} m of {count(nva['points'], 'point')}"
+        text += f"; VVA: 95 % within {vva['p95_m']:.3f} m of {count(vva['points'], 'point')}"
+    return Answer(session.as_dict() | facts, text)

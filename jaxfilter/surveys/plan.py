@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from typing import Any
 
 import numpy as np
 
@@ -147,32 +148,19 @@ class BoxPlan(Plan):
         points, files = np.zeros(len(boxes)), bounds + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
         pairs: list[list[np.ndarray]] = [[], []]  # of a tile, and a file that its core, or its window, meets
         for number, box in enumerate(boxes):
-            for kind, (x0, y0, x1, y1) in enumerate(box):
-                meets = (
-                    (files[:, 0] <= x1) & (files[:, 2] >= x0) & (files[:, 1] <= y1) & (files[:, 3] >= y0) & (counts > 0)
+            for kind, one in zip(pairs, box, strict=True):
+                near = np.flatnonzero(
+                    (files[:, :2] <= one[2:]).all(1) & (files[:, 2:] >= one[:2]).all(1) & (counts > 0)
                 )
-                near = np.flatnonzero(meets)
-                pairs[kind].append(np.stack([np.full(len(near), number), near]))
+                kind.append(np.stack([np.full(len(near), number), near]))
             low, high = np.maximum(bounds[near, :2], box[1, :2]), np.minimum(bounds[near, 2:], box[1, 2:])
             share = (high - low).clip(0).prod(axis=1) / (bounds[near, 2:] - bounds[near, :2]).clip(1e-12).prod(axis=1)
             points[number] = share @ counts[near]
-        home, near_by = (Lists.of(*np.concatenate(kind, axis=1), len(boxes)) for kind in pairs)
+        (own, file), (tile, near) = (np.concatenate(kind, axis=1) for kind in pairs)
+        home, near_by = Lists.of(own, file, len(boxes)), Lists.of(tile, near, len(boxes))
         width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
-        cell = np.zeros((len(boxes), 2), np.int64)
-        return cls(
-            (0.0, 0.0),
-            width,
-            height,
-            0.0,
-            1.0,
-            cell,
-            points,
-            near_by,
-            home,
-            home.turned(len(bounds)),
-            (True, True),
-            boxes,
-        )
+        frame: Any = (0.0, 0.0), width, height, 0.0, 1.0, np.zeros((len(boxes), 2), np.int64)
+        return cls(*frame, points, near_by, home, home.turned(len(bounds)), (True, True), boxes)
 
     def core(self, number: int) -> Bounds:
         return tuple(self.boxes[number, 0].tolist())  # type: ignore[return-value]

@@ -149,7 +149,7 @@ class Run:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
         self._standing.tiles_done, self._standing.files_done = int(done.sum()), int(self._is_written.sum())
-        if self.options.in_place and self._is_written.any() and not done.all():
+        if self.options.in_place and self.report.files and not done.all():
             raise OutputError(
                 f"{store.path}: labels are gone or damaged, and inputs were replaced already: pass overwrite=True to begin anew"
             )

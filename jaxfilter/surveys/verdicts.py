@@ -305,7 +305,7 @@ class ReviewProduct(Product):
 
     NAME = "review"
     ground: tuple[int, ...]
-    path: Path
+    path: Path | None
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Cells of a tile whose terrain may be wrong. Raises: InputError if points have no classes."""
@@ -346,12 +346,19 @@ def review_survey(
     >>> report.complete, report.points == len(cloud)
     (True, True)
     """
-    target, classes = Path(path), class_numbers(ground)
-    check_suffix(target)
+    check_suffix(target := Path(path))
+    return reviewed(what, target, target, ground, reading, run)
+
+
+def reviewed(
+    what: Any, out: Path, path: Path | None, ground: Iterable[int], reading: Reading, run: RunOptions
+) -> RunReport:
+    """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
+    classes = class_numbers(ground)
     collection = open_files(what, None, reading, dataclasses.replace(run, in_place=True))
-    targets = target_of(target, len(collection) == 1, run)
+    targets = target_of(out, len(collection) == 1, run)
 
     def product_for(reader: TileReader, filter_: Filter | None) -> ReviewProduct:
-        return ReviewProduct(reader, targets.store.path, None, classes, target)
+        return ReviewProduct(reader, targets.store.path, None, classes, path)
 
     return Survey(collection, targets, None, reading, run).run(lambda filter_, halo: Cut(HALO, SIDE), product_for)

@@ -1,0 +1,324 @@
+"""A statement of accuracy: what check points say of a terrain model, and what labels say where there are none."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import GROUND_CLASS
+from ..core.errors import InputError, OutputError, ParameterError
+from ..core.markup import table
+from ..core.reading import Reading
+from ..core.version import __version__
+from ..files.disk import new_file
+from ..files.header import FLOAT32, FLOAT64
+from ..files.reading import open_las
+from ..files.records import read_records
+from ..terrain.raster import Raster
+from .collection import Collection
+from .collection import open as open_collection
+from .options import RunOptions
+from .targets import REPORT
+from .verdicts import LOG, reviewed
+
+EDITIONS = {
+    "2014": "ASPRS Positional Accuracy Standards for Digital Geospatial Data, edition 1, version 1.0, November 2014, section 7.4 "
+    "and annex C: NVA is 1.96 RMSEz, VVA the 95th percentile of absolute differences, 20 check points at least",
+    "2023": "the same, edition 2, version 1.0, August 2023, summary of changes: RMSE, no 95 % confidence level, 30 check points "
+    "at least, no limit for VVA",
+}
+"""What figures are made by."""
+_LEAST = {"2014": 20, "2023": 30}
+_COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum", "vertical_crs")
+_PLANTS = ("veg", "forest", "tree", "wood", "brush", "shrub", "crop", "weed", "tall", "vva")
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,"><title>{title} – accuracy</title><style>{style}</style></head>
+<body><header><h1>{title}</h1><p>Statement of accuracy · jaxfilter {version}</p></header><main>{sections}</main></body></html>
+"""
+
+
+def accuracy_statement(
+    what: Any,
+    model: str | Path | Raster,
+    path: str | Path,
+    checkpoints: str | Path | None = None,
+    *,
+    ground: Iterable[int] = (GROUND_CLASS,),
+    reading: Reading = Reading(),
+    run: RunOptions = RunOptions(),
+) -> dict[str, Any]:
+    """State how accurate a terrain model is, on one page for a client, and as JSON beside it.
+
+    Differences are model less check point, metres; the model is bilinear between the centres of its cells. NVA is about points
+    whose land cover is not vegetated, VVA about the others (:data:`EDITIONS` cites the standard). The accuracy of the check
+    points is not included.
+
+    Args:
+        what: classified files that the model was made of, as in :func:`jaxfilter.ground`.
+        model: a raster of heights in their coordinates and units, a file or a Raster.
+        path: the page, ``.html``. The JSON has the same name with ``.json``.
+        checkpoints: a CSV file with the columns ``x``, ``y`` and ``z``, and if you like ``land_cover`` (words such as forest,
+            brush, crops, trees, tall weeds or VVA are vegetated) and ``vertical_datum`` (a name or EPSG code).
+        ground, reading, run: as in :func:`review_survey`.
+
+    Returns: dict of what the page says: ``checkpoints`` (NVA, VVA, and by land cover), ``labels`` (expected wrong points from the
+    extra dimension doubt, area of named places, density of ground points), ``model`` (area, voids), ``made`` (versions,
+    parameters), ``notes`` and ``standards``.
+    Raises: InputError for check points in another vertical datum than that of the model, or without coordinates; OutputError.
+
+    >>> jf.dtm(cloud, truth).write("model.tif").name
+    'model.tif'
+    >>> said = jf.accuracy_statement("scene.laz", "model.tif", "accuracy.html", reading=jf.Reading(units="m"))
+    >>> said["model"]["cells"], said["checkpoints"] is None
+    (3600, True)
+    """
+    page = Path(path)
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise ParameterError(f"{page}: the suffix must be .html")
+    for target in (page, page.with_suffix(".json")):
+        if target.exists() and not run.overwrite:
+            raise OutputError(f"{target} exists: name another file, or pass overwrite=True")
+    raster = model if isinstance(model, Raster) else Raster.read(model)
+    collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
+    notes: list[str] = []
+    points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
+    report = reviewed(collection, page, None, ground, reading, run)
+    cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
+    km2 = cells * square / 1e6
+    doubt = _doubt(collection)
+    if doubt is None:
+        notes.append(
+            "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
+        )
+    facts: dict[str, Any] = {
+        "title": page.stem,
+        "checkpoints": points,
+        "labels": {
+            "files": len(collection),
+            "points": report.points,
+            "ground": report.ground,
+            "ground_per_m2": report.ground / (cells * square) if cells else math.nan,
+            "expected_wrong_per_km2": None if doubt is None or not km2 else doubt / km2,
+            "named_places": len(report.places),
+            "named_m2": sum(place["area"] for place in report.places),
+        },
+        "model": {
+            "file": str(model) if not isinstance(model, Raster) else None,
+            "cell_m": raster.cell * collection.metre,
+            "cells": raster.values.size,
+            "km2": km2,
+            "void_cells": raster.values.size - cells,
+            "void_percent": 100 * (1 - cells / max(raster.values.size, 1)),
+            "crs": None if raster.crs is None else raster.crs.name,
+        },
+        "made": _made(collection),
+        "notes": [*notes, *(f"{one['file']}: {one['reason']}" for one in (*report.failed, *report.left_out))],
+        "standards": EDITIONS,
+    }
+    _write(page, facts)
+    return facts
+
+
+def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]) -> dict[str, Any]:
+    """What check points say. Raises: InputError."""
+    import pandas
+
+    try:
+        rows = pandas.read_csv(path).rename(columns=lambda name: str(name).strip().lower())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as CSV: {error}") from error
+    if missing := [name for name in "xyz" if name not in rows]:
+        raise InputError(f"{path}: has no column {missing[0]}; it has {', '.join(rows)}: name them x, y and z")
+    xyz = rows[["x", "y", "z"]].apply(pandas.to_numeric, errors="coerce").to_numpy(np.float64)
+    _same_datum(path, rows, model, collection, notes)
+    z, inside = _sampled(model, xyz[:, :2])
+    outside = [int(row) + 2 for row in np.flatnonzero(~inside)]
+    unknown = [int(row) + 2 for row in np.flatnonzero(inside & ~np.isfinite(z - xyz[:, 2]))]
+    for lines, words in (
+        (outside, "lie outside of the model"),
+        (unknown, "lie where the model has no height, or have none"),
+    ):
+        if lines:
+            notes.append(
+                f"{path.name}: {len(lines)} check points {words}, and do not count: lines {', '.join(map(str, lines))}"
+            )
+    used = np.isfinite(z - xyz[:, 2])
+    dz = (z - xyz[:, 2])[used] * collection.units.z
+    name = next((one for one in _COVER if one in rows), None)
+    cover = (
+        np.full(len(dz), "not stated") if name is None else rows[name].fillna("not stated").astype(str).to_numpy()[used]
+    )
+    plants = np.array(
+        [any(word in one.lower() for word in _PLANTS) and "non" not in one.lower() for one in cover], bool
+    )
+    if name is None:
+        notes.append(f"{path.name}: has no column {_COVER[0]}: all check points count as not vegetated")
+    for edition, least in _LEAST.items():
+        if (count := int((~plants).sum())) < least:
+            notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
+    nva, vva = _figures(dz[~plants]), _figures(dz[plants])
+    nva["accuracy_95_m"] = 1.96 * nva["rmse_m"]
+    by_cover = {one: _figures(dz[cover == one]) for one in sorted(set(cover.tolist()))}
+    return {"nva": nva, "vva": vva, "by_cover": by_cover, "outside": len(outside), "without_height": len(unknown)}
+
+
+def _figures(dz: np.ndarray) -> dict[str, Any]:
+    """Of differences f64[k], metres."""
+    if not len(dz):
+        return {"points": 0, "mean_m": math.nan, "rmse_m": math.nan, "p95_m": math.nan, "largest_m": math.nan}
+    size = np.abs(dz)
+    figures = dz.mean(), math.sqrt(np.mean(dz**2)), np.percentile(size, 95), size.max()
+    return {"points": len(dz)} | dict(zip(("mean_m", "rmse_m", "p95_m", "largest_m"), map(float, figures), strict=True))
+
+
+def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """f64[k]: heights of the model at positions f64[k, 2], bilinear, NaN beside a void; bool[k]: those inside its bounds."""
+    x0, y0, x1, y1 = model.bounds
+    inside = (xy[:, 0] >= x0) & (xy[:, 0] <= x1) & (xy[:, 1] >= y0) & (xy[:, 1] <= y1)
+    at = np.stack([(y1 - xy[:, 1]) / model.cell - 0.5, (xy[:, 0] - x0) / model.cell - 0.5], axis=1)
+    at = np.clip(np.where(inside[:, None], at, 0), 0, np.array(model.values.shape) - 1)
+    low = np.floor(at).astype(int)
+    high, part = np.minimum(low + 1, np.array(model.values.shape) - 1), at - low
+    z = np.zeros(len(xy))
+    for rows, v in ((low[:, 0], 1 - part[:, 0]), (high[:, 0], part[:, 0])):
+        for columns, u in ((low[:, 1], 1 - part[:, 1]), (high[:, 1], part[:, 1])):
+            z += np.where(u * v > 0, u * v * model.values[rows, columns], 0)
+    return np.where(inside, z, np.nan), inside
+
+
+def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
+    """Raises: InputError for check points in another vertical datum than that of the model."""
+    name = next((one for one in _DATUM if one in rows), None)
+    stated = [] if name is None else sorted({str(one).strip() for one in rows[name].dropna()})
+    crs = model.crs if _vertical(model.crs) is not None else collection.crs
+    known = _vertical(crs)
+    for text in stated:
+        datum = _named(text)
+        if known is None:
+            notes.append(
+                f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
+            )
+        elif datum != known:
+            raise InputError(
+                f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "
+                "such as with cs2cs of PROJ"
+            )
+    if not stated:
+        notes.append(
+            f"{path.name}: states no vertical datum ({_DATUM[0]}): it is taken to be that of the model, {known or 'not stated'}"
+        )
+
+
+def _vertical(crs: Any) -> str | None:
+    """The vertical datum of a CRS by name, None if it has none."""
+    parts = [] if crs is None else [crs, *crs.sub_crs_list]
+    return next((part.name for part in parts if part.is_vertical and not part.is_compound), None)
+
+
+def _named(text: str) -> str:
+    """The name of a vertical CRS by its code, or the text."""
+    import pyproj
+
+    try:
+        crs = pyproj.CRS.from_user_input(int(float(text)) if text.replace(".0", "").isdigit() else text)
+    except pyproj.exceptions.CRSError:
+        return text
+    return _vertical(crs) or text
+
+
+def _doubt(collection: Collection) -> float | None:
+    """The sum of the extra dimension doubt of all points; None if a file has none. Raises: InputError."""
+    total = 0.0
+    for source in collection:
+        if source.format == "text":
+            return None
+        header = open_las(source.place).header
+        found = [
+            one
+            for one in header.extra_dimensions() or ()
+            if one.name == "doubt" and one.data_type in (FLOAT32, FLOAT64)
+        ]
+        if not found:
+            return None
+        (one,) = found
+        for chunk, _ in read_records(header):
+            values = np.ascontiguousarray(chunk[:, one.start : one.start + one.size]).view(
+                "<f4" if one.size == 4 else "<f8"
+            )
+            total += float(np.nansum(values, dtype=np.float64))
+    return total
+
+
+def _made(collection: Collection) -> dict[str, Any]:
+    """How the files were made, as far as the reports beside them say."""
+    found: dict[str, Any] = {"jaxfilter": __version__}
+    for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
+        if (place := folder / REPORT).is_file():
+            facts = json.loads(place.read_text())
+            found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
+        if (place := folder / LOG).is_file():
+            said = Counter(one["verdict"] for one in json.loads(place.read_text())["verdicts"])
+            found["verdicts"] = dict(sorted(said.items()))
+    return found
+
+
+def _write(page: Path, facts: dict[str, Any]) -> None:
+    """The page and the JSON. Raises: OutputError."""
+    points, labels, model = facts["checkpoints"], facts["labels"], facts["model"]
+    sections = []
+    if points is not None:
+        nva, vva = points["nva"], points["vva"]
+        rows = [
+            ("NVA, RMSEz (2023)", nva["points"], _metres(nva["rmse_m"])),
+            ("NVA, 1.96 RMSEz (2014)", nva["points"], _metres(nva["accuracy_95_m"])),
+            ("VVA, RMSEz (2023)", vva["points"], _metres(vva["rmse_m"])),
+            ("VVA, 95th percentile (2014)", vva["points"], _metres(vva["p95_m"])),
+        ]
+        sections.append("<h2>Check points</h2>" + table(("", "points", "metres"), rows))
+        covers = [(name, one["points"], *(_metres(one[k]) for k in ("mean_m", "rmse_m", "p95_m", "largest_m")))
+                  for name, one in points["by_cover"].items()]  # fmt: skip
+        sections.append(table(("land cover", "points", "mean", "RMSEz", "95th percentile", "largest"), covers))
+    wrong = labels["expected_wrong_per_km2"]
+    rows = [
+        ("points", labels["points"]), ("ground points", labels["ground"]),
+        ("per m2 of the model", f"{labels['ground_per_m2']:.2f}"),
+        ("expected wrong points per km2", "not known" if wrong is None else f"{wrong:,.0f}"),
+        ("places where the terrain may be wrong", labels["named_places"]), ("their area, m2", f"{labels['named_m2']:,.0f}"),
+        ("area of the model, km2", f"{model['km2']:.4g}"), ("cell, m", f"{model['cell_m']:g}"),
+        ("cells without a height", f"{model['void_cells']:,} ({model['void_percent']:.2f} %)"),
+        ("CRS", model["crs"] or "not stated"),
+    ]  # fmt: skip
+    sections.append("<h2>Labels and model</h2>" + table((), rows))
+    sections.append("<h2>How it was made</h2>" + table((), [(key, str(value)) for key, value in facts["made"].items()]))
+    for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
+        sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
+    style = files("jaxfilter.reports").joinpath("page.css").read_text(encoding="utf-8")
+    body = "".join(f"<section>{one}</section>" for one in sections)
+    values = {"title": escape(facts["title"]), "style": style, "version": __version__, "sections": body}
+    for target, text in ((page, _PAGE.format(**values)), (page.with_suffix(".json"), _json(facts))):
+        with new_file(target, overwrite=True) as part:
+            part.write_text(text, encoding="utf-8")
+
+
+def _metres(value: float) -> str:
+    return "none" if math.isnan(value) else f"{value:.3f}"
+
+
+def _json(facts: dict[str, Any]) -> str:
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        if isinstance(value, list):
+            return [plain(one) for one in value]
+        return None if isinstance(value, float) and math.isnan(value) else value
+
+    return json.dumps(plain(facts), indent=1) + "\n"

@@ -1,0 +1,119 @@
+"""Statements of accuracy: check points whose differences are known, what does not count, datums, and what labels say."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import laspy
+import numpy as np
+import pyproj
+import pytest
+from click.testing import CliRunner
+
+import jaxfilter as jf
+from jaxfilter.cli import main
+
+pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+HEIGHTS = pyproj.CRS("EPSG:5555")  # ETRS89 / UTM 32N + DHHN92
+X, Y, SIDE = 500_000.0, 5_400_000.0, 50
+
+
+def plane(x, y):
+    return 100 + 0.1 * (x - X) - 0.05 * (y - Y)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two points per square metre on a plane, one in ten of them no ground and with a doubt of a quarter; and its model."""
+    out = tmp_path_factory.mktemp("statement")
+    rng = np.random.default_rng(3)
+    x, y = X + rng.uniform(0, SIDE, 5000), Y + rng.uniform(0, SIDE, 5000)
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.add_crs(HEIGHTS)
+    las.header.scales, las.header.offsets = np.full(3, 0.001), np.array([X, Y, 0])
+    high = np.arange(5000) % 10 == 0
+    las.x, las.y, las.z = x, y, plane(x, y) + 5 * high
+    las.classification = np.where(high, 5, 2)
+    las.add_extra_dim(laspy.ExtraBytesParams("doubt", np.float32))
+    las.doubt = np.where(high, 0.25, np.nan).astype(np.float32)
+    las.write(out / "points.laz")
+    values = plane(*np.meshgrid(X + np.arange(SIDE) + 0.5, Y + SIDE - np.arange(SIDE) - 0.5)).astype(np.float32)
+    values[:5, :5] = np.nan
+    jf.Raster(values, (1.0, 0.0, X, 0.0, -1.0, Y + SIDE), HEIGHTS).write(out / "model.tif")
+    return out
+
+
+def checkpoints(path, dz, cover=None, datum=None, more=()):
+    """A CSV of points that lie so many metres below the model, and lines ``more``."""
+    rng = np.random.default_rng(4)
+    x, y = X + rng.uniform(6, SIDE - 6, len(dz)), Y + rng.uniform(6, SIDE - 6, len(dz))
+    names = ["X", "Y", "Z", *(["land_cover"] if cover else []), *(["vertical_datum"] if datum else [])]
+    lines = [",".join(names)]
+    for k, d in enumerate(dz):
+        line = [repr(float(x[k])), repr(float(y[k])), repr(float(plane(x[k], y[k]) - d))]
+        lines.append(",".join([*line, *([cover[k]] if cover else []), *([datum] if datum else [])]))
+    path.write_text("\n".join([*lines, *more]) + "\n")
+    return path
+
+
+def test_nva_and_vva_are_those_of_their_definitions(folder, tmp_path):
+    dz = np.random.default_rng(5).normal(0.02, 0.1, 70)
+    cover = ["bare earth"] * 30 + ["urban"] * 15 + ["Forest"] * 15 + ["tall weeds"] * 10
+    points = checkpoints(tmp_path / "points.csv", dz, cover)
+    said = jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", points)
+    nva, vva = said["checkpoints"]["nva"], said["checkpoints"]["vva"]
+    assert nva["points"] == 45 and vva["points"] == 25
+    assert nva["rmse_m"] == pytest.approx(math.sqrt(np.mean(dz[:45] ** 2)), abs=1e-4)
+    assert nva["accuracy_95_m"] == pytest.approx(1.96 * nva["rmse_m"]) and nva["mean_m"] == pytest.approx(
+        dz[:45].mean(), abs=1e-4
+    )
+    assert vva["p95_m"] == pytest.approx(np.percentile(np.abs(dz[45:]), 95), abs=1e-4)
+    assert {name: one["points"] for name, one in said["checkpoints"]["by_cover"].items()} == {
+        "bare earth": 30, "urban": 15, "Forest": 15, "tall weeds": 10,
+    }  # fmt: skip
+    assert not [note for note in said["notes"] if "asks for" in note]
+    assert json.loads((tmp_path / "a.json").read_text())["checkpoints"]["nva"] == nva
+    page = (tmp_path / "a.html").read_text()
+    assert f"{nva['rmse_m']:.3f}" in page and "edition 2, version 1.0, August 2023" in page and "Forest" in page
+
+
+def test_what_labels_and_model_say(folder, tmp_path):
+    said = jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html")
+    labels, model = said["labels"], said["model"]
+    km2 = (SIDE**2 - 25) / 1e6
+    assert model["void_cells"] == 25 and model["km2"] == pytest.approx(km2) and said["checkpoints"] is None
+    assert labels["expected_wrong_per_km2"] == pytest.approx(500 * 0.25 / km2)
+    assert labels["ground"] == 4500 and labels["ground_per_m2"] == pytest.approx(4500 / (SIDE**2 - 25))
+    assert labels["named_places"] == 0 and said["made"]["jaxfilter"] == jf.__version__
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.json"]
+
+
+def test_points_that_do_not_count_and_too_few_are_named(folder, tmp_path):
+    more = [f"{X - 10},{Y + 10},100", f"{X + 2},{Y + SIDE - 2},100", f"{X + 20},{Y + 20},"]
+    points = checkpoints(tmp_path / "p.csv", np.full(25, 0.1), more=more)
+    said = jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", points)
+    notes = "\n".join(said["notes"])
+    assert "1 check points lie outside of the model, and do not count: lines 27" in notes
+    assert "2 check points lie where the model has no height, or have none, and do not count: lines 28, 29" in notes
+    assert "25 check points for NVA: the 2023 edition asks for 30" in notes and "2014 edition asks" not in notes
+    assert said["checkpoints"]["nva"]["rmse_m"] == pytest.approx(0.1, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "datum, good", [("EPSG:5783", True), ("DHHN92 height", True), ("5783", True), ("EPSG:5703", False)]
+)
+def test_another_vertical_datum_is_refused(folder, tmp_path, datum, good):
+    points = checkpoints(tmp_path / "p.csv", np.zeros(30), datum=datum)
+    words = ["accuracy", folder / "points.laz", folder / "model.tif", tmp_path / "a.html", "--checkpoints", points]
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert done.exit_code == (0 if good else 1), done.output
+    if not good:
+        assert "NAVD88 height" in done.output and "the model is in DHHN92 height" in done.output
+        assert not (tmp_path / "a.html").exists()
+
+
+def test_a_file_without_heights_is_refused(folder, tmp_path):
+    (tmp_path / "p.csv").write_text("x,y,h\n1,2,3\n")
+    with pytest.raises(jf.InputError, match="has no column z; it has x, y, h"):
+        jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", tmp_path / "p.csv")
