@@ -11,6 +11,7 @@ where it is used, so that help stays quick.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,9 +24,11 @@ from .options import (
     BY_DATA,
     READING,
     RUN,
+    WRITTEN,
     check_target,
     open_files,
     take,
+    take_classes,
 )
 from .output import (
     Answer,
@@ -126,13 +129,13 @@ def ground() -> None:
 
     Only points that the method judges change their class: ground becomes 2, former ground that is none becomes 1, and
     everything else in the file stays as it is. Noise, water, bridge decks and all classes from 17 on are not judged
-    (--ignore-class).
+    (--ignore-class). --classes usgs and --classes las14 also write noise, water, decks, and vegetation.
     """
 
 
 def ground_command(method: type[Filter] | None, help: str | None = None) -> click.Command:
     """The command of a method, or of the default, with its help."""
-    from ..files.writing import EXTRAS, RESETS
+    from ..files.writing import EXTRAS
     from ..methods import FILTERS
     from . import flags
 
@@ -157,13 +160,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     parameters += [
         *BY_DATA,
         *READING,
-        option("--ground-class", "Class for ground points.", CLASS, default=2),
-        option("--other-class", "Class for judged points that lose their class.", CLASS, default=1),
-        option(
-            "--reset", "Which classes points lose that are judged non-ground.", click.Choice(RESETS), default="ground"
-        ),
-        option("--only-ground", "Mark ground and leave every other class as it is.", bool),
-        option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
+        *WRITTEN,
         option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
         REVIEW,
         *RUN,
@@ -178,14 +175,13 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
 def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: dict[str, Any]) -> Answer:
     """Run ``ground``."""
     recipe.alone()  # what is wrong with the parameters is said before anything is read
-    from ..files.writing import Classes
     from ..surveys.ground import ground
 
     if (review := options["review"]) is not None:
         from ..files.vectors import DRIVERS
 
         check_target(review, options["overwrite"] or options["resume"], tuple(DRIVERS))
-    classes, extra = take(Classes, options), options["extra"]
+    classes, extra = take_classes(options), options["extra"]
     files = open_files(session, paths, options, bare=recipe.method is None)
     with session.step("run", files.collection.count):
         report = ground(
@@ -210,6 +206,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
         "metres_per_unit": [units.xy, units.z],
         "ground_class": of_class,
         "noise_class": classes.noise_class,
+        "written": dataclasses.asdict(classes),
         "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
         if report.classes
         else None,

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
 from .values import BOX, CLASS, COUNT, METRES, Bytes, Number, option
 
 if TYPE_CHECKING:
+    from ..files.classes import Classes
     from ..files.storage import Place
     from ..surveys.collection import Collection
     from ..surveys.measures import Recipe
@@ -50,6 +52,38 @@ READING = [
     option("--drop-invalid", "Label NaN and infinite coordinates non-ground.", bool),
 ]
 """Fields of Reading."""
+PRESET_OF_CLASSES = option(
+    "--classes preset_of_classes",
+    "Classes to write: ground; usgs (1, 2, 7, 9, 17, 18 and the overlap flag); or las14 (also vegetation, 3 to 5).",
+    click.Choice(["ground", "usgs", "las14"]),
+    default="ground",
+)
+WRITTEN = [
+    PRESET_OF_CLASSES,
+    option("--ground-class", "Class for ground points.", CLASS, default=2),
+    option("--other-class", "Class for judged points that lose their class.", CLASS, default=1),
+    option(
+        "--reset",
+        "Which classes points lose that are judged non-ground.",
+        click.Choice(["ground", "all", "none"]),
+        default="ground",
+    ),
+    option("--only-ground", "Mark ground and leave every other class as it is.", bool),
+    option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
+    option("--high-noise-class high_noise", "Class for single echoes far above all around (ASPRS: 18).", CLASS),
+    option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),
+    option("--bridge-class bridge", "Class for points of decks (ASPRS: 17), by methods that find them.", CLASS),
+    option(
+        "--vegetation-classes vegetation",
+        "Metres above ground from which points that are nothing else are low, medium and high vegetation (3, 4, 5).",
+        float,
+        nargs=3,
+        metavar="LOW MEDIUM HIGH",
+    ),
+    option("--unjudged-class unjudged", "Class for points of class 0 that are not judged.", CLASS),
+    option("--overlap-flag", "Judged points of class 12 get another class, and the overlap flag instead.", bool),
+]
+"""Fields of Classes."""
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
 PRESET = option("--preset", "A named set of parameters of the filter to start from.", "NAME")
 FOR_CLOUD = option("--for-cloud", "Set parameters that depend on point spacing from the data.", bool)
@@ -90,6 +124,19 @@ def take(kind: type[T], options: dict[str, Any], **more: Any) -> T:
     """A value of the library, a dataclass, from the options that are named as its fields, which are taken out, and ``more``."""
     names = [field.name for field in dataclasses.fields(kind) if field.name in options]  # type: ignore[arg-type]
     return kind(**{name: options.pop(name) for name in names}, **more)
+
+
+def take_classes(options: dict[str, Any]) -> Classes:
+    """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
+    from ..files.classes import Classes
+
+    context, preset = click.get_current_context(), options.pop("preset_of_classes")
+    said = [
+        f.name
+        for f in dataclasses.fields(Classes)
+        if context.get_parameter_source(f.name) == ParameterSource.COMMANDLINE
+    ]
+    return Classes.preset(preset, **{name: context.params[name] for name in said})
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:

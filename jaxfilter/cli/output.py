@@ -71,9 +71,13 @@ def print_report(report: dict[str, Any]) -> None:
         what = what if marked["judged"] else "were not judged"
         click.echo(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
     if report["classes"]:
+        from ..files.classes import class_name
+
         moves = [(one["before"], one["after"], one["points"]) for one in report["classes"]]
-        rows = [(str(old), "kept" if old == new else str(new), f"{points:,}") for old, new, points in moves]
-        print_table(("class before", "class after", "points"), rows)
+        rows = [
+            (class_name(old), "kept" if old == new else class_name(new), f"{points:,}") for old, new, points in moves
+        ]
+        print_table(("class before", "class after", "points"), rows, left=2)
 
 
 def tell(session: Session, report: RunReport) -> None:

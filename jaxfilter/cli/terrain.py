@@ -13,11 +13,13 @@ from .options import (
     BOUNDS,
     FILTER,
     GROUND,
+    PRESET_OF_CLASSES,
     READING,
     RUN,
     Files,
     open_files,
     take,
+    take_classes,
     take_recipe,
 )
 from .output import Answer, count, in_session, plan_answer, run_facts, tell, times
@@ -144,9 +146,8 @@ def _cells(report: TerrainReport, side: str) -> str:
 @with_options(
     *FILTER,
     *READING,
-    option(
-        "--classified classes", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True
-    ),
+    PRESET_OF_CLASSES,
+    option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
     option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
     *CELL,
     *RUN[:-1],
@@ -165,8 +166,8 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     from ..surveys.products import products as make_products
     from ..terrain.layers import LAYERS
 
-    recipe, classes = take_recipe(options), options["classes"]
-    if recipe is not None and classes:
+    recipe, classes, known = take_recipe(options), take_classes(options), options["classified"]
+    if recipe is not None and known:
         raise BadUsage("--filter and --classified: the ground is found, or it is known: name one of the two")
     only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
     if names[-1] == "-":
@@ -178,10 +179,11 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         made = make_products(
             files.collection,
             files.out,
-            recipe or classes or None,
+            recipe or known or None,
             only=only,
             cell=cell,
             reading=files.reading,
+            classes=classes,
             run=files.run,
         )
     plan = made.rasters.forecast

@@ -51,14 +51,13 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
 @with_options(
     option("--ground-class", "Class of ground points.", CLASS, default=2),
     option("--other-class", "Class for points that are no ground any more.", CLASS, default=1),
-    option(
-        "--bridge-class", "Class for points of bridges that were ground (ASPRS: 17).  [default: --other-class]", CLASS
-    ),
+    option("--bridge-class bridge", "Class for points of bridges that were ground (ASPRS: 17).", CLASS),
+    option("--water-class water", "Class for points of water (ASPRS: 9).", CLASS),
     *(one for one in READING if one.name not in ("bounds", "aoi")),
     *_RUN,
 )
 @in_session
-def apply(session: Session, places: Path, names: tuple[str, ...], bridge_class: int | None, **options: Any) -> Answer:
+def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any) -> Answer:
     """Change classified files by what people have decided at places.
 
     PLACES is what --review or jaxfilter review has written, with the column verdict filled in: ground, object, bridge, water or
@@ -70,7 +69,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], bridge_class: 
     named and left out. Then the exit code is 1.
     """
     from ..core.reading import Reading
-    from ..files.writing import Classes
+    from ..files.classes import Classes
     from ..surveys.collection import open as open_collection
     from ..surveys.verdicts import apply_survey
 
@@ -79,7 +78,7 @@ def apply(session: Session, places: Path, names: tuple[str, ...], bridge_class: 
     with session.step("headers"):
         collection = open_collection(names, units=reading.units, crs=reading.crs)
     with session.step("run", collection.count):
-        report = apply_survey(places, collection, classes=classes, bridge_class=bridge_class, reading=reading, run=run)
+        report = apply_survey(places, collection, classes=classes, reading=reading, run=run)
     tell(session, report)
     said = ", ".join(f"{n} {word}" for word, n in report.applied.items()) or "none"
     text = f"{places}: {count(sum(report.applied.values()), 'verdict')} carried out ({said}), {report.before:,} were before"

@@ -31,7 +31,7 @@ class Labels:
     """What a method's ``classify`` gives back, per row of ``Points`` (length m); absent quantities stay None.
 
     ``settled``: bool[m], points that are ground before the last thresholds are applied. ``doubt``: f32[m], probability that
-    the label is wrong.
+    the label is wrong. ``water``, ``deck``: bool[m], points of water, which are ground, and of decks, which are not.
     """
 
     ground: np.ndarray
@@ -44,6 +44,8 @@ class Labels:
     barred: np.ndarray | None = None
     settled: np.ndarray | None = None
     doubt: np.ndarray | None = None
+    water: np.ndarray | None = None
+    deck: np.ndarray | None = None
     status: Status = Status.CONVERGED
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     trace: list[dict[str, Any]] = dataclasses.field(default_factory=list)
@@ -409,6 +411,14 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
     ]
     known: dict[str, Any] = {name: spread(getattr(labels, name), np.nan, np.float32) for name in QUANTITIES}
+    for name, empty, kind in (
+        ("settled", False, bool),
+        ("doubt", np.nan, np.float32),
+        ("water", False, bool),
+        ("deck", False, bool),
+    ):
+        values = getattr(labels, name)
+        known[name] = None if values is None else points.spread(values, empty, kind)
     return FilterResult(
         ground=spread(labels.ground, False, bool),
         decision=spread(decision, Decision.SET_ASIDE, np.uint8),
@@ -416,7 +426,5 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         status=labels.status,
         info={"points": len(cloud), "candidates": len(points.index), **labels.info},
         trace=trace,
-        settled=None if labels.settled is None else spread(labels.settled, False, bool),
-        doubt=None if labels.doubt is None else spread(labels.doubt, np.nan, np.float32),
         **known,
     )

@@ -13,19 +13,22 @@ from typing import BinaryIO
 import numpy as np
 import pyproj
 
-from ..core.cloud import GROUND_CLASS, PointCloud
+from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
 from ..core.errors import InputError, OutputError, ParameterError, warn
 from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, records, text
+from .classes import RESETS as RESETS
+from .classes import Classes as Classes
+from .classes import Findings, findings_of
+from .classes import class_changes as class_changes
 from .disk import Tally, new_file
 from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
 from .records import CHUNK, Writer
 from .storage import Place, Remote, place_of
 
-RESETS = ("ground", "all", "none")
 HEIGHT = "HeightAboveGround"
 """The extra dimension of heights above ground, by the name that PDAL gives it."""
 
@@ -45,39 +48,6 @@ EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
 LAS_SUFFIXES = (".las", ".laz")
 
 _FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Classes:
-    """Which classes points get when they are written.
-
-    Attributes:
-        ground_class: class of candidates that are ground.
-        other_class: class of candidates that are not ground and whose old class is reset.
-        reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
-        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
-        noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
-
-    Raises: ParameterError for classes that are no numbers from 0 to 255, and for another ``reset``.
-
-    >>> changes = jf.class_changes(cloud, result, jf.Classes(ground_class=8))
-    >>> bool(changes[0, 8] == result.ground.sum())
-    True
-    """
-
-    ground_class: int = GROUND_CLASS
-    other_class: int = 1
-    reset: str = "ground"
-    only_ground: bool = False
-    noise_class: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.reset not in RESETS:
-            raise ParameterError(f"reset={self.reset!r}: choose one of {', '.join(RESETS)}")
-        for name in ("ground_class", "other_class", "noise_class"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value <= 255:
-                raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,6 +97,7 @@ def write(
     reset: str = "ground",
     only_ground: bool = False,
     noise_class: int | None = None,
+    classes: Classes | None = None,
     extra: Iterable[str] = (),
     heights: np.ndarray | None = None,
     replace_z: bool = False,
@@ -147,7 +118,8 @@ def write(
         result: what a filter returned, or bool[n], True = ground; None keeps all classes.
         overwrite: replace an existing file.
         in_place: allow the output to be the file that the cloud came from.
-        ground_class, other_class, reset, only_ground, noise_class: which classes points get, see :class:`Classes`.
+        ground_class, other_class, reset, only_ground, noise_class: which classes points get, see :class:`Classes`; or all of it
+            as ``classes``, such as ``jf.Classes.preset("las14")``.
         extra: quantities of the result to add as float32 extra bytes, out of height, slope, angle, elevation, margin,
             and doubt of methods that state it.
         heights: f[n], units of Z: what :func:`jaxfilter.height_above_ground` returns, to be added as extra bytes
@@ -164,16 +136,20 @@ def write(
     >>> bool((back.reference == result.ground).all())
     True
     """
-    classes = Classes(ground_class, other_class, reset, only_ground, noise_class)
+    named = Classes(ground_class, other_class, reset, only_ground, noise_class)
+    if classes is not None and named != Classes():
+        raise ParameterError(f"classes={classes!r}: holds the other settings of classes as well; name them there only")
     additions = Additions.of_heights(heights, replace_z, extra)
-    return write_cloud(place_of(path), cloud, result, classes, additions, overwrite=overwrite, in_place=in_place)
+    return write_cloud(
+        place_of(path), cloud, result, classes or named, additions, overwrite=overwrite, in_place=in_place
+    )
 
 
 def write_cloud(
     path: Place,
     cloud: PointCloud,
-    result: FilterResult | np.ndarray | None,
-    classes: Classes = Classes(),
+    result: FilterResult | np.ndarray | Findings | None,
+    classes: Classes = Classes(),  # noqa: B008
     additions: Additions = Additions(),
     *,
     overwrite: bool = False,
@@ -194,8 +170,7 @@ def write_cloud(
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
         named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
         table = None if source is None or source.kind == "las" else source.layout()
-        if classes.noise_class is not None and (table is None or "classification" not in table.columns):
-            named.append(f"noise_class={classes.noise_class!r}")
+        named += [] if table is not None and "classification" in table.columns else classes.asked
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
     if copc.is_copc(path) and source is not None and source.kind == "las":
@@ -217,50 +192,27 @@ def write_cloud(
     return path
 
 
-def class_changes(
-    cloud: PointCloud, result: FilterResult | np.ndarray, classes: Classes = Classes()
-) -> dict[tuple[int, int], int]:
-    """What :func:`write` makes of the classes: number of points by (old class, new class), in order.
-
-    Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
-
-    >>> changes = jf.class_changes(cloud, result)
-    >>> bool(changes[0, 2] == result.ground.sum()), sum(changes.values()) == len(cloud)
-    (True, True)
-    """
-    old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-    new = _Labels(cloud, result, classes).classes(old, slice(None))
-    pairs = np.bincount(old.astype(np.int64) * 256 + new, minlength=1)
-    return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
-
-
 class _Labels:
     """The outcome of a run as new classes and extra values, for any run of points."""
 
     def __init__(
         self,
         cloud: PointCloud,
-        result: FilterResult | np.ndarray | None,
+        result: FilterResult | np.ndarray | Findings | None,
         classes: Classes,
         additions: Additions = Additions(),
     ) -> None:
-        self.rule, self.candidate, self.noise = classes, cloud.candidate, None
-        if result is None:
-            self.candidate = result = np.zeros(len(cloud), bool)
         found = result if isinstance(result, FilterResult) else None
-        self.ground = np.asarray(result) if found is None else found.ground
-        if self.ground.shape != (len(cloud),) or self.ground.dtype != bool:
-            given = f"{self.ground.dtype}{list(self.ground.shape)}"
-            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
+        if result is None:
+            nothing = np.zeros(len(cloud), np.uint8)
+            self.table, result = np.arange(256, dtype=np.uint8)[None], Findings(nothing.astype(bool), nothing)
+        else:
+            self.table = classes.table()
+        given = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
+        self.rule, self.ground, self.code = classes, given.ground, given.code
         names = tuple(additions.extra)
         if found is None and names:
             raise ParameterError(f"extra={names!r}: labels alone hold no such quantities; pass the FilterResult")
-        if classes.noise_class is not None:
-            if found is None:
-                raise ParameterError(
-                    f"noise_class={classes.noise_class}: labels alone tell no outliers; pass the FilterResult"
-                )
-            self.noise = found.low_noise
         self.extra: dict[str, np.ndarray] = {name: getattr(found, name) for name in names}
         if absent := [name for name, values in self.extra.items() if values is None]:
             raise ParameterError(f"extra={names!r}: the method states no {absent[0]}; OST does")
@@ -272,16 +224,7 @@ class _Labels:
 
     def classes(self, old: np.ndarray, rows: slice) -> np.ndarray:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
-        rule, candidate = self.rule, self.candidate[rows]
-        reset = "none" if rule.only_ground else rule.reset
-        resets = np.full(256, reset == "all")
-        if reset == "ground":
-            resets[[0, GROUND_CLASS, rule.ground_class]] = True
-        new = np.where(candidate & resets[old], np.uint8(rule.other_class), old)
-        new = np.where(candidate & self.ground[rows], np.uint8(rule.ground_class), new)
-        if rule.noise_class is None or self.noise is None:
-            return new
-        return np.where(candidate & self.noise[rows], np.uint8(rule.noise_class), new)
+        return np.asarray(self.table[self.code[rows], old])
 
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
@@ -290,7 +233,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     header = _fresh_header(path, cloud) if las is None else las.header()
     chunks = _fresh_records(path, header, cloud, tally) if las is None else las.records(header, tally)
     number = header.point_format
-    largest = max(labels.rule.ground_class, labels.rule.other_class, labels.rule.noise_class or 0)
+    largest = labels.rule.largest
     if number < 6 and largest > 31:
         raise OutputError(
             f"{path}: class {largest} does not fit into point format {number}, which holds 0 to 31; upgrade the "
@@ -321,7 +264,11 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
                     f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
                     ".las for input and output"
                 )
-        records.set_classes(chunk, number, labels.classes(records.classes(chunk, number), rows))
+        old = records.classes(chunk, number)
+        new = labels.classes(old, rows)
+        if labels.rule.overlap_flag and number >= 6:
+            records.set_overlap(chunk, (old == OVERLAP_CLASS) & (new != old))
+        records.set_classes(chunk, number, new)
         for name, dimension in existing.items():
             values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
             chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(chunk), -1)

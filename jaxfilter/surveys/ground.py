@@ -10,14 +10,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.cloud import overlap_counts
+from ..core.cloud import PointCloud, overlap_counts
 from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
+from ..files.classes import Classes, Findings, class_changes, findings_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import check_suffix
-from ..files.writing import Additions, Classes, class_changes, write_cloud
+from ..files.writing import Additions, write_cloud
 from .collection import Collection
 from .executors import LOCAL
 from .labels import collected, packed
@@ -29,6 +30,9 @@ from .report import RunReport, Summary
 from .survey import Cut, Survey, open_files
 from .targets import Targets, targets_of
 from .tiles import Around, Tile, TileReader, part_of
+
+_REACH = 40.0
+"""Metres around a tile that high noise and heights of plants depend on, as their steps say."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,14 +61,26 @@ class GroundProduct(Product):
         if self.reader.reading.aoi is not None and not around.core.any():
             summary.read, summary.unread = len(around.cloud), around.left_out
             return {}, summary
-        result = self.filter(around.cloud, workers=local.threads, progress=local.progress)
+        cloud, result = (
+            around.cloud,
+            self.filter(self._wider(tile, around.cloud), workers=local.threads, progress=local.progress),
+        )
         summary.seconds["filter"] = (done := time.perf_counter()) - read
-        bare = self.into_text and (around.cloud.classification is None or tile.sources[0].format != "text")
-        summarise(summary, around, result, None if bare else self.classes)
+        bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
+        found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
+        summary.seconds["classes"] = (told := time.perf_counter()) - done
+        summarise(summary, around, result, found, None if bare else self.classes)
         kept = suspects_in(around, result, tile, self.reader.reading)
-        summary.seconds["places"] = time.perf_counter() - done
-        arrays = packed(around, result.ground, self.columns(around, result), result.low_noise) | kept
-        return arrays, summary
+        summary.seconds["places"] = time.perf_counter() - told
+        return packed(around, found, self.columns(around, result)) | kept, summary
+
+    def _wider(self, tile: Tile, cloud: PointCloud) -> PointCloud:
+        """The cloud, with labels asked for as far around the core as heights of plants need ground."""
+        if tile.core is None or self.classes.vegetation is None:
+            return cloud
+        reach = _REACH / tile.sources[0].metre
+        x0, y0, x1, y1 = tile.core
+        return dataclasses.replace(cloud, core=(x0 - reach, y0 - reach, x1 + reach, y1 + reach))
 
     def columns(self, around: Around, result: FilterResult) -> dict[str, np.ndarray]:
         """f32[k]: the quantities ``extra`` of the points of a core, by name. Raises: ParameterError if the method has none."""
@@ -76,8 +92,10 @@ class GroundProduct(Product):
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         found = collected(self, task, dict.fromkeys((*self.extra, *self.COLUMNS), np.float32))
-        result, additions = FilterResult.of_labels(found.ground, found.noise), Additions(columns=found.quantities)
-        write_cloud(task.target, found.cloud, result, self.classes, additions, overwrite=True, in_place=task.in_place)
+        additions = Additions(columns=found.quantities)
+        write_cloud(
+            task.target, found.cloud, found.found, self.classes, additions, overwrite=True, in_place=task.in_place
+        )
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at, and write them. Raises: InputError, OutputError."""
@@ -88,21 +106,16 @@ class GroundProduct(Product):
         return {"classes": dataclasses.asdict(self.classes), "extra": self.extra}
 
 
-def summarise(summary: Summary, around: Around, result: FilterResult, classes: Classes | None) -> None:
+def summarise(summary: Summary, around: Around, result: FilterResult, found: Findings, classes: Classes | None) -> None:
     """What is said of the labels of a tile; ``classes``: that are written, None = the output has none."""
     own = around.own
-    cloud, ground, barred, noise = (
-        part_of(around.cloud, own),
-        result.ground[own],
-        result.barred[own],
-        result.low_noise[own],
-    )
+    cloud, ground, barred = part_of(around.cloud, own), result.ground[own], result.barred[own]
     summary.points, summary.read, summary.unread = len(own), len(around.cloud), around.left_out
     summary.candidates, summary.ground = int(cloud.candidate.sum()), int(ground.sum())
     summary.barred, summary.barred_ground = int(barred.sum()), int((barred & ground).sum())
-    summary.low_noise = int(noise.sum())
+    summary.low_noise = int(result.low_noise[own].sum())
     if classes is not None:
-        summary.classes.update(class_changes(cloud, FilterResult.of_labels(ground, noise), classes))
+        summary.classes.update(class_changes(cloud, Findings(ground, found.code[own]), classes))
     summary.overlap.update(overlap_counts(cloud, ground))
     summary.statuses[result.status.name] = 1
     summary.counts = {name: value for name, value in result.info.items() if isinstance(value, (int, float, str))}
@@ -157,10 +170,9 @@ def ground(
         text = all(place.suffix.lower() in TEXT for place in targets.places)
         return GroundProduct(reader, targets.store.path, filter_, classes, quantities, listed, text)
 
-    return survey.run(cut_by_filter, product_for)
+    def cut_for(filter_: Filter | None, halo: float | None) -> Cut:
+        assert filter_ is not None
+        around = (filter_.halo() if halo is None else halo) + _REACH * (classes.vegetation is not None)
+        return Cut(max(around, _REACH * (classes.high_noise is not None)), filter_.lattice())
 
-
-def cut_by_filter(filter_: Filter | None, halo: float | None) -> Cut:
-    """Tiles that a filter needs; ``halo``: metres, None = the filter's."""
-    assert filter_ is not None
-    return Cut(filter_.halo() if halo is None else halo, filter_.lattice())
+    return survey.run(cut_for, product_for)

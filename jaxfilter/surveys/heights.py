@@ -14,7 +14,8 @@ from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import Status
-from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, Classes, write_cloud
+from ..files.classes import Classes, findings_of
+from ..files.writing import HEIGHT, LAS_SUFFIXES, Additions, write_cloud
 from ..terrain.models import heights_of
 from .collection import Collection
 from .executors import LOCAL
@@ -60,8 +61,9 @@ class HeightProduct(GroundNeeded):
             where = tile.sources[0].uri if tile.core is None else around_it
             raise InputError(f"{where}: no point is ground; {FIND_GROUND}")
         cloud, result = around.cloud, found.result
+        classed = findings_of(cloud, found.ground)
         if result is not None:
-            summarise(summary, around, result, Classes())
+            summarise(summary, around, result, classed, Classes())
             kept = suspects_in(around, result, found.tile, self.reader.reading)
         else:
             summary.points, summary.read, summary.unread = len(own), len(cloud), around.left_out
@@ -69,7 +71,7 @@ class HeightProduct(GroundNeeded):
             summary.statuses[Status.CONVERGED.name] = 1
         summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None
         summary.uncertain = 0 if doubt is None else doubt.count
-        return packed(around, found.ground, {HEIGHT: heights}) | kept, summary
+        return packed(around, classed, {HEIGHT: heights}) | kept, summary
 
     def file(self, task: FileTask) -> None:
         """Write a file with the heights of its tiles, and classes if a filter found the ground.
@@ -77,7 +79,7 @@ class HeightProduct(GroundNeeded):
         Raises: InputError, OutputError.
         """
         found = collected(self, task, {HEIGHT: np.float64})
-        result = found.ground if self.classes_of_ground is None else None
+        result = found.found if self.classes_of_ground is None else None
         additions = Additions.of_heights(found.quantities[HEIGHT], self.replace_z)
         write_cloud(task.target, found.cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
 

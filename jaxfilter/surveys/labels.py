@@ -10,28 +10,26 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError
+from ..files.classes import Findings
 from ..files.windows import file_cloud
 from .product import FileTask, Product
 from .store import Store
 from .tiles import Around
 
-CANDIDATE, GROUND, NOISE, _STORED = 1, 2, 4, 0x80
-"""Bits of a label."""
+CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
+"""Bits of a label, and the bit at which the number of what was found begins."""
 
 
-def packed(
-    around: Around, ground: np.ndarray, quantities: Mapping[str, np.ndarray], noise: np.ndarray | None = None
-) -> dict[str, np.ndarray]:
+def packed(around: Around, found: Findings, quantities: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays of the core of a tile, file by file: records i64[k] (or the first of k in succession), labels u8[k], and
     quantities f[k].
 
-    ``ground``, ``noise``: bool[n], of all points of the tile; ``quantities``: f[k], of those of the core.
+    ``found``: of all points of the tile; ``quantities``: f[k], of those of the core.
     """
     arrays: dict[str, np.ndarray] = {}
     own = around.own
-    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | ground[own] * np.uint8(GROUND)
-    if noise is not None:
-        label |= noise[own] * np.uint8(NOISE)
+    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | found.ground[own] * np.uint8(GROUND)
+    label |= found.code[own] << np.uint8(_CODE)
     file = around.file[own]  # ascending
     edges = [*np.flatnonzero(np.diff(file, prepend=-1)).tolist(), len(own)]
     for start, stop in itertools.pairwise(edges):
@@ -49,12 +47,11 @@ class FileLabels:
     """What tiles have found of the points of a file.
 
     Attributes:
-        cloud: stands for the points; ground, noise: bool[n]; quantities: f[n] by name.
+        cloud: stands for the points; found: what was found of them; quantities: f[n] by name.
     """
 
     cloud: PointCloud
-    ground: np.ndarray
-    noise: np.ndarray
+    found: Findings
     quantities: dict[str, np.ndarray]
 
 
@@ -75,7 +72,12 @@ def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> Fi
         cloud = file_cloud(source, candidate, reader.index, bounds=reading.bounds, checksum=checksum)
     else:  # the checksum is of all points
         cloud = file_cloud(source, candidate, reader.index, rows=rows)
-    return FileLabels(cloud, (label & GROUND) > 0, (label & NOISE) > 0, quantities)
+    return FileLabels(cloud, found_in(label), quantities)
+
+
+def found_in(label: np.ndarray) -> Findings:
+    """What labels u8[n] say of points."""
+    return Findings((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
 def gathered(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
+from ..files.classes import Classes
 from ..files.disk import is_there, output_errors
 from ..files.storage import Place, place_of
 from ..terrain.layers import LAYERS
@@ -48,6 +49,7 @@ def products(
     only: Iterable[str] = tuple(LAYERS),
     cell: float = 1.0,
     reading: Reading = Reading(),
+    classes: Classes = Classes(),
     run: RunOptions = RunOptions(),
 ) -> Products:
     """Classify a survey, and make rasters and contours of its ground, each as one file, and a page that shows them.
@@ -63,6 +65,7 @@ def products(
             as in :func:`jaxfilter.heights`, and then no files are classified.
         only: names of what is made: dtm, dsm, chm, hillshade, density, count, voids, contours.
         cell: side of the cells of rasters, in file units.
+        classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
 
     Returns: Products; what could not be done is in its reports.
     Raises: as :func:`jaxfilter.ground` and :func:`jaxfilter.terrain_model`.
@@ -88,7 +91,7 @@ def products(
             folder.mkdir(parents=True, exist_ok=True)
     classified = None
     if ground is None or isinstance(ground, Filter | Recipe):
-        classified = classify(what, f"{folder / CLASSIFIED}/", ground, reading=reading, run=run)
+        classified = classify(what, f"{folder / CLASSIFIED}/", ground, reading=reading, classes=classes, run=run)
     if run.dry_run:
         tried: GroundSource = (
             Recipe() if ground is None else ground
@@ -102,7 +105,8 @@ def products(
     if reading.aoi is not None:  # the rasters need the ground around the area, which is in no classified file
         ground = Recipe() if ground is None else ground
     elif classified is not None:
-        what, ground = classified.files, (2,)
+        what = classified.files
+        ground = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
     assert ground is not None
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)

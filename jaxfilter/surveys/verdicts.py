@@ -20,18 +20,19 @@ from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
 from ..core.version import __version__
+from ..files.classes import Classes, Finding, Findings
 from ..files.disk import Seal, new_file
 from ..files.storage import Remote, place_of
 from ..files.vectors import check_suffix
 from ..files.windows import file_cloud
-from ..files.writing import LAS_SUFFIXES, Classes, write_cloud
+from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import SIDE
 from ..reports.verdicts import FINE, HALO, RIM, WORDS, Site, Verdict, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
 from .collection import Collection
-from .labels import CANDIDATE, GROUND, NOISE, gathered, packed
+from .labels import CANDIDATE, found_in, gathered, packed
 from .measures import Recipe
 from .options import RunOptions
 from .places import list_places, suspects_in
@@ -157,9 +158,12 @@ class VerdictProduct(Product):
             int(cloud.candidate[around.core].sum()),
             int(found.ground[around.core].sum()),
         )
-        some = dataclasses.replace(around, cloud=cloud, core=found.changed)
-        arrays = packed(some, found.ground, {}, found.deck)
-        kept = {"files": np.unique(around.file[found.changed]), "changed": np.array(int(found.changed.sum()))}
+        touched = found.changed if self.classes.water is None else found.changed | found.water
+        some, code = dataclasses.replace(around, cloud=cloud, core=touched), np.full(len(cloud), Finding.OTHER, np.uint8)
+        code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
+        code[found.water & found.ground] = Finding.WATER
+        arrays = packed(some, Findings(found.ground, code), {})
+        kept = {"files": np.unique(around.file[touched]), "changed": np.array(int(touched.sum()))}
         return arrays | {f"{KEPT}{name}": values for name, values in kept.items()}, summary
 
     def file(self, task: FileTask) -> None:
@@ -167,8 +171,7 @@ class VerdictProduct(Product):
         label, _, _ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0, self.reader.index)
-            result = FilterResult.of_labels((label & GROUND) > 0, (label & NOISE) > 0)
-            write_cloud(task.target, cloud, result, self.classes, overwrite=True, in_place=True)
+            write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, in_place=True)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
@@ -192,7 +195,6 @@ def apply_survey(
     what: Any,
     *,
     classes: Classes = Classes(),
-    bridge_class: int | None = None,
     reading: Reading = Reading(),
     run: RunOptions = RunOptions(),
 ) -> VerdictReport:
@@ -205,8 +207,8 @@ def apply_survey(
 
     Args:
         places: as in :func:`apply`. what: the LAS and LAZ files, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
-        classes: what is ground in the files, and the class of points that are no more.
-        bridge_class: for points of bridges that were ground (ASPRS: 17); None: they get that of others.
+        classes: what is ground in the files; the classes of points that are no more, of points of bridges that were ground
+            (``bridge``, ASPRS: 17), and of water (``water``, ASPRS: 9).
         reading: which points are judged, as when the ground was found.
         run: how it is carried out. With ``resume`` a run that was stopped goes on.
 
@@ -235,9 +237,6 @@ def apply_survey(
     )  # verdicts of before that meet a new one are kept to
     report = VerdictReport()
     if found:
-        classes = dataclasses.replace(
-            classes, noise_class=bridge_class
-        )  # the label of decks takes the place of that of noise
         if run.workers is None and run.client is None and len(found) <= _FEW:
             run = dataclasses.replace(run, workers=1)
         # a sample of the files says what the filter is, as for surveys in tiles, and nothing more is measured

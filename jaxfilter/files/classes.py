@@ -1,0 +1,271 @@
+"""Which class each point gets when it is written: by what was found of it, and by the class that it had."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from ..core.cloud import GROUND_CLASS, OVERLAP_CLASS, PointCloud
+from ..core.errors import InputError, ParameterError, warn
+from ..core.reading import Reading
+from ..core.result import FilterResult
+
+RESETS = ("ground", "all", "none")
+NAMES = (
+    "never classified", "unclassified", "ground", "low vegetation", "medium vegetation", "high vegetation", "building",
+    "low noise", "model key point", "water", "rail", "road surface", "overlap", "wire guard", "wire conductor",
+    "transmission tower", "wire connector", "bridge deck", "high noise", "overhead structure", "ignored ground", "snow",
+    "temporal exclusion",
+)  # fmt: skip
+"""Names of ASPRS classes (LAS 1.4 R15, table 17), short; from 23 on they are reserved or of the user."""
+_OPEN = (0, 1)
+"""Classes that say nothing of a point."""
+
+
+class Finding(enum.IntEnum):
+    """What has been found of a point."""
+
+    KEPT = 0  # nothing: it is not judged
+    OTHER = 1  # it is judged, and is none of these
+    GROUND = 2
+    LOW_NOISE = 3
+    HIGH_NOISE = 4
+    WATER = 5
+    DECK = 6
+    LOW_VEGETATION = 7
+    MEDIUM_VEGETATION = 8
+    HIGH_VEGETATION = 9
+
+
+@dataclasses.dataclass(frozen=True)
+class Classes:
+    """Which classes points get when they are written.
+
+    Water, decks, high noise and vegetation are written over classes that say nothing (0 and 1), and over those that are reset;
+    ground and low noise over every class. Points that are set aside keep theirs, so what somebody has edited stays.
+
+    Attributes:
+        ground_class: class of candidates that are ground.
+        other_class: class of candidates that are not ground and whose old class is reset.
+        reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
+        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
+        noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
+        high_noise: class of isolated echoes far above all around, 18 by the ASPRS: every other echo of their square of 20 m and
+            of the eight around it lies more than 15 m below.
+        water: class of points of water (``FilterResult.water``), 9 by the ASPRS; None: they are ground.
+        bridge: class of points of decks (``FilterResult.deck``), 17 by the ASPRS; None: they are points like others.
+        vegetation: metres above ground from which points are low, medium and high vegetation (3, 4, 5). Points on smooth planes
+            from 2 m on, such as roofs, and points over voids of the ground wider than 40 m are none. None: no point is.
+        unjudged: class of points of class 0 that are not judged, such as echoes above the last one; None: they keep it.
+        overlap_flag: points of class 12 that are judged get another class and the overlap flag, which stands for it since LAS
+            1.4; in point formats that have no such flag they keep class 12. False: they are points like others.
+
+    Echoes that are not judged only because others of their pulse are may be high noise and vegetation as well.
+
+    Raises: ParameterError for classes that are no numbers from 0 to 255, another ``reset``, and heights that do not ascend.
+
+    >>> changes = jf.class_changes(cloud, result, jf.Classes(ground_class=8))
+    >>> bool(changes[0, 8] == result.ground.sum())
+    True
+    """
+
+    ground_class: int = GROUND_CLASS
+    other_class: int = 1
+    reset: str = "ground"
+    only_ground: bool = False
+    noise_class: int | None = None
+    high_noise: int | None = None
+    water: int | None = None
+    bridge: int | None = None
+    vegetation: tuple[float, float, float] | None = None
+    unjudged: int | None = None
+    overlap_flag: bool = False
+
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"ground": {}}
+    """Named sets of classes: ``"ground"``, ground and no more; ``"usgs"``, what the USGS asks for in its Lidar Base Specification
+    2.1, table 5, as far as it can be found (1, 2, 7, 9, 17, 18, and the overlap flag instead of class 12); ``"las14"``, with
+    vegetation from 0.5, 2 and 5 m on, the heights that are most used, for LAS 1.4 names classes 3 to 5 but no heights."""
+
+    def __post_init__(self) -> None:
+        if self.reset not in RESETS:
+            raise ParameterError(f"reset={self.reset!r}: choose one of {', '.join(RESETS)}")
+        for name in ("ground_class", "other_class", *_OPTIONAL):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= 255:
+                raise ParameterError(f"{name}={value!r}: ASPRS classes run from 0 to 255")
+        if self.vegetation is not None:
+            heights = tuple(float(value) for value in self.vegetation)
+            if len(heights) != 3 or not 0 <= heights[0] < heights[1] < heights[2] < np.inf:
+                raise ParameterError(
+                    f"vegetation={self.vegetation!r}: three heights in metres that ascend are needed, such as 0.5, 2, 5"
+                )
+            object.__setattr__(self, "vegetation", heights)
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> Self:
+        """A named set of classes out of ``PRESETS``, and with ``changes`` on top. Raises ParameterError.
+
+        >>> jf.Classes.preset("usgs", water=None).bridge
+        17
+        """
+        if name not in cls.PRESETS:
+            raise ParameterError(f"classes={name!r}: choose one of {', '.join(cls.PRESETS)}")
+        return cls(**{**cls.PRESETS[name], **changes})
+
+    @property
+    def asked(self) -> list[str]:
+        """The settings that give points other classes than ground and ``other_class``, as text, for messages."""
+        values = [(name, getattr(self, name)) for name in (*_OPTIONAL, "vegetation")]
+        return [f"{name}={value!r}" for name, value in values if value is not None]
+
+    def table(self) -> np.ndarray:
+        """u8[10, 256]: the new class, by :class:`Finding` and by the old class."""
+        old = np.arange(256, dtype=np.uint8)
+        resets = np.full(256, self.reset == "all" and not self.only_ground)
+        if self.reset == "ground" and not self.only_ground:
+            resets[[0, GROUND_CLASS, self.ground_class]] = True
+        resets[OVERLAP_CLASS] |= self.overlap_flag
+        open_ = resets | np.isin(old, _OPEN)
+        table = np.tile(np.where(resets, np.uint8(self.other_class), old), (len(Finding), 1))
+        table[Finding.KEPT] = old
+        table[Finding.KEPT, 0] = self.unjudged or 0
+        table[[Finding.GROUND, Finding.WATER]] = self.ground_class
+        table[Finding.LOW_NOISE] = table[Finding.LOW_NOISE] if self.noise_class is None else self.noise_class
+        plants = (None, None, None) if self.vegetation is None else (3, 4, 5)
+        for kind, given in zip(
+            list(Finding)[Finding.HIGH_NOISE :], (self.high_noise, self.water, self.bridge, *plants), strict=True
+        ):
+            table[kind, open_] = table[kind, open_] if given is None else given
+        return table
+
+    @property
+    def largest(self) -> int:
+        """The largest number that points may get."""
+        given = [getattr(self, name) or 0 for name in _OPTIONAL]
+        return max(self.ground_class, self.other_class, *given)
+
+
+_FOUND = (
+    (Finding.WATER, "water", "water", "water"),
+    (Finding.DECK, "bridge", "deck", "decks of bridges"),
+    (Finding.LOW_NOISE, "noise_class", "low_noise", "outliers"),
+)
+"""What methods find, the field of :class:`Classes` that asks for it, that of the result, and words."""
+_OPTIONAL = ("noise_class", "high_noise", "water", "bridge", "unjudged")
+_USGS = {"noise_class": 7, "high_noise": 18, "water": 9, "bridge": 17, "unjudged": 1, "overlap_flag": True}
+Classes.PRESETS.update(usgs=_USGS, las14={**_USGS, "vegetation": (0.5, 2.0, 5.0)})
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Findings:
+    """``ground``: bool[n]; ``code``: u8[n], a :class:`Finding` of each point, as far as classes depend on it."""
+
+    ground: np.ndarray
+    code: np.ndarray
+
+
+def findings_of(
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray,
+    classes: Classes = Classes(),
+    reading: Reading = Reading(),  # noqa: B008
+    workers: int | None = None,
+) -> Findings:
+    """What was found of the points of a cloud, by a filter and by what is around them.
+
+    ``reading`` says which points may become high noise and vegetation though another echo of their pulse was judged. Raises:
+    InputError for labels of another length; ParameterError if labels alone do not tell what is asked for. Warns: if the method
+    does not look for it.
+    """
+    found = result if isinstance(result, FilterResult) else None
+    ground = np.asarray(result) if found is None else found.ground
+    if ground.shape != (len(cloud),) or ground.dtype != bool:
+        given = f"{ground.dtype}{list(ground.shape)}"
+        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
+    old = old_classes(cloud)
+    judged, code = cloud.candidate, cloud.candidate.astype(np.uint8)
+    code[judged & ground] = Finding.GROUND
+    for kind, name, source, what in _FOUND:
+        if (number := getattr(classes, name)) is None:
+            continue
+        if found is None:
+            raise ParameterError(f"{name}={number}: labels alone tell no {what}; pass the FilterResult")
+        if (points := getattr(found, source)) is None:
+            warn(f"no point gets class {number}: the method does not look for {what}; leave that class out")
+        else:
+            code[judged & points & (ground | (kind != Finding.WATER))] = kind
+    if classes.high_noise is not None or classes.vegetation is not None:
+        _look_around(cloud, found, ground, code, classes, reading, workers)
+    if classes.overlap_flag and cloud.overlap is None:
+        code[old == OVERLAP_CLASS] = Finding.KEPT
+    return Findings(ground, code)
+
+
+def _look_around(
+    cloud: PointCloud,
+    found: FilterResult | None,
+    ground: np.ndarray,
+    code: np.ndarray,
+    classes: Classes,
+    reading: Reading,
+    workers: int | None,
+) -> None:
+    """Put high noise and vegetation into ``code``."""
+    every = cloud.select(
+        returns="all",
+        ignore_classes=reading.ignore_classes,
+        ignore_overlap=reading.ignore_overlap,
+        keep_withheld=reading.keep_withheld,
+    ).candidate
+    free = (code == Finding.OTHER) | ((code == Finding.KEPT) & every & np.isin(old_classes(cloud), _OPEN))
+    if found is not None and found.deck is not None:
+        free &= ~found.deck
+    if classes.high_noise is not None:
+        from ..steps.high_noise import isolated_above  # late: it brings SciPy
+
+        high = free & isolated_above(cloud)
+        code[high], free = Finding.HIGH_NOISE, free & ~high
+    if classes.vegetation is not None:
+        from ..steps.vegetation import heights_near, on_planes
+
+        rows = np.flatnonzero(free)
+        height = heights_near(cloud, ground, rows, workers)
+        level = (height[:, None] >= np.array(classes.vegetation)).sum(axis=1)  # none over voids, where heights are NaN
+        level[on_planes(cloud, rows, height)] = 0
+        code[rows[level > 0]] = (Finding.LOW_VEGETATION - 1 + level[level > 0]).astype(np.uint8)
+
+
+def old_classes(cloud: PointCloud) -> np.ndarray:
+    """u8[n]: the classes that points had; of a cloud without classes 0, never classified."""
+    return np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
+
+
+def classes_of(
+    cloud: PointCloud, result: FilterResult | np.ndarray | Findings, classes: Classes = Classes()
+) -> np.ndarray:
+    """u8[n]: the classes that the points of a cloud get when they are written."""
+    found = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
+    return np.asarray(classes.table()[found.code, old_classes(cloud)])
+
+
+def class_changes(
+    cloud: PointCloud, result: FilterResult | np.ndarray | Findings, classes: Classes = Classes()
+) -> dict[tuple[int, int], int]:
+    """What :func:`write` makes of the classes: number of points by (old class, new class), in order.
+
+    Points of a cloud without classes count as class 0, never classified. Raises: as :func:`write`.
+
+    >>> changes = jf.class_changes(cloud, result)
+    >>> bool(changes[0, 2] == result.ground.sum()), sum(changes.values()) == len(cloud)
+    (True, True)
+    """
+    pairs = np.bincount(old_classes(cloud).astype(np.int64) * 256 + classes_of(cloud, result, classes), minlength=1)
+    return {divmod(int(pair), 256): int(pairs[pair]) for pair in np.flatnonzero(pairs)}  # type: ignore[misc]
+
+
+def class_name(number: int) -> str:
+    """A class with its name, such as "2 ground"; the number alone where it has none."""
+    return f"{number} {NAMES[number]}" if number < len(NAMES) else str(number)
