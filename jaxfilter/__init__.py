@@ -46,30 +46,29 @@ if TYPE_CHECKING:
 _HOMES = {
     "citing": ("citation",), "core.cloud": ("PointCloud",), "core.reading": ("Reading",), "core.errors": ("ForkError",
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
-    "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS",
-    "FPTD", "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default":
-    ("default_filter",), "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster":
-    ("Raster",), "pdal": ("from_pdal",), "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",),
-    "scoring": ("evaluate", "Scores"), "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"),
-    "sweeps.comparison": ("compare", "Comparison"), "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("sweep", "SweepOptions"),
-    "terrain.interpolation": ("Interpolation",), "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy":
-    ("dtm_rmse", "HeightErrors"), "reports": ("report", "ReportOptions", "review"), "surveys.collection": ("Collection",
-    "open"), "surveys.ground": ("ground",), "surveys.heights": ("heights",), "surveys.model": ("terrain_model",),
-    "surveys.products": ("products",), "terrain.layers": ("chm", "contours", "count", "density", "dsm", "hillshade",
-    "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"), "surveys.accuracy": ("accuracy_statement",),
+    "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD",
+    "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default": ("default_filter",),
+    "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
+    "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
+    "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
+    "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
+    "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports": ("report",
+    "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
+    ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("chm", "contours",
+    "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
+    "surveys.accuracy": ("accuracy_statement",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "FILTERS",
-    "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
-    "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
-    "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores",
-    "Status", "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "calibrate", "chm", "citation",
-    "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
-    "evaluate", "fit", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots",
-    "products", "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids",
-    "write",
+    "AGPTD", "ATIN", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "FILTERS", "FPTD",
+    "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError", "Interpolation",
+    "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF", "ParameterError",
+    "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status", "Study",
+    "SweepOptions", "accuracy_statement", "apply", "apply_survey", "calibrate", "chm", "citation", "class_changes", "compare",
+    "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse", "evaluate", "fit", "from_pdal",
+    "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products", "read", "report", "review",
+    "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
 
 

@@ -126,7 +126,7 @@ def test_public_names_have_docstrings(module):
 
 
 def test_public_names_resolve_and_are_the_documented_ones():
-    assert len((PACKAGE / "__init__.py").read_text().splitlines()) < 84
+    assert len((PACKAGE / "__init__.py").read_text().splitlines()) < len(jaxfilter.__all__) + 10, "names and no more"
     for name in jaxfilter.__all__:
         assert getattr(jaxfilter, name) is not None
     assert callable(jaxfilter.evaluate) and callable(jaxfilter.read)
