@@ -61,8 +61,8 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "FILTERS", "FPTD",
-    "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError", "Interpolation",
+    "AGPTD", "ATIN", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "FILTERS",
+    "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError", "Interpolation",
     "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF", "ParameterError",
     "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status", "Study",
     "SweepOptions", "accuracy_statement", "apply", "apply_survey", "calibrate", "chm", "citation", "class_changes", "compare",

@@ -149,7 +149,9 @@ class SMRF(GridFilter):
     def _terrain(self, prepared: Opened, slope: jax.Array | float) -> Surface:
         """The terrain at a slope, a float or f32[]."""
         cells, surface, steepest, bare, counts, _ = prepared
-        terrain, objects = _spanned(surface, steepest, bare, cells, slope)  # as in prepare(), so that it is compiled once
+        terrain, objects = _spanned(
+            surface, steepest, bare, cells, slope
+        )  # as in prepare(), so that it is compiled once
         return terrain._replace(counts={**counts, "object_cells": objects})
 
     def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:

@@ -159,7 +159,10 @@ class VerdictProduct(Product):
             int(found.ground[around.core].sum()),
         )
         touched = found.changed if self.classes.water is None else found.changed | found.water
-        some, code = dataclasses.replace(around, cloud=cloud, core=touched), np.full(len(cloud), Finding.OTHER, np.uint8)
+        some, code = (
+            dataclasses.replace(around, cloud=cloud, core=touched),
+            np.full(len(cloud), Finding.OTHER, np.uint8),
+        )
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
         arrays = packed(some, Findings(found.ground, code), {})
