@@ -35,6 +35,8 @@ SHORT = {
     "ablation": (["ablations/summary.csv"], ["variant"], "total"),
     "defaults": (["defaults/means.csv"], ["choice", "alternative"], "mean"),
     "isprs": (["isprs/summary.csv", "protocol=fixed"], ["method"], "total"),
+    "sample": (["isprs/fixed.csv"], ["sample", "method"], "total"),
+    "tile": (["tiles/tiles.csv"], ["tile", "method"], "total"),
 }
 """Files with fixed conditions, the columns whose values are named, and the column that is shown where none is named."""
 _FORM = re.compile(r"[+,]*(\.\d)?[dfg]")
@@ -142,7 +144,83 @@ def as_collection() -> str:
     return markdown(columns, rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {"methods": methods, "country": country, "tiles": as_collection}
+def scale() -> str:
+    """Surveys of more and more files."""
+    columns: list[Column] = [
+        ("how", "", ""), ("points", "points", ",d"), ("tiles", "tiles", ""), ("wall", "seconds", ".0f"),
+        ("cpu", "CPU seconds", ".0f"), ("per_million", "per million points", ".2f"),
+        ("peak", "memory of all processes, GB", ".2f"),
+    ]  # fmt: skip
+    return markdown(columns, _rows("tiling/scale.csv"))
+
+
+def tile_labels() -> str:
+    """Labels of tiles that differ from those of the whole, by method and survey."""
+    rows = [row for row in _rows("tiling/labels.csv") if row["default"] == "True"]
+    surveys = {row["survey"]: row["points"] for row in rows}
+    lines = [
+        {"method": name.upper(), "halo": own[0]["halo"]} | {row["survey"]: row["differ"] for row in own}
+        for name in dict.fromkeys(sorted(row["method"] for row in rows))
+        for own in [[row for row in rows if row["method"] == name]]
+    ]
+    columns: list[Column] = [("method", "method", ""), ("halo", "default halo, m", ".0f")]
+    return markdown([*columns, *((name, f"{name}, {points:,}", ",d") for name, points in surveys.items())], lines)
+
+
+def doubts() -> str:
+    """What the doubts of OST are worth."""
+    columns: list[Column] = [
+        ("what", "clouds", ""), ("points", "points", ",d"), ("errors", "errors %", ".2f"), ("doubt", "mean doubt %", ".2f"),
+        ("ece", "ECE", ".3f"), ("found", "errors in the most doubtful 10 % of points, %", ".1f"),
+    ]  # fmt: skip
+    return markdown(columns, [row for row in _rows("default/doubt.csv") if row["unnamed"] == ""])
+
+
+def named() -> str:
+    """What the places that are named hold."""
+    import pandas as pd
+
+    from experiments.failures.pages import shares
+
+    table = pd.DataFrame([row for row in _rows("failures/spots.csv") if row["method"] == "ost"])
+    parts = {kind: part for kind, part in table.groupby("kind", sort=False) if kind != "samples"}
+    parts |= {"all three": table[table["kind"] != "samples"], "samples": table[table["kind"] == "samples"]}
+    columns: list[Column] = [
+        ("kind", "clouds", ""), ("found", "of the area that is off, named %", ".0f"), ("hit", "places that hold some, %", ".0f"),
+        ("tenths", "a tenth of their area, %", ".0f"), ("times", "named area / area off", ".2f"),
+    ]  # fmt: skip
+    return markdown(columns, [{"kind": kind, **shares(part.sum(numeric_only=True))} for kind, part in parts.items()])
+
+
+def sensors() -> str:
+    """OST beside the best of the other methods on clouds of other sensors."""
+    lines = []
+    for cloud in dict.fromkeys(row["cloud"] for row in _rows("sensors/methods.csv")):
+        line: Row = {"cloud": cloud}
+        for key, form in (("total", ".2f"), ("rmse", ".3f")):
+            found = {
+                row["method"]: row[key]
+                for row in _rows("sensors/methods.csv")
+                if row["cloud"] == cloud
+                and isinstance(row[key], (int, float))
+                and not (cloud.startswith("spanner") and key == "total")  # labels of software
+            }
+            if "ost" in found:
+                own, best = found.pop("ost"), min(found, key=lambda name: found[name])
+                line |= {key: f"{own:{form}}", f"best_{key}": f"{found[best]:{form}} ({best.upper()})"}
+        if len(line) > 1:
+            lines.append(line)
+    columns: list[Column] = [
+        ("cloud", "cloud", ""), ("total", "total error, OST", ""), ("best_total", "best", ""),
+        ("rmse", "terrain RMSE, OST", ""), ("best_rmse", "best", ""),
+    ]  # fmt: skip
+    return markdown(columns, lines)
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "methods": methods, "country": country, "tiles": as_collection, "scale": scale, "tile_labels": tile_labels,
+    "doubts": doubts, "named": named, "sensors": sensors,
+}  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> None:

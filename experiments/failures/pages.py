@@ -120,9 +120,9 @@ def spots(table: pd.DataFrame) -> list[str]:
         for kind in (*KINDS, "all three", "samples"):
             part = own[own["kind"] != "samples"] if kind == "all three" else own[own["kind"] == kind]
             if len(part):
-                rows.append({"method": method, "kind": kind, **_shares(part.sum(numeric_only=True))})
+                rows.append({"method": method, "kind": kind, **shares(part.sum(numeric_only=True))})
     single: list[Row] = [
-        {"method": row["cloud"], "kind": row["first"], **_shares(pd.Series(row))}
+        {"method": row["cloud"], "kind": row["first"], **shares(pd.Series(row))}
         for row in _records(table)
         if row["off"] >= 200
     ]
@@ -137,7 +137,7 @@ def spots(table: pd.DataFrame) -> list[str]:
     ]  # fmt: skip
 
 
-def _shares(counts: pd.Series) -> Row:
+def shares(counts: pd.Series) -> Row:
     """Figures of :func:`spots` from sums over clouds."""
     off, judged = max(float(counts["off"]), 1.0), max(float(counts["judged"]), 1.0)
     return {
