@@ -69,7 +69,7 @@ PAGES = {
     "papers/results/li2021/results.md": Page("experiments/papers/li2021.py", "those of Li et al. (2021): FPTD", 10),
     "papers/results/pingel2013/results.md": Page("experiments/papers/pingel2013.py", "those of Pingel et al. (2013): SMRF", 1),
     "papers/results/ppdf2023/results.md": Page("experiments/papers/ppdf2023.py", "those of Cai et al. (2023): PPDF", 10),
-    "papers/results/spf2023/results.md": Page("experiments/papers/spf2023.py", "those of Chen et al. (2023): SPF", 3),
+    "papers/results/spf2023/results.md": Page("experiments/papers/spf2023.py", "those of Chen et al. (2023): SPF", 3, (ISPRS,)),
     "papers/results/stin2024/results.md": Page("experiments/papers/stin2024.py", "those of Uray and Varlik (2024): STIN", 3),
     "tiles/results/results.md": Page("experiments/tiles/run.py --out experiments/tiles/results", "every method on six labelled "
                                      "tiles of other sensors and densities", 10),

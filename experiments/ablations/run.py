@@ -235,6 +235,7 @@ def _seed_density() -> list[Variant]:
             for method, text in seeds.items()
             if method in jf.FILTERS
         ),
+        Variant("3. seeds", f"{how}: planes (PPDF)", _modified("ptd", start=_on_planes)),
     ]
 
 
@@ -331,6 +332,15 @@ def _insertion() -> list[Variant]:
 def _before(self: Any) -> Any:
     """The class of a method whose steps are replaced."""
     return type(self).__mro__[1]
+
+
+def _on_planes(self: Any, points: Points, workers: int | None, progress: Any, trace: bool = False) -> Network:
+    """PPDF's seeds, the points near planes, of which the lowest of each metre count."""
+    planes = jf.PPDF(**jf.PPDF.from_spacing(points.spacing(), None))
+    found = planes.classify(points, key=None, workers=workers, progress=progress, trace=False).decision
+    barred = self.outliers(points, workers)
+    seeds = lowest_per_cell(points, 1.0, barred.barred | (found != jf.Decision.SEED))
+    return surrounded(self, points, seeds, barred, self.seed_cell)
 
 
 def _growing(rule: Rule | None = None, **policies: Any) -> Callable[..., Any]:

@@ -622,6 +622,16 @@ def pictures(report: paper.Report, clouds: dict[str, jf.PointCloud], by_run: dic
                 f"{both[key]['total']:.2f} %" for key, title in (("ptd", "PTD (an entry of another program)"), ("agptd", "AGPTD"))
             ) + ".",
         )  # fmt: skip
+    maps = {
+        name: {"PTD": runs["ptd_table1"](cloud), "AGPTD": runs["table1"](cloud)}
+        for name, cloud in clouds.items()
+        for runs in [filters(name)]
+    }
+    report.figure(
+        figures.every_sample(clouds, maps), "fig9", "Fig. 9: errors of PTD and AGPTD over the shaded reference ground, all "
+        "samples, seed cells of 60 m, angle and distance of Table 1 (chosen on these labels). Lost ground is blue, and accepted "
+        "objects are red; the number is the total error.",
+    )  # fmt: skip
     compared(report, by_run)
 
 

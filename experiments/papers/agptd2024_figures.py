@@ -96,6 +96,29 @@ def densified(name: str, cloud: jf.PointCloud, results: Mapping[str, jf.FilterRe
     return figure
 
 
+def every_sample(clouds: Mapping[str, jf.PointCloud], results: Mapping[str, Mapping[str, jf.FilterResult]]) -> Figure:
+    """Fig. 9: error maps of all samples, three samples in a row, the results of each side by side."""
+    each = len(next(iter(results.values())))
+    rows = -(-len(clouds) // 3)
+    figure = Figure(figsize=(2.3 * 3 * each, 2.5 * rows), layout="constrained")
+    panels = iter(figure.subplots(rows, 3 * each, squeeze=False).ravel())
+    for name, cloud in clouds.items():
+        surface = plots.rasterise(cloud.xyz[cloud.reference], over=cloud.xyz)
+        for title, result in results[name].items():
+            ax = next(panels)
+            total = jf.evaluate(result, cloud.reference).total
+            plots.error_map(
+                cloud, result, cloud.reference, surface=surface, ax=ax, title=f"{name}, {title}: {total:.1f} %"
+            )
+            ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
+            ax.title.set_fontsize(7)
+            if (legend := ax.get_legend()) is not None:
+                legend.remove()
+    for ax in panels:
+        ax.set_axis_off()
+    return figure
+
+
 def means(rows: Sequence[Row], keys: Mapping[str, str]) -> Figure:
     """Figs. 10 and 11: a panel of horizontal bars for each of the ``keys`` (column to title), the best row on top.
 

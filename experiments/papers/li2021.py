@@ -100,6 +100,9 @@ def main(given: list[str] | None = None) -> None:
         table3(report, site_rows)
     barred(report, outliers)
     verdicts(report, rows, site_rows)
+    if (options.out / "FSite5.png").exists() and site_rows:
+        caption = "Fig. 8: FSite5, its highest points and the ground that FPTD finds, with two sections"
+        pictures.append(f"![{caption}](FSite5.png)")
     report.text("## Figures", *pictures)
     report.write("fptd", "ptd")
 
