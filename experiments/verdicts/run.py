@@ -34,8 +34,9 @@ from jaxfilter.terrain.models import interpolated
 from jaxfilter.terrain.raster import RasterGrid
 
 HERE = Path(__file__).parent
-MOST, RATES, OFF, NEAR = 2500.0, (5, 10, 20, 50), 0.5, 3.0
-"""Square metres of a place, at most; places per square kilometre; metres from which on a cell is off, and to reference ground."""
+MOST, RATES, OFF, NEAR, LEVEL = 2500.0, (5, 10, 20, 50), 0.5, 3.0, 0.3
+"""Square metres of a place, at most; places per square kilometre; metres from which on a cell is off, to reference ground, and
+from its terrain within which a point is ground."""
 ORDERS = {
     "list": "in the order of the list",
     "random": "places of the list at random",
@@ -111,9 +112,10 @@ def verdict(site: Site, shape: shapely.Geometry) -> str:
     """What the reference says of a place: the label that most of it should change to; fine where most should not change.
 
     ``object`` if most points that are labelled ground are none; ``ground`` if in most cells of 2 m without such a point, which
-    are a tenth of the place at least, the lowest point is ground. Of both, that with more cells.
+    are a tenth of the place at least, the lowest point is ground. Of both, that with more cells. Points within :data:`LEVEL` of
+    the terrain of the reference are ground, since references label some of their ground points only.
     """
-    known, cloud = site.known, site.known.cloud
+    known, cloud, grid = site.known, site.known.cloud, site.grid
     x0, y0, x1, y1 = shape.bounds
     xyz = cloud.origin + cloud.xyz / np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
     near = (
@@ -123,12 +125,15 @@ def verdict(site: Site, shape: shapely.Geometry) -> str:
     rows = rows[shapely.intersects_xy(shape, xyz[rows, 0], xyz[rows, 1])]
     if not len(rows):
         return "fine"
+    column, row = (np.floor(xyz[rows, :2] / grid.cell).astype(int) - (grid.left, grid.bottom)).T
+    terrain = site.truth[np.clip(grid.rows - 1 - row, 0, grid.rows - 1), np.clip(column, 0, grid.columns - 1)]
+    level = np.abs(xyz[rows, 2] - terrain) * cloud.units.z <= LEVEL
+    truth, label = known.ground[rows] | level, site.result.ground[rows]
     cell = np.unique(np.floor(xyz[rows, :2] * cloud.units.xy / SIDE), axis=0, return_inverse=True)[1].ravel()
     order = np.lexsort((xyz[rows, 2], cell))
-    lowest = rows[order[np.diff(cell[order], prepend=-1) > 0]]
-    label, truth = site.result.ground[rows], known.ground[rows]
+    lowest = order[np.diff(cell[order], prepend=-1) > 0]
     labelled = np.bincount(cell, label) > 0
-    wrong, open_ = ~truth[label], known.ground[lowest][~labelled]
+    wrong, open_ = ~truth[label], truth[lowest][~labelled]
     cut = int(labelled.sum()) if len(wrong) and wrong.mean() > 0.5 else 0
     lost = len(open_) if len(open_) >= 0.1 * len(lowest) and open_.mean() > 0.5 else 0
     return "fine" if cut == lost == 0 else "object" if cut > lost else "ground"
@@ -184,6 +189,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--work", type=Path, default=HERE / "out", help="folder for lists of places [%(default)s]")
     parser.add_argument("--scenes", type=float, default=1.0, help="share of the length of scenes [%(default)s]")
     parser.add_argument("--clouds", nargs="*", default=[], help="begins of names")
+    parser.add_argument("--without", nargs="*", default=[], help="begins of names of clouds that are left out")
     options = parser.parse_args(given)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
@@ -191,8 +197,10 @@ def main(arguments: list[str] | None = None) -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     folder, path = samples.data_folder(options.data), options.out / "verdicts.csv"
     names = [n for n in cloud_names(folder) if not options.clouds or any(n.startswith(c) for c in options.clouds)]
+    names = [n for n in names if not any(n.startswith(c) for c in options.without)]
     rows: list[Row] = read_csv(path) if path.exists() else []
     sites: dict[str, Site] = {}
+    known: dict[tuple[str, tuple[str, ...]], Row] = {}  # what was found with the same places
 
     def site(name: str) -> Site:
         if name not in sites:
@@ -223,18 +231,13 @@ def main(arguments: list[str] | None = None) -> None:
                     "rate": rate,
                     "places": len(own),
                 }
-                alike = [
-                    r
-                    for r in rows
-                    if r["cloud"] == name and r["places"] == len(own) and (r["order"] == order or not len(own))
-                ]
-                if alike:  # the same places, or none
-                    found = {key: alike[0][key] for key in ("wrong", "points", "off", "cells")}
-                else:
-                    result = site(name).result
-                    found = site(name).errors(
-                        result if not len(own) else jf.apply(result, own[["verdict", "geometry"]])
+                key = name, tuple(sorted(own.geometry.to_wkb(hex=True)))
+                if key not in known:
+                    before = site(name).result
+                    known[key] = site(name).errors(
+                        jf.apply(before, own[["verdict", "geometry"]]) if len(own) else before
                     )
+                found = known[key]
                 rows.append(
                     row | found | {f"said_{w}": int((own["verdict"] == w).sum()) for w in ("ground", "object", "fine")}
                 )

@@ -108,7 +108,7 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     parameters. Check points in another vertical datum than that of the model are refused.
     """
     from ..core.reading import Reading
-    from ..surveys.accuracy import accuracy_statement
+    from ..surveys.accuracy import accuracy_statement, metres
     from ..surveys.collection import open as open_collection
 
     if len(names) < 3:
@@ -127,6 +127,6 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     text = f"{out}: {labels['ground']:,} ground points, {count(labels['named_places'], 'place')} of {labels['named_m2']:,.0f} m2"
     if points is not None:
         nva, vva = points["nva"], points["vva"]
-        text += f"; NVA: RMSEz {nva['rmse_m']:.3f} m of {count(nva['points'], 'point')}"
-        text += f"; VVA: 95 % within {vva['p95_m']:.3f} m of {count(vva['points'], 'point')}"
+        text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
+        text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
     return Answer(session.as_dict() | facts, text)

@@ -100,13 +100,12 @@ def accuracy_statement(
             "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
         )
     facts: dict[str, Any] = {
-        "title": page.stem,
         "checkpoints": points,
         "labels": {
             "files": len(collection),
             "points": report.points,
             "ground": report.ground,
-            "ground_per_m2": report.ground / (cells * square) if cells else math.nan,
+            "ground_per_m2": report.ground / max(cells * square, 1e-9),
             "expected_wrong_per_km2": None if doubt is None or not km2 else doubt / km2,
             "named_places": len(report.places),
             "named_m2": sum(place["area"] for place in report.places),
@@ -165,33 +164,34 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     for edition, least in _LEAST.items():
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
-    nva, vva = _figures(dz[~plants]), _figures(dz[plants])
-    nva["accuracy_95_m"] = 1.96 * nva["rmse_m"]
     by_cover = {one: _figures(dz[cover == one]) for one in sorted(set(cover.tolist()))}
-    return {"nva": nva, "vva": vva, "by_cover": by_cover, "outside": len(outside), "without_height": len(unknown)}
+    return {
+        "nva": _figures(dz[~plants]),
+        "vva": _figures(dz[plants]),
+        "by_cover": by_cover,
+        "outside": len(outside),
+        "without_height": len(unknown),
+    }
 
 
 def _figures(dz: np.ndarray) -> dict[str, Any]:
-    """Of differences f64[k], metres."""
+    """Of differences f64[k], metres; None of no points."""
+    names = ("mean_m", "rmse_m", "accuracy_95_m", "p95_m", "largest_m")
     if not len(dz):
-        return {"points": 0, "mean_m": math.nan, "rmse_m": math.nan, "p95_m": math.nan, "largest_m": math.nan}
-    size = np.abs(dz)
-    figures = dz.mean(), math.sqrt(np.mean(dz**2)), np.percentile(size, 95), size.max()
-    return {"points": len(dz)} | dict(zip(("mean_m", "rmse_m", "p95_m", "largest_m"), map(float, figures), strict=True))
+        return {"points": 0} | dict.fromkeys(names)
+    size, rmse = np.abs(dz), math.sqrt(np.mean(dz**2))
+    figures = dz.mean(), rmse, 1.96 * rmse, np.percentile(size, 95), size.max()
+    return {"points": len(dz)} | dict(zip(names, map(float, figures), strict=True))
 
 
 def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """f64[k]: heights of the model at positions f64[k, 2], bilinear, NaN beside a void; bool[k]: those inside its bounds."""
+    from scipy.ndimage import map_coordinates
+
     x0, y0, x1, y1 = model.bounds
     inside = (xy[:, 0] >= x0) & (xy[:, 0] <= x1) & (xy[:, 1] >= y0) & (xy[:, 1] <= y1)
-    at = np.stack([(y1 - xy[:, 1]) / model.cell - 0.5, (xy[:, 0] - x0) / model.cell - 0.5], axis=1)
-    at = np.clip(np.where(inside[:, None], at, 0), 0, np.array(model.values.shape) - 1)
-    low = np.floor(at).astype(int)
-    high, part = np.minimum(low + 1, np.array(model.values.shape) - 1), at - low
-    z = np.zeros(len(xy))
-    for rows, v in ((low[:, 0], 1 - part[:, 0]), (high[:, 0], part[:, 0])):
-        for columns, u in ((low[:, 1], 1 - part[:, 1]), (high[:, 1], part[:, 1])):
-            z += np.where(u * v > 0, u * v * model.values[rows, columns], 0)
+    at = np.where(inside, [(y1 - xy[:, 1]) / model.cell - 0.5, (xy[:, 0] - x0) / model.cell - 0.5], 0.0)
+    z = map_coordinates(model.values.astype(np.float64), at, order=1, mode="nearest")
     return np.where(inside, z, np.nan), inside
 
 
@@ -274,51 +274,35 @@ def _made(collection: Collection) -> dict[str, Any]:
 def _write(page: Path, facts: dict[str, Any]) -> None:
     """The page and the JSON. Raises: OutputError."""
     points, labels, model = facts["checkpoints"], facts["labels"], facts["model"]
-    sections = []
+    sections, wrong = [], labels["expected_wrong_per_km2"]
     if points is not None:
-        nva, vva = points["nva"], points["vva"]
-        rows = [
-            ("NVA, RMSEz (2023)", nva["points"], _metres(nva["rmse_m"])),
-            ("NVA, 1.96 RMSEz (2014)", nva["points"], _metres(nva["accuracy_95_m"])),
-            ("VVA, RMSEz (2023)", vva["points"], _metres(vva["rmse_m"])),
-            ("VVA, 95th percentile (2014)", vva["points"], _metres(vva["p95_m"])),
-        ]
+        figures = (("nva", "RMSEz (2023)", "rmse_m"), ("nva", "1.96 RMSEz (2014)", "accuracy_95_m"),
+                   ("vva", "RMSEz (2023)", "rmse_m"), ("vva", "95th percentile (2014)", "p95_m"))  # fmt: skip
+        rows = [(f"{k.upper()}, {words}", points[k]["points"], metres(points[k][key])) for k, words, key in figures]
         sections.append("<h2>Check points</h2>" + table(("", "points", "metres"), rows))
-        covers = [(name, one["points"], *(_metres(one[k]) for k in ("mean_m", "rmse_m", "p95_m", "largest_m")))
+        covers = [(name, one["points"], *(metres(one[key]) for key in ("mean_m", "rmse_m", "p95_m", "largest_m")))
                   for name, one in points["by_cover"].items()]  # fmt: skip
         sections.append(table(("land cover", "points", "mean", "RMSEz", "95th percentile", "largest"), covers))
-    wrong = labels["expected_wrong_per_km2"]
-    rows = [
-        ("points", labels["points"]), ("ground points", labels["ground"]),
-        ("per m2 of the model", f"{labels['ground_per_m2']:.2f}"),
+    said: list[tuple[str, Any]] = [
+        ("points", labels["points"]), ("ground points", labels["ground"]), ("CRS", model["crs"] or "not stated"),
+        ("ground points per m2 of the model", f"{labels['ground_per_m2']:.2f}"),
         ("expected wrong points per km2", "not known" if wrong is None else f"{wrong:,.0f}"),
         ("places where the terrain may be wrong", labels["named_places"]), ("their area, m2", f"{labels['named_m2']:,.0f}"),
         ("area of the model, km2", f"{model['km2']:.4g}"), ("cell, m", f"{model['cell_m']:g}"),
         ("cells without a height", f"{model['void_cells']:,} ({model['void_percent']:.2f} %)"),
-        ("CRS", model["crs"] or "not stated"),
     ]  # fmt: skip
-    sections.append("<h2>Labels and model</h2>" + table((), rows))
+    sections.append("<h2>Labels and model</h2>" + table((), said))
     sections.append("<h2>How it was made</h2>" + table((), [(key, str(value)) for key, value in facts["made"].items()]))
     for title, lines in (("Notes", facts["notes"]), ("Standards", facts["standards"].values())):
         sections.append(f"<h2>{title}</h2><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>")
     style = files("jaxfilter.reports").joinpath("page.css").read_text(encoding="utf-8")
     body = "".join(f"<section>{one}</section>" for one in sections)
-    values = {"title": escape(facts["title"]), "style": style, "version": __version__, "sections": body}
-    for target, text in ((page, _PAGE.format(**values)), (page.with_suffix(".json"), _json(facts))):
+    text = _PAGE.format(title=escape(page.stem), style=style, version=__version__, sections=body)
+    for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_text(content, encoding="utf-8")
 
 
-def _metres(value: float) -> str:
-    return "none" if math.isnan(value) else f"{value:.3f}"
-
-
-def _json(facts: dict[str, Any]) -> str:
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(one) for key, one in value.items()}
-        if isinstance(value, list):
-            return [plain(one) for one in value]
-        return None if isinstance(value, float) and math.isnan(value) else value
-
-    return json.dumps(plain(facts), indent=1) + "\n"
+def metres(value: float | None) -> str:
+    """To a millimetre, in words where there is none."""
+    return "none" if value is None else f"{value:.3f}"

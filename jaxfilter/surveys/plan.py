@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from typing import Any
 
 import numpy as np
 
@@ -159,8 +158,10 @@ class BoxPlan(Plan):
         (own, file), (tile, near) = (np.concatenate(kind, axis=1) for kind in pairs)
         home, near_by = Lists.of(own, file, len(boxes)), Lists.of(tile, near, len(boxes))
         width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
-        frame: Any = (0.0, 0.0), width, height, 0.0, 1.0, np.zeros((len(boxes), 2), np.int64)
-        return cls(*frame, points, near_by, home, home.turned(len(bounds)), (True, True), boxes)
+        nowhere = np.zeros((len(boxes), 2), np.int64)
+        return cls(
+            (0.0, 0.0), width, height, 0.0, 1.0, nowhere, points, near_by, home, home.turned(len(bounds)), (True, True), boxes,
+        )  # fmt: skip
 
     def core(self, number: int) -> Bounds:
         return tuple(self.boxes[number, 0].tolist())  # type: ignore[return-value]

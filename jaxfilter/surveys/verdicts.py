@@ -154,15 +154,10 @@ class VerdictProduct(Product):
         found = repaired(cloud, ground, site, filter_)
         summary.seconds["filter"] = time.perf_counter() - read
         summary.points, summary.read, summary.unread = int(around.core.sum()), len(cloud), around.left_out
-        summary.candidates, summary.ground = (
-            int(cloud.candidate[around.core].sum()),
-            int(found.ground[around.core].sum()),
-        )
+        summary.ground = int(found.ground[around.core].sum())
         touched = found.changed if self.classes.water is None else found.changed | found.water
-        some, code = (
-            dataclasses.replace(around, cloud=cloud, core=touched),
-            np.full(len(cloud), Finding.OTHER, np.uint8),
-        )
+        some = dataclasses.replace(around, cloud=cloud, core=touched)
+        code = np.full(len(cloud), Finding.OTHER, np.uint8)
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
         arrays = packed(some, Findings(found.ground, code), {})
@@ -235,9 +230,8 @@ def apply_survey(
     log = _Log(targets.store.path.parent / LOG)
     new = tuple(one for one in given.verdicts if not log.holds(one.key))
     keys = {one.key for one in new if one.word != FINE}
-    found = tuple(
-        site for site in sites(given.verdicts, collection.metre) if any(one.key in keys for one in site.verdicts)
-    )  # verdicts of before that meet a new one are kept to
+    every = sites(given.verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
+    found = tuple(site for site in every if any(one.key in keys for one in site.verdicts))
     report = VerdictReport()
     if found:
         if run.workers is None and run.client is None and len(found) <= _FEW:
@@ -272,9 +266,7 @@ class _Log:
         except FileNotFoundError:
             self.facts, self._known, broken = {"files": {}, "verdicts": []}, {}, {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(
-                f"{path}: is damaged ({error}): remove it, and all verdicts are carried out anew"
-            ) from error
+            raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
         self._broken = {name for name, words in broken.items() if words is not None}
         for name in sorted(self._broken):
             warn(f"{name}: {broken[name]} since verdicts were carried out on it, so those of it are carried out anew")
@@ -288,7 +280,8 @@ class _Log:
         if not verdicts:
             return
         keys, today = {one.key for one in verdicts}, datetime.date.today().isoformat()
-        entries = [one for one in self.facts["verdicts"] if one["key"] not in keys]
+        here = lambda one: all((self.path.parent / name).exists() for name in one["files"])  # noqa: E731
+        entries = [one for one in self.facts["verdicts"] if one["key"] not in keys and here(one)]
         for one in verdicts:
             inner, area = one.shape.representative_point(), one.shape.area * collection.metre**2
             near = collection.within(one.shape.buffer(RIM / collection.metre).bounds)

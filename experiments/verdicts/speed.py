@@ -1,0 +1,96 @@
+"""Time of 50 verdicts on a survey of 10 million points in 16 files, beside that of finding its ground.
+
+python experiments/verdicts/speed.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import sys
+from pathlib import Path
+
+import geopandas
+import laspy
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import jaxfilter as jf
+from experiments.report import machine
+from experiments.tiling.scale import COMMAND, watched
+
+HERE = Path(__file__).parent
+SIDE, VERDICTS, MOST = 500.0, 50, 2500.0
+"""Metres of a file; verdicts; square metres of a place with one, at most."""
+
+
+def survey(folder: Path, files: int, density: float) -> None:
+    """Files side by side: one simulated scene, moved. Its places are those of every file."""
+    folder.mkdir(parents=True)
+    scene = jf.scenes.make("mixed", seed=3, size=SIDE, density=density)
+    xyz, cloud = scene.cloud.coordinates(), scene.cloud
+    for k in range(files):
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.scales, las.header.offsets = np.full(3, 0.01), np.zeros(3)
+        las.x, las.y, las.z = xyz[:, 0] + SIDE * (k // 4), xyz[:, 1] + SIDE * (k % 4), xyz[:, 2]
+        las.return_number, las.number_of_returns = cloud.return_number, cloud.number_of_returns
+        las.write(folder / f"{k // 4}-{k % 4}.laz")
+
+
+def states(folder: Path) -> dict[str, tuple[str, int]]:
+    """Digest and time of every file."""
+    return {
+        p.name: (hashlib.sha256(p.read_bytes()).hexdigest(), p.stat().st_mtime_ns) for p in sorted(folder.glob("*.laz"))
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Both commands, and which files have changed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=HERE / "out" / "speed", help="folder for the files [%(default)s]")
+    parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the figures [%(default)s]")
+    parser.add_argument("--files", type=int, default=16)
+    parser.add_argument("--density", type=float, default=2.1, help="pulses per m2 [%(default)s]")
+    options = parser.parse_args(arguments)
+    files, classified, places = options.work / "survey", options.work / "classified", options.work / "places.gpkg"
+    if not files.exists():
+        survey(files, options.files, options.density)
+    shutil.rmtree(classified, ignore_errors=True)
+    units = ["--units", "m", "--json", "--overwrite"]
+    ground = watched([*COMMAND, str(files), str(classified), "--review", str(places), *units])
+    table = geopandas.read_file(places)
+    right = table[table["area"] <= MOST].copy()
+    east = jf.open(files, units="m").bounds[2]
+    right = right[right["x"] < east - SIDE].head(VERDICTS)  # none in the files of the last column
+    right["verdict"] = np.where(np.arange(len(right)) % 2 == 0, "object", "ground")
+    right.to_file(options.work / "verdicts.gpkg", layer="review")
+    before = states(classified)
+    apply = watched(
+        [*COMMAND[:-1], "apply", str(options.work / "verdicts.gpkg"), str(classified), "--units", "m", "--json"]
+    )
+    after = states(classified)
+    changed = sum(after[name] != before[name] for name in before)
+    untouched = [name for name in before if name.startswith(f"{options.files // 4 - 1}-")]
+    assert all(after[name] == before[name] for name in untouched), "files without a verdict"
+    area, keep = right["area"].sum(), len(before) - changed
+    lines = [
+        "# Time of verdicts\n",
+        f"`python experiments/verdicts/speed.py` on {machine()}.\n",
+        f"{ground['points']:,} points in {len(before)} files, {len(right)} verdicts on {area:,.0f} m2.\n",
+        "| | CPU seconds | seconds | peak memory, GB |",
+        "|---|---:|---:|---:|",
+        *(
+            f"| `jaxfilter {name}` | {one['cpu']:.1f} | {one['wall']:.1f} | {one['peak']:.2f} |"
+            for name, one in (("ground", ground), ("apply", apply))
+        ),
+        f"\n`apply` takes {100 * apply['cpu'] / ground['cpu']:.1f} % of the CPU time of `ground`. {changed} files have changed, "
+        f"and {keep} keep their bytes and times, among them all {len(untouched)} without a verdict.",
+    ]
+    (options.out / "speed.md").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
