@@ -65,11 +65,30 @@ def test_error_map_draws_each_error_once(cloud):
     result = truth.copy()
     result[:300] ^= True
     ax = plots.error_map(cloud, result, truth)
-    lost, accepted = ax.collections
+    near, lost, high = ax.collections
     np.testing.assert_array_equal(lost.get_offsets(), cloud.xyz[truth & ~result, :2])
-    np.testing.assert_array_equal(accepted.get_offsets(), cloud.xyz[result & ~truth, :2])
+    drawn = np.concatenate([near.get_offsets(), high.get_offsets()])
+    wrong = cloud.xyz[result & ~truth, :2]
+    np.testing.assert_array_equal(drawn[np.lexsort(drawn.T)], wrong[np.lexsort(wrong.T)])
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
     assert any(f"({(truth & ~result).sum()})" in t for t in texts) and any("Type II" in t for t in texts)
+
+
+def test_error_map_tells_low_plants_from_failures(cloud):
+    """By the height above the surface that is given, here a plane."""
+    flat = np.zeros((3, 4), np.float32), Grid(0.0, 0.0, 10.0, 4, 3)
+    xyz = np.array([[5, 5, 0.0], [15, 5, 0.9], [25, 5, 1.0], [35, 5, 8.0]], np.float32)
+    some = PointCloud.from_arrays(xyz.astype(float))
+    ax = plots.error_map(some, np.ones(4, bool), np.arange(4) == 0, surface=flat)
+    near, lost, high = (one.get_offsets()[:, 0].tolist() for one in ax.collections)
+    assert (near, lost, high) == ([10.0], [], [20.0, 30.0])  # from the corner
+
+
+def test_the_surface_on_top_of_all_points_goes_through_the_highest():
+    xyz = np.array([[0.5, 0.5, 3.0], [0.6, 0.5, 9.0], [9.5, 0.5, 2.0]])
+    some = PointCloud.from_arrays(xyz)
+    z, grid = plots.maps.top_of(some, 1.0)
+    assert z.shape == grid.shape and z[0, 0] == some.xyz[1, 2] and z[0, -1] == some.xyz[2, 2]
 
 
 def test_profile_holds_the_points_of_the_strip_by_distance(cloud):
@@ -87,4 +106,4 @@ def test_panel_saves(cloud, tmp_path):
     figure = plots.panel(cloud, cloud.reference, cloud.reference)
     figure.savefig(tmp_path / "panel.png")
     assert (tmp_path / "panel.png").read_bytes().startswith(b"\x89PNG")
-    assert len(figure.axes) == 4
+    assert len(figure.axes) == 5

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
+from jaxfilter.files.classes import class_name
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright, see the extra dev")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -92,7 +93,8 @@ def test_the_slider_shows_the_counts_that_the_library_gives_for_the_value(opened
         scores = jf.evaluate(result, cloud)
         assert figure(opened, "total") == f"{scores.total:.2f} %" and figure(opened, "kappa") == f"{scores.kappa:.2f} %"
         moved = [
-            f"{old}|{'kept' if old == new else new}|{n:,}" for (old, new), n in jf.class_changes(cloud, result).items()
+            f"{class_name(old)}|{'kept' if old == new else class_name(new)}|{n:,}"
+            for (old, new), n in jf.class_changes(cloud, result).items()
         ]
         rows = opened.locator("#classes tbody tr").all()
         assert sorted("|".join(row.locator("th,td").all_inner_texts()) for row in rows) == sorted(moved)
@@ -105,6 +107,8 @@ def test_the_slider_shows_the_counts_that_the_library_gives_for_the_value(opened
 def test_labels_of_drawn_points_are_those_of_the_library(opened, cloud):
     slide(opened, 12)
     result = jf.CSF(threshold=opened.evaluate("report.facts.values")[12])(cloud)
+    assert opened.input_value("#points") == "errors"  # with a reference, the page opens on what is wrong
+    opened.select_option("#points", "labels")
     kinds = np.array(opened.evaluate("[...report.state.kinds]"))
     assert (kinds == 0).sum() == result.ground.sum() and (kinds == 2).sum() == (~cloud.candidate).sum()
     opened.select_option("#points", "errors")
@@ -197,6 +201,9 @@ def test_a_phone_shows_it_without_scrolling_sideways(browser, path):
         for share in (0.4, 0.6):
             page.touchscreen.tap(box["x"] + share * box["width"], box["y"] + 0.5 * box["height"])
         assert page.is_visible("#profile")
+        for cell in page.locator(".parameters td:last-child").all()[:3]:  # what a parameter means has a line of its own
+            assert cell.bounding_box()["width"] > 300
+        assert "Click twice" in page.inner_text("#map-section")
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")

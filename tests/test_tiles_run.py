@@ -23,10 +23,12 @@ import jaxfilter as jf
 from experiments.faults.surveys import RUNS
 from jaxfilter.core.points import canonical_points
 from jaxfilter.files.windows import read_window
+from jaxfilter.plots import footprints
 from jaxfilter.surveys import dask, tiles
 from jaxfilter.surveys.dask import Cluster
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
 from jaxfilter.surveys.product import do_tile
+from jaxfilter.surveys.report import RunReport
 from jaxfilter.surveys.targets import target_names
 from jaxfilter.surveys.tiles import joined
 
@@ -687,6 +689,23 @@ def test_a_report_and_a_map_lie_beside_the_files(done):
     assert sum(row["points"] for row in facts["classes"]) == report.points
     image = pytest.importorskip("matplotlib.image").imread(out / "jaxfilter-run.png")
     assert min(image.shape[:2]) > 200 and len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 20
+
+
+def test_the_map_of_one_tile_says_what_was_found(tmp_path, monkeypatch):
+    """Figures and the largest places in words; no scale, which would have one colour."""
+    seen = []
+    monkeypatch.setattr("jaxfilter.plots.footprints", lambda *a, **k: seen.append(footprints(*a, **k)) or seen[-1])
+    report = RunReport(
+        points=200, ground=50, tiles=1, method="OST", files=["a.laz"], cores=np.array([[0.0, 0.0, 9.0, 9.0]])
+    )
+    report.state, report.places = (
+        np.array([0.25]),
+        [{"x": 3.0, "y": 4.0, "area": 8.0, "volume": 5.0, "reason": "doubtful points"}],
+    )
+    report.draw(tmp_path / "map.png")
+    (ax,) = seen
+    assert "50 of 200 points are ground (25.0 %)" in ax.get_title() and "OST" in ax.get_title()
+    assert ax.get_legend().get_title().get_text() == "1: 8 m2 at 3 4, doubtful points" and len(ax.figure.axes) == 1
 
 
 def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):

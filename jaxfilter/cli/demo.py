@@ -19,7 +19,16 @@ if TYPE_CHECKING:
 
     from ..scenes import Scene
 
-DEMO_FILES = ("scene.laz", "scene_truth.laz", "scene_ground.laz", "truth.png", "result.png", "errors.png", "panel.png")
+DEMO_FILES = (
+    "scene.laz",
+    "scene_truth.laz",
+    "scene_ground.laz",
+    "before.png",
+    "truth.png",
+    "result.png",
+    "errors.png",
+    "panel.png",
+)
 
 
 @main.command()
@@ -36,7 +45,8 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     """Make a scene whose ground is known, filter it, score the result and draw it.
 
     Writes into DIR (by default jaxfilter-demo): scene.laz, scene_truth.laz, scene_ground.laz, and pictures of
-    the true ground, of the filtered ground, of the errors, and of all three.
+    the cloud before filtering, of the true ground, of the filtered ground, of the errors, and of all four. Errors less
+    than a metre high, low plants mostly, have a colour of their own.
     """
     from .. import scenes
     from ..files.disk import remove_dead
@@ -96,6 +106,7 @@ def _draw(directory: Path, scene: Scene, ground: np.ndarray) -> None:
     terrain = scene.terrain_grid(1.0)
     found = plots.rasterise(cloud.xyz[ground], terrain[1].cell, over=cloud.xyz)
     pictures = {
+        "before.png": plots.hillshade(plots.maps.top_of(cloud, terrain[1].cell), title="all points, before").figure,
         "truth.png": plots.hillshade(terrain, title="true terrain").figure,
         "result.png": plots.hillshade(found, title="filtered ground").figure,
         "errors.png": plots.error_map(cloud, ground, truth, surface=terrain, title="errors").figure,

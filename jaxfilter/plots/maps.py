@@ -16,9 +16,12 @@ from ..scoring import reference_labels
 
 TYPE_1 = "#D55E00"
 TYPE_2 = "#0072B2"
+LOW = "#56B4E9"
 OBJECT = "#E8D9A0"
 GROUND = "#8C6D46"
 MAX_PIXELS = 600
+LOW_ERROR = 1.0
+"""Metres above the reference ground below which an object that was accepted is drawn apart: low plants, mostly."""
 REACH = 30.0
 """Metres: a picture's surface extends this far into places without points."""
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 7}
@@ -159,7 +162,8 @@ def error_map(
 ) -> Any:
     """Where a labelling errs: Type I and Type II errors as points over the shaded relief of the reference ground.
 
-    Cells with an object that was found are tinted.
+    Cells with an object that was found are tinted. Type II errors less than a metre above that ground, low plants mostly, have a
+    colour of their own: they change the terrain little.
 
     Args:
         cloud: n points.
@@ -186,8 +190,11 @@ def error_map(
     pixels[objects] = 0.45 * pixels[objects] + 0.55 * np.array(to_rgb(OBJECT))
     _image(ax, picture, grid)
     handles = [Patch(color=OBJECT, label="objects found")]
-    for label, wrong, colour in _errors(ground, truth):
-        where = wrong & real
+    (lost, gone, ours), (_, wrong, theirs) = _errors(ground, truth)
+    high = wrong & (cloud.xyz[:, 2] - z.ravel()[grid.flat(cloud.xyz)] >= LOW_ERROR)
+    low = (f"Type II, less than {LOW_ERROR:g} m high", wrong & ~high, LOW)
+    for label, where, colour in (low, (lost, gone, ours), ("Type II, higher", high, theirs)):
+        where = where & real
         ax.scatter(*cloud.xyz[where, :2].T, s=1.6, c=colour, linewidths=0, rasterized=True)
         handles.append(Patch(color=colour, label=f"{label} ({int(where.sum()):,})"))
     _frame(ax, title)
@@ -276,7 +283,8 @@ def profile(
 
 
 def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.ndarray | None = None) -> Any:
-    """A figure of four: ground surface of the reference, of the result, the error map, and a west-east profile.
+    """A figure of five: the surface on top of all points, that of the reference ground and that of the result, the error map, and
+    a west-east profile.
 
     Args:
         cloud: n points.
@@ -286,16 +294,17 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
     Returns: the matplotlib Figure. Raises: InputError without a reference.
 
     >>> len(jf.plots.panel(cloud, result, truth).axes)
-    4
+    5
     """
     reference = reference_labels(cloud if reference is None else reference)[0]
     truth = rasterise(cloud.xyz[reference], over=cloud.xyz)
     map_height = float(np.clip(3.2 * truth[1].ny / truth[1].nx, 1.0, 8.0))
-    figure = new_figure((11.0, map_height + 3.1))
-    places = figure.add_gridspec(2, 3, height_ratios=(map_height + 1.0, 1.7))
+    figure = new_figure((14.5, map_height + 3.1))
+    places = figure.add_gridspec(2, 4, height_ratios=(map_height + 1.0, 1.7))
     middle = float(np.median(cloud.xyz[reference, 1]))
     ends = (0.0, middle), (float(cloud.xyz[:, 0].max()), middle)
-    top = [figure.add_subplot(places[0, i]) for i in range(3)]
+    before, *top = [figure.add_subplot(places[0, i]) for i in range(4)]
+    hillshade(top_of(cloud, truth[1].cell), ax=before, title="all points, before")
     hillshade(truth, ax=top[0], title="reference ground")
     found = rasterise(cloud.xyz[_labels(result)], truth[1].cell, over=cloud.xyz)
     hillshade(found, ax=top[1], title="filtered ground")
@@ -303,6 +312,17 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
     bottom = figure.add_subplot(places[1, :])
     profile(cloud, result, ends, reference=reference, ax=bottom, title=f"section at y = {middle:.0f} m")
     return figure
+
+
+def top_of(cloud: PointCloud, cell: float | None = None) -> tuple[np.ndarray, Grid]:
+    """The surface on top of all valid points, as :func:`rasterise` makes that below them.
+
+    >>> z, grid = jf.plots.maps.top_of(cloud, 2.0)
+    >>> bool(z.max() > cloud.xyz[truth, 2].max())
+    True
+    """
+    z, grid = rasterise(cloud.xyz[_valid(cloud)] * np.array([1, 1, -1], np.float32), cell)
+    return -z, grid
 
 
 def _labels(result: FilterResult | np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ const facts = JSON.parse(el("facts").textContent);
 const number = (value, digits = 0) => value === null || value === undefined ? "undefined"
   : value.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits});
 const state = {
-  step: facts.step, layer: "shade", points: "labels", line: [], drawing: false, ready: false,
+  step: facts.step, layer: "shade", points: facts.scores ? "errors" : "labels", line: [], drawing: false, ready: false,
   view: null, cursor: null, rasters: {}, sample: null, kinds: null, picture: null, band: null,
 };
 
@@ -55,7 +55,7 @@ function showFigures() {
       ["reference ground", number(a), number(b)], ["reference object", number(c), number(d)]]);
   }
   const rows = facts.classes.filter(row => row[2][k] > 0).map(([old, next, counts]) =>
-    [String(old), old === next ? "kept" : String(next), number(counts[k])]);
+    [facts.class_names[old], old === next ? "kept" : facts.class_names[next], number(counts[k])]);
   table("classes", ["class before", "class after", "points"], rows);
 }
 
@@ -166,6 +166,7 @@ async function start() {
     ...(rasters.doubt ? [["doubt", "doubt"]] : []), ...(rasters.errors ? [["errors", "errors of the run"]] : [])]);
   choose("points", [["labels", "labels"], ...(facts.scores ? [["errors", "errors"]] : []),
     ...(facts.threshold ? [["changes", "changes by the slider"]] : []), ["none", "none"]]);
+  el("points").value = state.points;
   paintLayer();
   listen();
   listPlaces();

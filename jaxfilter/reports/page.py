@@ -22,8 +22,8 @@ from ..core.params import declared
 from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
+from ..files.classes import class_changes, class_name
 from ..files.disk import new_file
-from ..files.reading import class_changes
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
 from .layers import Layers, layers_of, places
@@ -209,7 +209,8 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
         for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):
             moves[c, new] = moves.get((c, new), 0) + np.broadcast_to(points, len(steps.values))
     classes = [[*pair, points.tolist()] for pair, points in sorted(moves.items()) if points.any()]
-    out: dict[str, Any] = {"ground": ground.sum(axis=(0, 1, 2)).tolist(), "classes": classes}
+    names = {number: class_name(number) for pair in moves for number in pair}
+    out: dict[str, Any] = {"ground": ground.sum(axis=(0, 1, 2)).tolist(), "classes": classes, "class_names": names}
     if what.truth is not None:
         total, hit = every.sum(axis=(0, 1)), ground.sum(axis=(0, 1))
         confusions = [
@@ -307,4 +308,5 @@ def _about(what: _Labelled) -> str:
 def _parameters(filter_: Filter) -> str:
     """A section on the filter: its fields, and what to cite."""
     cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
-    return f"<section><h2>Parameters of {escape(type(filter_).__name__)}</h2>{filter_._repr_html_()}{cited}</section>"
+    title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
+    return f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"

@@ -68,7 +68,9 @@ class GroundProduct(Product):
         summary.seconds["filter"] = (done := time.perf_counter()) - read
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
-        summary.seconds["classes"] = (told := time.perf_counter()) - done
+        told = time.perf_counter()
+        if self.classes.asked:
+            summary.seconds["classes"] = told - done
         summarise(summary, around, result, found, None if bare else self.classes)
         kept = suspects_in(around, result, tile, self.reader.reading)
         summary.seconds["places"] = time.perf_counter() - told

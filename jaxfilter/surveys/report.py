@@ -175,19 +175,31 @@ class RunReport(Summary):
 
     def draw(self, place: Place) -> None:
         """Write a map: share of ground of each tile, those set aside with dashes, and places where the terrain may be wrong as
-        dots, large ones for large volumes. Raises: OutputError."""
+        dots, large ones for large volumes; above it what was found, below it the largest places. Raises: OutputError."""
         if not 0 < len(self.cores) <= _MOST_DRAWN:
             return
         from ..plots import footprints
 
         shares = np.where(self.state >= 0, 100 * self.state, np.nan)
         aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
-        ax = footprints(self.cores, shares, label="ground, % of the points", gaps=aside)
+        one = len(self.cores) == 1  # a scale of one colour would say nothing
+        ax = footprints(self.cores, None if one else shares, label="ground, % of the points", gaps=aside)
+        found = (
+            f"{self.ground:,} of {self.points:,} points are ground ({100 * self.ground / max(self.points, 1):.1f} %)"
+        )
+        parts = (f"tiles: {self.tiles:,}", f"set aside: {len(aside):,}", f"files: {len(self.files):,}")
+        ax.set_title(f"{found}\n{self.method or 'ground by class'}; {', '.join(parts)}", fontsize=8)
         if self.places:
+            listed = ""
             x, y, volume = np.array([[one["x"], one["y"], one["volume"]] for one in self.places]).T
-            size, words = 5 + 55 * volume / volume.max(), "terrain may be wrong"
+            size, words = 5 + 55 * volume / volume.max(), f"terrain may be wrong: {len(x):,} places"
+            for k, spot in enumerate(self.places[:5], 1):
+                ax.annotate(str(k), (spot["x"], spot["y"]), xytext=(4, 4), textcoords="offset points", fontsize=7)
+                listed += f"\n{k}: {spot['area']:,.0f} m2 at {spot['x']:.10g} {spot['y']:.10g}, {spot['reason']}"
             ax.scatter(x, y, s=size, c="red", edgecolors="black", linewidths=0.5, label=words)
-            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
+            ax.legend(
+                loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False, title=listed.strip(), title_fontsize=6
+            )
         with new_file(place, overwrite=True) as part:
             ax.figure.savefig(part, format="png", dpi=150, bbox_inches="tight")
 
