@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.result import Status
-from .session import BadUsage, Session, logger
+from .session import LINE_EVERY, BadUsage, Session, logger
 from .values import OUTPUT, option
 
 if TYPE_CHECKING:
@@ -198,6 +198,12 @@ def session_options() -> list[click.Option]:
         option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
         option("--json as_json", "Print the result as JSON.", bool),
         option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
+        option(
+            "--progress-every",
+            "Seconds between lines of progress on standard error, where that is no terminal.",
+            click.FloatRange(0),
+            default=LINE_EVERY,
+        ),
         option("--debug", "Show the traceback of an error.", bool),
     ]
 
@@ -206,12 +212,14 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
     """A decorator: ``command`` gets a Session before its arguments, and the options of all commands that work."""
 
     @functools.wraps(command)
-    def run(*, quiet: bool, as_json: bool, debug: bool, log: Path | None, **arguments: Any) -> None:
+    def run(
+        *, quiet: bool, as_json: bool, debug: bool, log: Path | None, progress_every: float, **arguments: Any
+    ) -> None:
         names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
         files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
         if log is not None and os.path.realpath(log) in files:
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
-        with Session(quiet=quiet, debug=debug, log=log) as session:
+        with Session(quiet=quiet, debug=debug, log=log, progress_every=progress_every) as session:
             answer = command(session, **arguments)
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:

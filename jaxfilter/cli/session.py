@@ -127,13 +127,16 @@ class Session:
     stopped_by: int | None = None
     """The signal that ``stoppable`` has received in them."""
 
-    def __init__(self, *, quiet: bool, debug: bool, log: Path | None = None) -> None:
+    def __init__(
+        self, *, quiet: bool, debug: bool, log: Path | None = None, progress_every: float = LINE_EVERY
+    ) -> None:
         self.quiet, self.debug, self.log = quiet, debug, log
         self.seconds: dict[str, float] = {}
         self.steps: dict[str, float] = {}
         self.warnings: list[str] = []
         self.pipe: Path | None = None
         self._terminal = sys.stderr.isatty() and not quiet
+        self._every = _DRAWN_EVERY if self._terminal else progress_every
         self._working = False
         self._items: tuple[float | None, str] = None, ""
         self._since: tuple[float, float] | None = None  # time and fraction at the first report of a step
@@ -218,7 +221,7 @@ class Session:
         self._next(step)
         now = perf_counter()
         self._since = self._since or (now, fraction)
-        if now - self._shown_at > (_DRAWN_EVERY if self._terminal else LINE_EVERY):
+        if now - self._shown_at >= self._every:
             self._shown_at = now
             line = f"{step} {note}".rstrip() + f": {self.standing(fraction, rate)}"
             if self._terminal:
