@@ -21,6 +21,7 @@ from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_e
 from ..engines.tin.network import one_network
 from ..engines.tin.triangulation import triangulated
 from ..steps.crowd import Crowd, spacing_of
+from ..steps.decks import decks
 from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
@@ -219,21 +220,28 @@ class OST(Filter):
         rough = look_up(points.xyz, scene.cells, rock.astype(np.float32))[0] if rock.any() else np.float32(0)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
-        del scene, objects, drop, rock, landscape, inside  # none is needed while the ground grows
-        seeds = lowest[~in_object[lowest]]
+        deck = self.decks(scene, objects, spacing)
+        level = (
+            look_up(points.xyz, scene.cells, deck)[0]
+            if np.isfinite(deck).any()
+            else np.full(len(points), np.nan, np.float32)
+        )
+        on_deck = points.xyz[:, 2] > level - np.float32(self.roof_step)
+        del scene, objects, drop, rock, landscape, inside, deck  # none is needed while the ground grows
+        seeds = lowest[~in_object[lowest] & ~on_deck[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
         limits, kept = self.limits(spacing, around, rough), ("margin", "height", "slope")
-        height, distance = limits.first.height, limits.then.distance
+        height, distance = limits.first.height, np.where(on_deck, np.float32(-1), limits.then.distance)
         growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         with GroundTin.start(network, growth, workers=workers) as ground:
             ground.margin.fill(0)
-            ground.change(growth.rule, but=low)
+            ground.change(growth.rule, but=low | on_deck)
             ground.step()
-            ground.change(limits.then)
+            ground.change(limits.then._replace(distance=distance))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
             progress(0.8, "prune")
             scatter = Scatter.of(ground.tin)
@@ -249,8 +257,10 @@ class OST(Filter):
             labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
             if crowd is not None:
                 labels, seeds, own = crowd.labels(ground, low, LOW_DEPTH), crowd.rows[seeds], crowd.own
-                in_object, steepness, around = in_object[own], steepness[own], around[own]
+                in_object, steepness, around, level = in_object[own], steepness[own], around[own], level[own]
+                points = crowd.every
                 scatter = Scatter(*(values[own] for values in scatter))
+        labels.deck = np.abs(points.xyz[:, 2] - level) < np.float32(self.roof_step)
         if points.kept is None:
             labels.doubt = doubts(labels, scatter, steepness, around, height)
         progress(1.0, "done")
@@ -297,6 +307,17 @@ class OST(Filter):
         )
         progress(0.2, "openings")
         return Openings(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
+
+    def decks(self, scene: Openings, objects: np.ndarray, spacing: float) -> np.ndarray:
+        """f32[rows, columns], of the padded shape: elevation of bridge decks, metres, NaN elsewhere. Photographs and scans from
+        a car do not show what is beneath."""
+        found, segments = np.full(objects.shape, np.nan, np.float32), scene.segments
+        rows, columns = segments.z.shape
+        if self.sensor in (AIRBORNE, DRONE):
+            lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
+            given = segments.z, objects[:rows, :columns], segments.seen, segments.inside
+            found[:rows, :columns] = decks(*given, lengths)
+        return found
 
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""

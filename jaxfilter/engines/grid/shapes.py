@@ -212,3 +212,56 @@ def faces(segment, count, z, high, seen, whole, step, smooth, drop):
             found[4, name] += border
             found[5, name] += border and (level - outer) - (inner - level) > drop
     return found
+
+
+@compiled(allocates=True)
+def flanks(z, back, reach, drop):
+    """i32[rows, columns], f32[rows, columns] twice: along which of 8 lines, counted from 1 on, the surface falls upright on both
+    sides of a cell, 0 where along none; how many cells lie between these edges; and how many metres it falls at the lower one.
+
+    It falls upright where it falls by more than ``drop`` within ``back`` cells, and in the next ones by less than a third of
+    that. The edge nearest to the cell counts on each side, if the surface is as high there, to ``drop`` / 2. Of several lines
+    that counts whose edges are nearest to each other, ``reach`` cells at most.
+
+    Args:
+        z: f32[rows, columns], metres. back, reach: cells. drop: metres.
+    """
+    rows, columns = z.shape
+    across, width = np.zeros(z.shape, np.int32), np.full(z.shape, np.float32(reach))
+    fall = np.zeros(z.shape, np.float32)
+    away, top, down = np.empty((3, 2, rows, columns), np.float32)
+    for turn in range(8):
+        dy = (0, 1, 1, 2, 1, 2, 1, 1)[turn]
+        dx = (1, 2, 1, 1, 0, -1, -1, -2)[turn]
+        length = np.float32(np.sqrt(dy * dy + dx * dx))
+        far = max(1, int(np.rint(back / length)))
+        for side in range(2):
+            sign = 2 * side - 1  # of the way out
+            for i in range(rows):
+                row = rows - 1 - i if side else i
+                for j in range(columns):
+                    column = columns - 1 - j if (side == 1) == (dx >= 0) else j
+                    r, c = row + sign * dy, column + sign * dx
+                    away[side, row, column] = np.inf
+                    if not (0 <= r < rows and 0 <= c < columns):
+                        continue
+                    fr, fc = row + sign * far * dy, column + sign * far * dx
+                    if 0 <= fr < rows and 0 <= fc < columns and z[row, column] - z[fr, fc] > drop:
+                        first = z[row, column] - z[fr, fc]
+                        gr, gc = fr + sign * far * dy, fc + sign * far * dx
+                        more = z[fr, fc] - z[gr, gc] if 0 <= gr < rows and 0 <= gc < columns else np.float32(0)
+                        if more < first / 3:
+                            away[side, row, column], top[side, row, column] = 0, z[row, column]
+                            down[side, row, column] = first
+                            continue
+                    away[side, row, column] = away[side, r, c] + length
+                    top[side, row, column], down[side, row, column] = top[side, r, c], down[side, r, c]
+        for row in range(rows):
+            for column in range(columns):
+                total = away[0, row, column] + away[1, row, column] + 1
+                if total < width[row, column] and (
+                    max(abs(top[0, row, column] - z[row, column]), abs(top[1, row, column] - z[row, column])) < drop / 2
+                ):
+                    across[row, column], width[row, column] = turn + 1, total
+                    fall[row, column] = min(down[0, row, column], down[1, row, column])
+    return across, width, fall

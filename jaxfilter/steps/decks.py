@@ -1,0 +1,93 @@
+"""Bridge decks: surfaces that fall upright on both flanks and join the ground at both ends."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import ndimage
+
+DROP, HIGH = 0.8, 1.8
+"""Metres that a deck falls by at its flanks, at least: anywhere, and at half of its cells."""
+NEAR = 4.0
+"""Metres from where it falls by :data:`HIGH` up to which :data:`DROP` is enough: a deck comes down to the land at its ends."""
+AREA, LENGTH, STEADY = 15.0, 4.0, 0.5
+"""Square metres and metres of a deck, at least, and how alike the directions across it are: 1 if all are the same."""
+ENDS, MOST = 0.3, 2.0
+"""Of the width of a deck that joins the ground at each of its ends, and at most: else its flanks join it too."""
+JOIN = 0.6
+"""Metres from one cell to the next that are no fall: less than what a fall of :data:`HIGH` has where it takes three cells."""
+LAND = 20.0
+"""Square metres of ground that are more than a gap between objects."""
+LOW = 25.0
+"""Metres around a place in a void within which the lowest point counts."""
+
+
+def decks(
+    z: np.ndarray, objects: np.ndarray, seen: np.ndarray, inside: np.ndarray, lengths: tuple[float, float, float, float]
+) -> np.ndarray:
+    """f32[rows, columns]: elevation of the bridge decks in a surface of lowest points, metres, NaN where there is none.
+
+    Cells of a deck lie between two upright edges, on a line across. Cells that differ by less than a step from one to the next
+    are judged together: along the mean direction there are two ends, and at both the surface goes on to land without a fall,
+    or at one and the border of the data cuts the other. So roofs, which fall all around, are none, nor are headlands, jetties
+    and terraces, which join on one side or all along. Cells beside a deck whose lowest point is beneath it hold points of its
+    edge, and have its elevation.
+
+    Args:
+        z: f32[rows, columns], metres, none missing. objects: bool[rows, columns], cells that are none of the ground.
+        seen, inside: bool[rows, columns], cells with points, and cells that the data surround.
+        lengths: metres: side of a cell, spacing of the points, step between cells of one segment, width of the widest deck.
+    """
+    from ..engines.grid.shapes import flanks, segments  # imports Numba
+
+    cell, spacing, step, widest = lengths
+    none = np.full(z.shape, np.nan, np.float32)
+    z = _hung(z, seen | ~inside, cell, spacing)
+    back = max(2, math.ceil(1.5 * spacing / cell))
+    across, width, fall = flanks(z, back, np.float32(widest / cell), np.float32(DROP))
+    core = inside & (fall > HIGH)
+    if not core.any():
+        return none
+    on = (across > 0) & inside & ndimage.maximum_filter(core, 2 * round(NEAR / cell) + 1)
+    part, count = segments(np.where(on, z, np.float32(np.nan)), np.float32(step), AREA / cell**2)
+    row, column = np.nonzero(part)
+    name = part[row, column]
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(name, values, count + 1)
+
+    cells = np.maximum(total(np.ones(len(name))), 1)
+    turn = np.pi / 4 * (across[row, column] - 1)  # twice the angle, since a line has no sense
+    sine, cosine = total(np.sin(turn)) / cells, total(np.cos(turn)) / cells
+    axis = (np.arctan2(sine, cosine) + np.pi) / 2
+    along = row * np.sin(axis)[name] + column * np.cos(axis)[name]
+    ahead = along > (total(along) / cells)[name]
+    rest, many = segments(np.where((part > 0) | ~inside, np.float32(np.nan), z), np.float32(JOIN), 1)
+    land = np.bincount(rest[~objects & inside], minlength=many + 1) * cell**2 > LAND
+    land[0] = False
+    joins = np.zeros(len(name), bool)
+    for r, c in ((0, 1), (2, 1), (1, 0), (1, 2)):
+        other = row + r, column + c
+        beside, level = np.pad(land[rest], 1)[other], np.pad(z, 1)[other]
+        joins |= beside & (np.abs(level - z[row, column]) < JOIN)
+    beyond = np.pad(~inside, 1, constant_values=True)
+    cut = ndimage.maximum_filter(beyond, 2 * back + 3)[1:-1, 1:-1][row, column]
+    wide = total(width[row, column]) / cells
+    ends = [[total(what & side) / (wide + 2) for side in (ahead, ~ahead)] for what in (joins, cut)]
+    join, edge = (np.array(both) for both in ends)
+    met = (join >= ENDS) | ((edge >= ENDS) & (join[::-1] >= ENDS))
+    good = met.all(axis=0) & (join <= MOST).all(axis=0) & (np.hypot(sine, cosine) >= STEADY)
+    good &= (cells * cell >= LENGTH * wide) & (2 * total(fall[row, column] > HIGH) >= cells)
+    good[0] = False
+    level = np.where(good[part], z, np.float32(-np.inf))
+    beside = ndimage.maximum_filter(level, 3)
+    return np.where(good[part], z, np.where(beside - z > DROP, beside, none))
+
+
+def _hung(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
+    """``z`` with the lowest elevation within :data:`LOW` in voids, wider than four spacings: water lies below what is around."""
+    size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
+    closed = ndimage.binary_closing(np.pad(seen, size, constant_values=True), np.ones((size, size), bool))
+    void = ~closed[size:-size, size:-size]
+    return np.where(void, ndimage.minimum_filter(z, 2 * round(LOW / cell) + 1), z) if void.any() else z
