@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import jaxfilter as jf
 from experiments.report import machine
 from experiments.tiling.scale import COMMAND, watched
+from jaxfilter.reports.verdicts import RIM
 
 HERE = Path(__file__).parent
 SIDE, VERDICTS, MOST = 500.0, 50, 2500.0
@@ -60,16 +61,18 @@ def main(arguments: list[str] | None = None) -> None:
     shutil.rmtree(classified, ignore_errors=True)
     units = ["--units", "m", "--json", "--overwrite"]
     ground = watched([*COMMAND, str(files), str(classified), "--review", str(places), *units])
+    print(ground, file=sys.stderr, flush=True)
     table = geopandas.read_file(places)
     right = table[table["area"] <= MOST].copy()
     east = jf.open(files, units="m").bounds[2]
-    right = right[right["x"] < east - SIDE].head(VERDICTS)  # none in the files of the last column
+    right = right[right.bounds["maxx"] < east - SIDE - RIM].head(VERDICTS)  # none in the files of the last column
     right["verdict"] = np.where(np.arange(len(right)) % 2 == 0, "object", "ground")
     right.to_file(options.work / "verdicts.gpkg", layer="review")
     before = states(classified)
     apply = watched(
         [*COMMAND[:-1], "apply", str(options.work / "verdicts.gpkg"), str(classified), "--units", "m", "--json"]
     )
+    print(apply, file=sys.stderr, flush=True)
     after = states(classified)
     changed = sum(after[name] != before[name] for name in before)
     untouched = [name for name in before if name.startswith(f"{options.files // 4 - 1}-")]

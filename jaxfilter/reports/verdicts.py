@@ -36,7 +36,7 @@ HALO = 40.0
 LEVEL = 0.3
 """Metres above and below the plane through the lowest points of a body of water that are its surface."""
 _OVERLAP = 1.0
-"""Square metres that two places may share."""
+"""Square units of the file that two places with different verdicts may share."""
 _BLOCK = 5.0
 """Metres: ground is averaged in such squares before its slope is taken, as in the landscape of OST."""
 
@@ -142,7 +142,7 @@ def sites(verdicts: Sequence[Verdict], metre: float) -> list[Site]:
     ends = shapely.STRtree(rims).query(rims, predicate="intersects")
     of, found = groups(*ends, len(rims)), []
     for number in range(int(of.max()) + 1):
-        own = [verdicts[row] for row in np.flatnonzero(of == number).tolist()]
+        own = sorted((verdicts[row] for row in np.flatnonzero(of == number).tolist()), key=lambda one: one.key)
         acting = [one.shape for one in own if one.word != FINE]
         if acting:
             box = shapely.union_all(acting).bounds
