@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .surveys.options import RunOptions
     from .surveys.products import products
     from .surveys.verdicts import apply, apply_survey, review_survey
+    from .sweeps.batch import Batch, batch
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
     from .sweeps.fit import Fit, fit
@@ -56,19 +57,19 @@ _HOMES = {
     "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
     ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("chm", "contours",
     "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
-    "surveys.accuracy": ("accuracy_statement",),
+    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("Batch", "batch"),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AGPTD", "ATIN", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision", "FILTERS",
-    "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError", "Interpolation",
-    "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF", "ParameterError",
-    "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status", "Study",
-    "SweepOptions", "accuracy_statement", "apply", "apply_survey", "calibrate", "chm", "citation", "class_changes", "compare",
-    "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse", "evaluate", "fit", "from_pdal",
-    "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products", "read", "report", "review",
-    "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
+    "AGPTD", "ATIN", "Batch", "CSF", "Calibration", "Classes", "Collection", "Comparison", "CrossValidation", "Decision",
+    "FILTERS", "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
+    "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
+    "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status",
+    "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "calibrate", "chm", "citation",
+    "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
+    "evaluate", "fit", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
+    "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
 
 

@@ -202,6 +202,7 @@ class jit:
             content = pickle.dumps(serialize_executable.serialize(made))
         except (NotImplementedError, TypeError, ValueError, pickle.PicklingError):
             return made  # JAX cannot serialise every program: this one is compiled anew in each process
+        _say_once(path.parent)
         write_kept(path, _stamp(), content)
         return made
 
@@ -271,19 +272,23 @@ def _kept_folder() -> Path | None:
     given a cache directory, that is all there is."""
     if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
         return None
-    cpu = jax.default_backend() == "cpu"
-    if (folder := cache_folder("jax" if cpu else "xla")) is not None and not _quiet and not any(folder.iterdir()):
-        warn(
-            f"{folder}: compiled code is kept here from now on, so that the next process need not compile it (said once); set "
-            "JAXFILTER_CACHE to another folder, or to off for none"
-        )
-    if cpu:
-        return folder
-    if folder is not None:
+    if jax.default_backend() == "cpu":
+        return cache_folder("jax")
+    if (folder := cache_folder("xla")) is not None:
+        _say_once(folder)
         jax.config.update("jax_compilation_cache_dir", str(folder))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     return None
+
+
+def _say_once(folder: Path) -> None:
+    """Warn of a folder in which nothing is kept yet."""
+    if not _quiet and not any(folder.iterdir()):
+        warn(
+            f"{folder}: compiled code is kept here from now on, so that the next process need not compile it (said once); set "
+            "JAXFILTER_CACHE to another folder, or to off for none"
+        )
 
 
 def keep_compilations(on: bool = True) -> bool:

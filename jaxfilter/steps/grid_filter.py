@@ -21,7 +21,7 @@ from ..engines.grid.sampling import bilinear
 from .outliers import bar_outliers
 from .surfaces import Cells, cell_values, hold_against, lowest_cells, steepness
 
-_CELL_BYTES, _POINT_BYTES = 80, 24
+CELL_BYTES, POINT_BYTES = 80, 24
 """About so many of memory per cell, and per point, for each surface of a sweep."""
 
 
@@ -224,7 +224,7 @@ def _ground_each(
     by the program that ``classify`` runs, since another one would round differently."""
     prepared = filter_.prepare(filter_.cells(points, filter_._barred(points, workers)))
     size = max(a.size for a in jax.tree.leaves(prepared))
-    room = int(memory // (_CELL_BYTES * size + _POINT_BYTES * len(points)))
+    room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
     threads, most = workers or os.cpu_count() or 1, max(1, min(filter_.AT_ONCE, room))
     groups = alike(filter_._deciding(prepared, sets))
     batches = [groups[start : start + most] for start in range(0, len(groups), most)]

@@ -1,0 +1,350 @@
+"""Batches: clouds of unlike size in a few padded blocks on the device, under many sets of parameters at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..core.compilation import jit
+from ..core.errors import InputError, ParameterError
+from ..core.filter import check_resources, degenerate
+from ..core.points import Points
+from ..engines.grid.cells import padded_length
+from ..scoring import reference_labels
+from ..steps.grid_filter import CELL_BYTES, POINT_BYTES, GridFilter
+from ..steps.surfaces import Cells
+from .ranges import check_filter
+from .sweep import named_clouds
+
+_STEP = 16
+"""Rows, columns of blocks are multiples of this many, and points of so many times 64."""
+_CELL_COST = 4
+"""A cell takes about as long as so many points."""
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["cells", "xyz", "real", "truth", "counted", "totals"], meta_fields=[]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Clouds in arrays of one shape, or one of them, then without the first axis; a pytree.
+
+    Attributes:
+        cells: of each cloud, with the axis of clouds first in each array.
+        xyz: f32[clouds, n, 3], local metres: the rows of ``Filter.points_of``, and zeros.
+        real: bool[clouds, n], rows that are points.
+        truth: bool[clouds, n], reference labels, True = ground; counted: bool[clouds, n], points that have one.
+        totals: i32[clouds, 2], how many points of the whole cloud have the reference label ground, and object.
+    """
+
+    cells: Cells
+    xyz: jax.Array
+    real: jax.Array
+    truth: jax.Array
+    counted: jax.Array
+    totals: jax.Array
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["filter", "blocks"], meta_fields=["points", "names", "order"]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch:
+    """Clouds in padded blocks, for a method on a grid; made by :func:`jaxfilter.batch`. A pytree, for ``jax.jit`` and ``vmap``.
+
+    ``ground``, ``soft``, ``confusion`` and ``map`` take sets of parameters: a mapping from traced fields to arrays f32[sets]. One
+    program for each block goes over clouds and sets. What no traced field decides, such as the openings of SMRF, is computed
+    once a cloud. Static fields (``cell``, ``window``, ...) fix shapes: make a batch for each value. All are pure. The programs
+    of all but ``map`` are kept for the next process.
+
+    Attributes:
+        filter: the method; its traced fields hold where ``sets`` has none.
+        blocks: the clouds.
+        points: of every cloud. names: of the clouds, or None. order: of every cloud its block, and its place there.
+
+    >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF())
+    >>> [labels.shape for labels in batch.unstack(batch.ground())] == [(len(cloud),), (2000,)]
+    True
+    """
+
+    filter: Any
+    blocks: tuple[Block, ...]
+    points: tuple[Points, ...]
+    names: tuple[str, ...] | None
+    order: tuple[tuple[int, int], ...]
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def ground(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> tuple[jax.Array, ...]:
+        """Labels of each block: bool[clouds, sets, n], or bool[clouds, n] without sets; False for rows that are no points.
+
+        >>> batch = jf.batch([cloud], jf.SMRF())
+        >>> [labels] = batch.unstack(batch.ground({"slope": [0.1, 0.3]}))
+        >>> bool((labels[1] == jf.SMRF(slope=0.3)(cloud).ground).all())
+        True
+        """
+        return self._of_blocks("ground", sets, 0.0, memory)
+
+    def soft(
+        self, sets: Mapping[str, Any] | None = None, *, width: jax.Array | float = 0.1, memory: float = 1e9
+    ) -> tuple[jax.Array, ...]:
+        """:func:`jaxfilter.soft_labels` of each block: f32[clouds, sets, n], or f32[clouds, n]; 0 for rows that are no points.
+
+        >>> batch = jf.batch([cloud], jf.PMF())
+        >>> [soft] = batch.soft(width=0.2)
+        >>> bool(((soft >= 0) & (soft <= 1)).all())
+        True
+        """
+        return self._of_blocks("soft", sets, width, memory)
+
+    def confusion(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> jax.Array:
+        """Counts as in :class:`jaxfilter.Scores`, of all points with a reference label: i32[clouds, sets, 2, 2], in the order
+        of the clouds, or i32[clouds, 2, 2] without sets. Points that are no candidates are labelled object. A cloud without
+        labels has zeros.
+
+        >>> batch = jf.batch([cloud], jf.SMRF(), [truth])
+        >>> counts = batch.confusion({"slope": [0.1, 0.3]})
+        >>> counts.shape, int(counts[0, 1].sum()) == len(cloud)
+        ((1, 2, 2, 2), True)
+        """
+        return self.in_order(self._of_blocks("confusion", sets, 0.0, memory))
+
+    def map(
+        self,
+        function: Callable[[Any, Any, Block], Any],
+        sets: Mapping[str, Any] | None = None,
+        *,
+        memory: float = 1e9,
+    ) -> tuple[Any, ...]:
+        """What a function makes of every cloud with every set, of each block: a pytree of arrays [clouds, sets, ...].
+
+        Args:
+            function: called as ``function(filter, prepared, cloud)`` with the filter of the set, what its ``prepare`` has made
+                of the cells, and a :class:`Block` of one cloud. The shapes of what it returns do not depend on the values.
+            sets: field to values f32[sets]; None = the batch's filter alone, without the axis of sets.
+            memory: bytes. Sets are computed together as far as they fit, and one after the other on a processor, whose cache
+                holds the grid of one.
+
+        It is traced whenever it is called: call it within ``jax.jit``. Raises: ParameterError for a field that is static or
+        unknown, a value out of its limits, or sets of unlike length.
+
+        >>> batch = jf.batch([cloud], jf.SMRF())
+        >>> highest = lambda one, prepared, block: one.surface(prepared).z.max()
+        >>> batch.map(highest, {"slope": [0.1, 0.3]})[0].shape
+        (1, 2)
+        """
+        fields, count = self._checked(sets)
+        check_resources(None, memory)
+        return tuple(_over(function, self.filter, b, fields, _at_once(b, count, memory)) for b in self.blocks)
+
+    def in_order(self, values: tuple[Any, ...]) -> Any:
+        """Arrays [clouds of the block, ...] of all blocks as one, [clouds, ...], in the order of the clouds.
+
+        >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF())
+        >>> batch.in_order([block.real.sum(axis=1) for block in batch.blocks]).tolist() == list(map(len, batch.points))
+        True
+        """
+        first = np.cumsum([0, *(len(block.real) for block in self.blocks)])
+        places = np.array([first[block] + place for block, place in self.order])
+        return jax.tree.map(lambda *parts: jnp.concatenate(parts)[places], *values)
+
+    def unstack(self, values: tuple[Any, ...], empty: Any = 0) -> Any:
+        """Values of points [clouds, ..., n] of each block, back to the clouds: NumPy arrays [..., points], in input order.
+
+        ``empty``: for points that are no candidates. Returns: a list, or a dict where the clouds have names.
+
+        >>> batch = jf.batch({"a": cloud}, jf.SMRF())
+        >>> bool((batch.unstack(batch.ground())["a"] == jf.SMRF()(cloud).ground).all())
+        True
+        """
+        arrays, found = [np.asarray(part) for part in values], []
+        for points, (block, place) in zip(self.points, self.order, strict=True):
+            own = arrays[block][place][..., : len(points)]
+            rows = [points.spread(row, empty) for row in own.reshape(-1, len(points))]
+            found.append(np.stack(rows).reshape(*own.shape[:-1], len(points.cloud)))
+        return found if self.names is None else dict(zip(self.names, found, strict=True))
+
+    def _of_blocks(
+        self, what: str, sets: Mapping[str, Any] | None, width: jax.Array | float, memory: float
+    ) -> tuple[jax.Array, ...]:
+        fields, count = self._checked(sets)
+        check_resources(None, memory)
+        return tuple(
+            _known(self.filter, block, fields, width, what=what, at_once=_at_once(block, count, memory))
+            for block in self.blocks
+        )
+
+    def _checked(self, sets: Mapping[str, Any] | None) -> tuple[dict[str, jax.Array] | None, int]:
+        """The sets as arrays f32[sets], and how many there are."""
+        if sets is None:
+            return None, 1
+        fields = {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
+        shapes = {name: values.shape for name, values in fields.items()}
+        if len(set(shapes.values())) != 1 or len(next(iter(shapes.values()))) != 1:
+            raise ParameterError(f"sets: {shapes}: arrays of one length are needed, a value for each set")
+        for name, values in fields.items():
+            known = {} if isinstance(values, jax.core.Tracer) else set(np.asarray(values).tolist())
+            for value in known or [getattr(self.filter, name, None)]:
+                self.filter.replace(**{name: value})  # checks name and value
+            jax.eval_shape(lambda one, name=name: dataclasses.replace(self.filter, **{name: one}), values[0])
+        return fields, len(next(iter(fields.values())))
+
+
+def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> Batch:
+    """Clouds of any sizes in padded blocks, for a method on a grid: SMRF, PMF on a grid, or MSF.
+
+    Args:
+        clouds: a sequence of clouds, or a mapping from names to them; what a filter takes.
+        filter_: fixes cells and other static fields.
+        labels: reference labels, a sequence or mapping like the clouds: bool[n] (True = ground), or integers with 1 = ground,
+            0 = object, -1 = unlabelled. By default those of the clouds.
+        blocks: how many there are at most, unless clouds of very unlike size need more. Clouds share a block where that adds
+            few empty cells; each block is compiled for itself.
+
+    Returns: Batch. Raises: ParameterError for another method; InputError for a cloud without anything to filter, and for labels
+        that do not fit.
+
+    >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF(), blocks=1)
+    >>> len(batch), [block.xyz.shape[0] for block in batch.blocks]
+    (2, [2])
+    """
+    filter_ = check_filter(filter_)
+    if not isinstance(filter_, GridFilter):
+        raise ParameterError(f"batch: {type(filter_).__name__}: methods on a grid take batches: SMRF, PMF, MSF")
+    if blocks < 1:
+        raise ParameterError(f"blocks={blocks!r}: must be at least 1")
+    _, named = named_clouds(clouds, "batch")
+    names = tuple(named) if isinstance(clouds, Mapping) else None
+    given = labels if isinstance(labels, Mapping) or labels is None else dict(zip(named, labels, strict=True))
+    taken, ready = [], []
+    for name, cloud in named.items():
+        points = filter_.points_of(cloud)
+        if degenerate(cloud, points) is not None:
+            raise InputError(f"batch: {name}: {cloud!r}: there is nothing to filter; leave the cloud out")
+        truth, counted = np.zeros(len(cloud), bool), np.zeros(len(cloud), bool)
+        if given is not None or cloud.reference is not None:
+            truth, counted = reference_labels(cloud if given is None else given[name])
+        if len(truth) != len(cloud):
+            raise InputError(f"batch: {name}: {len(truth)} labels for {len(cloud)} points")
+        totals = np.array([(counted & truth).sum(), (counted & ~truth).sum()], np.int32)
+        taken.append(points)
+        ready.append((filter_.cells(points), points.xyz, points.gather(truth), points.gather(counted), totals))
+    groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)
+    order = {c: (b, place) for b, group in enumerate(groups) for place, c in enumerate(group)}
+    made = tuple(_block([ready[c] for c in group]) for group in groups)
+    return Batch(filter_, made, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
+
+
+def _block(clouds: list[tuple[Any, ...]]) -> Block:
+    rows, columns = (-(-max(int(cells.extent[a]) for cells, *_ in clouds) // _STEP) * _STEP for a in range(2))
+    most = -(-max(len(xyz) for _, xyz, *_ in clouds) // (64 * _STEP)) * 64 * _STEP
+
+    def fitted(values: Any, lengths: tuple[int, ...]) -> np.ndarray:
+        part = np.asarray(values)[tuple(slice(n) for n in lengths)]
+        widths = [(0, n - have) for n, have in zip(lengths, part.shape, strict=False)]
+        return np.pad(part, widths + [(0, 0)] * (part.ndim - len(widths)))
+
+    def of_grid(values: Any) -> Any:
+        return values if np.ndim(values) < 2 else fitted(values, (rows, columns))
+
+    grids = [jax.tree.map(of_grid, cells) for cells, *_ in clouds]
+    of_points = [
+        [fitted(values, (most,)) for values in (xyz, np.ones(len(xyz), bool), t, c)] for _, xyz, t, c, _ in clouds
+    ]
+    each = [(grid, *values, one[-1]) for grid, values, one in zip(grids, of_points, clouds, strict=True)]
+    return Block(*jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *each))
+
+
+def _grouped(sizes: list[tuple[int, int, int]], most: int) -> list[list[int]]:
+    """Numbers of clouds by block, given their rows, columns and points. The two blocks whose union costs least are joined, until
+    there are few enough. Clouds whose membranes have other levels stay apart, so that each has the one that it has alone."""
+
+    def size(group: list[int]) -> tuple[int, ...]:
+        return tuple(max(sizes[c][axis] for c in group) for axis in range(3))
+
+    def cost(group: list[int]) -> int:
+        rows, columns, points = size(group)
+        return len(group) * (_CELL_COST * rows * columns + points)
+
+    def joinable(a: list[int], b: list[int]) -> bool:
+        return padded_length(max(size(a)[:2])) == padded_length(max(size(b)[:2]))
+
+    groups = [[c] for c in range(len(sizes))]
+    while len(groups) > most:
+        pairs = [
+            (cost(a + b) - cost(a) - cost(b), a, b) for a, b in itertools.combinations(groups, 2) if joinable(a, b)
+        ]
+        if not pairs:
+            break
+        _, a, b = min(pairs)
+        groups = [group for group in groups if group not in (a, b)] + [sorted(a + b)]
+    return sorted(groups)
+
+
+def _at_once(block: Block, sets: int, memory: float) -> int:
+    """How many sets are computed together."""
+    if jax.default_backend() == "cpu":
+        return 1
+    each = CELL_BYTES * block.cells.lowest[0].size + POINT_BYTES * block.xyz.shape[1]
+    return max(1, min(sets, int(memory // each)))
+
+
+def _over(
+    function: Callable[[Any, Any, Block], Any],
+    filter_: Any,
+    block: Block,
+    sets: dict[str, jax.Array] | None,
+    at_once: int,
+) -> Any:
+    """See :meth:`Batch.map`."""
+
+    def of_cloud(cloud: Block) -> Any:
+        prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
+
+        def of_set(fields: dict[str, jax.Array]) -> Any:
+            return function(dataclasses.replace(filter_, **fields), prepared, cloud)
+
+        if sets is None:
+            return of_set({})
+        if at_once == 1:
+            return lax.map(of_set, sets)
+        count = len(next(iter(sets.values())))
+        number = np.minimum(
+            np.arange(-(-count // at_once) * at_once), count - 1
+        )  # whole chunks, so that one kind is compiled
+        found = lax.map(of_set, {name: values[number] for name, values in sets.items()}, batch_size=at_once)
+        return jax.tree.map(lambda values: values[:count], found)
+
+    return lax.map(of_cloud, block)
+
+
+@functools.partial(jit, static_argnames=("what", "at_once"))
+def _known(
+    filter_: Any, block: Block, sets: dict[str, jax.Array] | None, width: jax.Array | float, what: str, at_once: int
+) -> jax.Array:
+    """Of every cloud of a block with every set: labels, soft labels or counts."""
+
+    def labels(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+        made = one.surface(prepared)._replace(counts={})
+        # As in the call of one set the surface is in memory before it is read: else it is computed anew for each point.
+        surface = lax.cond(cloud.real[0], lambda made: made, lambda made: jax.tree.map(jnp.zeros_like, made), made)
+        return cloud.real & (one.test(surface, cloud.xyz).margin <= 0)
+
+    def soft(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+        return jnp.where(cloud.real, one._soft(prepared, cloud.xyz, width), 0)
+
+    def confusion(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+        ground = labels(one, prepared, cloud) & cloud.counted
+        hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in (cloud.truth, ~cloud.truth)])
+        return jnp.stack([hits, cloud.totals - hits], axis=-1)
+
+    return _over({"ground": labels, "soft": soft, "confusion": confusion}[what], filter_, block, sets, at_once)

@@ -1,0 +1,126 @@
+"""Batches: clouds of unlike size under many sets at once have the labels and scores that each has alone."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxfilter as jf
+from jaxfilter.engines.grid.cells import padded_length
+from jaxfilter.sweeps import batch as module
+
+SMRF = jf.SMRF(window=6.0)
+SETS = {"slope": [0.05, 0.2, 0.4], "threshold": [0.2, 0.5, 0.9], "scaling": [0.0, 1.25, 2.0]}
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    sizes = {"a": (60, 50), "b": (30, 75), "c": (280, 40)}
+    return {name: jf.scenes.make("town", size=size, density=0.8, seed=4) for name, size in sizes.items()}
+
+
+@pytest.fixture(scope="module")
+def smrf(scenes):
+    clouds = {name: scene.cloud for name, scene in scenes.items()}
+    return jf.batch(clouds, SMRF, {name: scene.truth for name, scene in scenes.items()}, blocks=1)
+
+
+def each(filter_, sets):
+    return [filter_.replace(**dict(zip(sets, values, strict=True))) for values in zip(*sets.values(), strict=True)]
+
+
+def test_labels_are_those_of_single_calls(scenes, smrf):
+    found = smrf.unstack(smrf.ground(SETS))
+    for name, scene in scenes.items():
+        single = np.stack([one(scene.cloud).ground for one in each(SMRF, SETS)])
+        assert found[name].shape == single.shape and (found[name] != single).sum() <= 1
+    assert len(smrf.blocks) == 2, "another membrane stays apart"
+
+
+@pytest.mark.parametrize("filter_, sets", [
+    (jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}),
+    (jf.MSF(window=4.0), {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
+    (jf.MSF(window=4.0, distance="points"), {"slope": [0.2, 0.6]}),
+], ids=["pmf", "msf", "msf-points"])  # fmt: skip
+def test_other_methods_take_batches(scenes, filter_, sets):
+    clouds = [scenes["a"].cloud, scenes["b"].cloud]
+    for cloud, labels in zip(clouds, (made := jf.batch(clouds, filter_)).unstack(made.ground(sets)), strict=True):
+        np.testing.assert_array_equal(labels, [one(cloud).ground for one in each(filter_, sets)])
+
+
+def test_counts_are_those_of_evaluate_and_of_the_labels(scenes, smrf):
+    counts, labels = smrf.confusion(SETS), smrf.unstack(smrf.ground(SETS))
+    for c, (name, scene) in enumerate(scenes.items()):
+        for s in range(3):
+            np.testing.assert_array_equal(counts[c, s], jf.evaluate(labels[name][s], scene.truth).confusion)
+
+
+def test_unlabelled_points_and_clouds_without_labels_do_not_count(scenes):
+    cloud, truth = scenes["a"].cloud, scenes["a"].truth.astype(int)
+    truth[::3] = -1
+    counts = jf.batch([cloud], SMRF, [truth]).confusion()
+    assert counts.shape == (1, 2, 2) and int(counts.sum()) == (truth >= 0).sum()
+    assert not jf.batch([dataclasses.replace(cloud, reference=None)], SMRF).confusion().any()
+
+
+def test_one_program_under_jit_vmap_and_in_chunks(smrf, monkeypatch):
+    expected = smrf.confusion(SETS)
+    sets = {name: jnp.asarray(values) for name, values in SETS.items()}
+
+    def of_set(fields):
+        return dataclasses.replace(smrf, filter=dataclasses.replace(smrf.filter, **fields)).confusion()
+
+    vmapped = jax.jit(jax.vmap(of_set))(sets)
+    monkeypatch.setattr(module, "_at_once", lambda block, sets, memory: 2)
+    chunked = jax.jit(lambda batch, sets: batch.confusion(sets))(smrf, sets)
+    assert np.abs(np.moveaxis(vmapped, 0, 1) - expected).max() <= 1 and np.abs(chunked - expected).max() <= 1
+
+
+def test_soft_labels_and_their_gradients_are_those_of_single_clouds(scenes):
+    filter_ = jf.PMF(max_window=9.0)
+    made, cloud = jf.batch([scenes["a"].cloud], filter_), scenes["a"].cloud
+    points = filter_.points_of(cloud)
+    cells = filter_.cells(points)
+
+    def alone(slope):
+        return jf.soft_labels(dataclasses.replace(filter_, slope=slope), cells, points.xyz, width=0.3).sum()
+
+    def batched(slope):
+        return made.soft({"slope": slope[None]}, width=0.3)[0].sum()
+
+    got, expected = (jax.value_and_grad(function)(jnp.float32(0.3)) for function in (batched, alone))
+    np.testing.assert_allclose(got, expected, rtol=1e-3)
+
+
+def test_blocks_join_what_costs_least_and_keep_membranes_apart():
+    sizes = [(100, 90, 5000), (300, 200, 9000), (96, 96, 5000), (310, 210, 9000), (200, 40, 3000)]
+    groups = module._grouped(sizes, 3)
+    assert groups == [[0, 2], [1, 3], [4]]
+    assert all(len({padded_length(max(sizes[c][:2])) for c in group}) == 1 for group in module._grouped(sizes, 1))
+
+
+def test_more_sets_are_held_where_memory_is(smrf, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert module._at_once(smrf.blocks[0], 100, 1e9) > module._at_once(smrf.blocks[0], 100, 1e8) > 1
+    assert module._at_once(smrf.blocks[0], 100, 1.0) == 1
+
+
+@pytest.mark.parametrize("sets, message", [
+    ({"window": [5.0]}, "window"), ({"slop": [0.1]}, "slop"), ({"slope": [-0.1, 0.2]}, "slope=-0.1"),
+    ({"slope": [0.1], "threshold": [0.1, 0.2]}, "one length"), ({"slope": 0.1}, "one length"),
+])  # fmt: skip
+def test_sets_that_cannot_be_are_an_error_that_names_them(smrf, sets, message):
+    with pytest.raises((jf.ParameterError, TypeError), match=message):
+        smrf.ground(sets)
+
+
+def test_what_cannot_be_batched_is_an_error_that_names_it(scenes):
+    cloud = scenes["a"].cloud
+    with pytest.raises(jf.ParameterError, match=r"PTD.*methods on a grid"):
+        jf.batch([cloud], jf.PTD())
+    with pytest.raises(jf.InputError, match=r"flat: .*nothing to filter"):
+        jf.batch({"flat": np.zeros((5, 3))}, SMRF)
+    with pytest.raises(jf.InputError, match=f"a: 3 labels for {len(cloud)} points"):
+        jf.batch({"a": cloud}, SMRF, {"a": np.ones(3, bool)})
