@@ -39,7 +39,6 @@ NOT_RUN = {
         "docs/from_one_tile_to_a_country.md",
         "run = jf.RunOptions(workers=8",
     ): "docs/examples/tutorials/f_survey.py does it",
-    ("docs/examples/tutorials/c_paper_table.py", "samples = {"): "the ISPRS samples may not be passed on",
     ("docs/examples/tutorials/e_few_clicks.py", "clicks, kinds = [], []"): "somebody has to click",
 }
 """Page and beginning of a block, and why it is only compiled; of tutorials, which run when the site is built, code blocks."""

@@ -224,7 +224,7 @@ def fit_curves(found: Fit, *, ax: Any = None, title: str = "") -> Any:
         curves["step"], curves["held_out"], color="0.55", linewidth=1, linestyle="--", label="soft labels, held out"
     )
     ax.plot(scored["step"], scored, color=TYPE_2, linewidth=1.4, marker="o", markersize=2.5, label="labels, held out")
-    step = int(scored["step"][int(scored.argmin())]) if found.moved else 0
+    step = int(scored["step"][int(np.argmin(scored.values))]) if found.moved else 0
     label = "returned" if found.moved else "returned: the start"
     ax.plot(step, float(scored.sel(step=step)), "*", color=BEST, markersize=9, linestyle="none", zorder=4, label=label)
     ax.set_xlabel("step", fontsize=8)

@@ -134,7 +134,7 @@ def fit(
     best = int(np.argmin(mean))
     gain = np.array([(totals[group == g, 0] - totals[group == g, best]).mean() for g in np.unique(group)])
     spread = float(gain.std(ddof=1) / math.sqrt(len(gain)))
-    moved = bool(mean[0] - mean[best] > spread)
+    moved = bool(mean[0] - mean[best] > spread + 1e-9)  # of two groups, one that gains is not enough
     made = space.dataset(np.array(places)[:-1, folds], np.array(curves), dict(zip(scored, mean, strict=True)))
     report(1.0, "done")
     return Fit(along[folds][best] if moved else filter_, moved, float(mean[0]), float(mean[best]), spread, made)
