@@ -38,8 +38,7 @@ include_patterns = [
 ]
 exclude_patterns = [
     "docs/examples",
-    "experiments/isprs/caveats.md",
-    "experiments/default/results/doubt.md",  # parts of pages
+    "experiments/isprs/caveats.md",  # part of a page
     "docs/made/*/*.ipynb",
     "docs/made/*/*.py",
     "docs/made/*/sg_execution_times.rst",

@@ -59,7 +59,7 @@ PAGES = {
                 "every method on the 15 ISPRS samples under three protocols, and the papers' claims", 25, keeps=True),
     "isprs/results/places.md": Page("experiments/isprs/places.py", "what the place of the grid decides on the samples", 8),
     "default/results/results.md": Page("experiments/default/run.py --sets 21", "OST: its constants with sites and sources left "
-                                       "out, what each step gives, other methods beside it", 40, keeps=True),
+                                       "out, what each step gives, other methods beside it", 60, keeps=True),
     "default/results/doubt.md": Page("-m experiments.default.doubt", "OST: what its doubts are worth", 15),
     "defaults/results/results.md": Page("experiments/defaults/run.py", "alternatives to the defaults, on simulated scenes and "
                                         "tiles", 60, keeps=True),
@@ -70,7 +70,7 @@ PAGES = {
     "papers/results/pingel2013/results.md": Page("experiments/papers/pingel2013.py", "those of Pingel et al. (2013): SMRF", 1),
     "papers/results/ppdf2023/results.md": Page("experiments/papers/ppdf2023.py", "those of Cai et al. (2023): PPDF", 10),
     "papers/results/spf2023/results.md": Page("experiments/papers/spf2023.py", "those of Chen et al. (2023): SPF", 3, (ISPRS,)),
-    "papers/results/stin2024/results.md": Page("experiments/papers/stin2024.py", "those of Uray and Varlik (2024): STIN", 3),
+    "papers/results/stin2024/results.md": Page("experiments/papers/stin2024.py", "those of Uray and Varlik (2024): STIN", 8),
     "tiles/results/results.md": Page("experiments/tiles/run.py --out experiments/tiles/results", "every method on six labelled "
                                      "tiles of other sensors and densities", 10),
     "failures/results/results.md": Page("experiments/failures/run.py all", "where methods fail: borders, cliffs, cuts through "

@@ -609,7 +609,7 @@ def test_the_bench_reports_growth_and_the_gain_of_vertex_spacing():
         plain | {"points": 500, "warm_seconds": 9.0},
         plain | {"name": "fptd_spaced", "warm_seconds": 1.0, "total": 3.25},
     ]
-    text = bench.report(rows, "python run.py", 3)
+    text = bench.report(rows, 3)
     assert "5.00 times the points (100 to 500) take 4.50 times as long" in text
     assert "1.00 s instead of 2.00 s; total error 3.25 % instead of 3.00 % (+0.25 points)" in text
 
@@ -659,7 +659,7 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     row = sweep_speed.measured(path, "scene", ("MSF", jf.MSF(), {"slope": [0.1, 0.2], "max_height": [3.0, 6.0]}, {}), 1)
     assert row["sets"] == 4 and row["difference"] < 0.01 and row["compiled_warm"] == 0
     assert min(row["seconds"], row["singly"], row["pool"]) > 0
-    assert "MSF" in sweep_speed.report([row], [], "command", 1)
+    assert "MSF" in sweep_speed.report([row], [], 1)
 
 
 def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):

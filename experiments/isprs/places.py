@@ -35,6 +35,7 @@ def main() -> None:
     parser.add_argument("--places", type=int, default=16)
     parser.add_argument("--methods", nargs="*", default=list(jf.FILTERS))
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     folder = samples.data_folder(options.data)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
