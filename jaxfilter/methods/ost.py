@@ -233,7 +233,7 @@ class OST(Filter):
             seeds = lowest
         progress(0.4, "triangulation")
         limits, kept = self.limits(spacing, around, rough), ("margin", "height", "slope")
-        height, distance = limits.first.height, np.where(on_deck, np.float32(-1), limits.then.distance)
+        height, distance = float(limits.first.height), np.where(on_deck, np.float32(-1), limits.then.distance)
         growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))

@@ -195,7 +195,13 @@ class PMF(LowOutlierFilter):
 
         radii, nothing = jnp.array(self.radii()), jnp.full_like(surface, jnp.inf)
         last, limits = progressive_opening(
-            surface, cells.valid, radii, look, (nothing, -nothing), reach=max(self.radii()), element=self.element
+            surface,
+            jnp.asarray(cells.valid),
+            radii,
+            look,
+            (nothing, -nothing),
+            reach=max(self.radii()),
+            element=self.element,
         )
         return Surface.over(cells, last, limits, {"windows": len(radii)})
 
@@ -216,7 +222,7 @@ class PMF(LowOutlierFilter):
 
         radii, start = jnp.array(self.radii()), jnp.ones(len(xyz), jnp.float32)
         return progressive_opening(
-            surface, cells.valid, radii, look, start, reach=max(self.radii()), element=self.element
+            surface, jnp.asarray(cells.valid), radii, look, start, reach=max(self.radii()), element=self.element
         )[1]
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:

@@ -130,7 +130,7 @@ class SMRF(GridFilter):
     @jit
     def _open(self, cells: Cells, surface: jax.Array) -> Opened:
         """Steps 2 to 4, of the surface without empty cells."""
-        valid, cell = cells.valid, cells.frame[2]
+        valid, cell = jnp.asarray(cells.valid), cells.frame[2]
         low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
         net, cut = jnp.zeros_like(valid), surface
         if self.mesh:

@@ -288,7 +288,7 @@ def soft_errors(
     """
     prepared, xyz, weight = data
 
-    def error(one: dict[str, jax.Array], out: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def error(one: dict[str, Any], out: jax.Array) -> tuple[jax.Array, jax.Array]:
         soft = dataclasses.replace(filter_, **one)._soft(prepared, xyz, width)
         wrong, every = weight[0] * (1 - soft) + weight[1] * soft, weight.sum(axis=0)
         first, second = (100 * jnp.sum(wrong, where=some) / jnp.sum(every, where=some) for some in (~out, out))

@@ -104,7 +104,7 @@ def ground_by_class(cloud: PointCloud, classes: Iterable[int] | None, tile: Tile
     if not classes:
         return np.zeros(len(cloud), bool)
     if cloud.classification is not None:
-        ground = np.isin(cloud.classification, classes)
+        ground = np.isin(cloud.classification, list(classes))
         return ground if cloud.withheld is None else ground & ~cloud.withheld
     if cloud.reference is not None or not len(cloud):
         return np.zeros(0, bool) if cloud.reference is None else cloud.reference
