@@ -73,7 +73,7 @@ def test_one_program_under_jit_vmap_and_in_chunks(smrf, monkeypatch):
         return dataclasses.replace(smrf, filter=dataclasses.replace(smrf.filter, **fields)).confusion()
 
     vmapped = jax.jit(jax.vmap(of_set))(sets)
-    monkeypatch.setattr(module, "_at_once", lambda block, sets, memory: 2)
+    monkeypatch.setattr(module, "_at_once", lambda block, sets, memory: 3)
     chunked = jax.jit(lambda batch, sets: batch.confusion(sets))(smrf, sets)
     assert np.abs(np.moveaxis(vmapped, 0, 1) - expected).max() <= 1 and np.abs(chunked - expected).max() <= 1
 
@@ -104,7 +104,7 @@ def test_blocks_join_what_costs_least_and_keep_membranes_apart():
 def test_more_sets_are_held_where_memory_is(smrf, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert module._at_once(smrf.blocks[0], 100, 1e9) > module._at_once(smrf.blocks[0], 100, 1e8) > 1
-    assert module._at_once(smrf.blocks[0], 100, 1.0) == 1
+    assert module._at_once(smrf.blocks[0], 100, 1.0) == 1 and module._at_once(smrf.blocks[0], 101, 1e8) == 1
 
 
 @pytest.mark.parametrize("sets, message", [

@@ -17,6 +17,7 @@ import jaxfilter as jf  # noqa: E402
 from experiments import labels, quoted, remake, report, report_page  # noqa: E402
 from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
+from experiments.bench import ops as bench_ops  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
@@ -583,6 +584,16 @@ def test_the_second_cloud_of_the_bench_is_smaller_but_in_the_same_bucket():
     cloud = make("benchmark", size=60, density=1, seed=1).cloud
     other = bench_measure.another_of_its_bucket(cloud)
     assert 0 < len(other) < len(cloud) and bucket(len(other)) == bucket(len(cloud))
+
+
+@pytest.mark.parametrize("operation, peer", [
+    ("opening4", "SciPy"), ("minima", "NumPy"), ("minima", "SciPy"), ("membrane", "SciPy"), ("facets", "NumPy"),
+    ("planes", "NumPy"),
+])  # fmt: skip
+def test_the_bench_of_operations_compares_equal_ones(operation, peer, monkeypatch):
+    monkeypatch.setattr(bench_ops, "REPEATS", 1)
+    found = bench_ops.measured(operation, peer, 0.0016)
+    assert found[peer] >= 0 and "differ" not in found
 
 
 def test_commands_are_timed_in_a_process_of_their_own(tmp_path):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -60,10 +61,11 @@ class Block:
 class Batch:
     """Clouds in padded blocks, for a method on a grid; made by :func:`jaxfilter.batch`. A pytree, for ``jax.jit`` and ``vmap``.
 
-    ``ground``, ``soft``, ``confusion`` and ``map`` take sets of parameters: a mapping from traced fields to arrays f32[sets]. One
-    program for each block goes over clouds and sets. What no traced field decides, such as the openings of SMRF, is computed
-    once a cloud. Static fields (``cell``, ``window``, ...) fix shapes: make a batch for each value. All are pure. The programs
-    of all but ``map`` are kept for the next process.
+    ``ground``, ``soft`` and ``confusion`` take sets of parameters: a mapping from traced fields to arrays f32[sets]; without, the
+    filter counts alone. They are pure. One program for each block goes over clouds and sets. What no traced field decides, such
+    as the openings of SMRF, is computed once a cloud. ``memory``: bytes that sets computed at the same time may hold. Static
+    fields (``cell``, ``window``, ...) fix shapes: make a batch for each value. Raises: ParameterError for a field that is
+    static or unknown, a value out of its limits, or sets of unlike length.
 
     Attributes:
         filter: the method; its traced fields hold where ``sets`` has none.
@@ -116,46 +118,9 @@ class Batch:
         >>> counts.shape, int(counts[0, 1].sum()) == len(cloud)
         ((1, 2, 2, 2), True)
         """
-        return self.in_order(self._of_blocks("confusion", sets, 0.0, memory))
-
-    def map(
-        self,
-        function: Callable[[Any, Any, Block], Any],
-        sets: Mapping[str, Any] | None = None,
-        *,
-        memory: float = 1e9,
-    ) -> tuple[Any, ...]:
-        """What a function makes of every cloud with every set, of each block: a pytree of arrays [clouds, sets, ...].
-
-        Args:
-            function: called as ``function(filter, prepared, cloud)`` with the filter of the set, what its ``prepare`` has made
-                of the cells, and a :class:`Block` of one cloud. The shapes of what it returns do not depend on the values.
-            sets: field to values f32[sets]; None = the batch's filter alone, without the axis of sets.
-            memory: bytes. Sets are computed together as far as they fit, and one after the other on a processor, whose cache
-                holds the grid of one.
-
-        It is traced whenever it is called: call it within ``jax.jit``. Raises: ParameterError for a field that is static or
-        unknown, a value out of its limits, or sets of unlike length.
-
-        >>> batch = jf.batch([cloud], jf.SMRF())
-        >>> highest = lambda one, prepared, block: one.surface(prepared).z.max()
-        >>> batch.map(highest, {"slope": [0.1, 0.3]})[0].shape
-        (1, 2)
-        """
-        fields, count = self._checked(sets)
-        check_resources(None, memory)
-        return tuple(_over(function, self.filter, b, fields, _at_once(b, count, memory)) for b in self.blocks)
-
-    def in_order(self, values: tuple[Any, ...]) -> Any:
-        """Arrays [clouds of the block, ...] of all blocks as one, [clouds, ...], in the order of the clouds.
-
-        >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF())
-        >>> batch.in_order([block.real.sum(axis=1) for block in batch.blocks]).tolist() == list(map(len, batch.points))
-        True
-        """
         first = np.cumsum([0, *(len(block.real) for block in self.blocks)])
         places = np.array([first[block] + place for block, place in self.order])
-        return jax.tree.map(lambda *parts: jnp.concatenate(parts)[places], *values)
+        return jnp.concatenate(self._of_blocks("confusion", sets, 0.0, memory))[places]
 
     def unstack(self, values: tuple[Any, ...], empty: Any = 0) -> Any:
         """Values of points [clouds, ..., n] of each block, back to the clouds: NumPy arrays [..., points], in input order.
@@ -173,30 +138,19 @@ class Batch:
             found.append(np.stack(rows).reshape(*own.shape[:-1], len(points.cloud)))
         return found if self.names is None else dict(zip(self.names, found, strict=True))
 
-    def _of_blocks(
-        self, what: str, sets: Mapping[str, Any] | None, width: jax.Array | float, memory: float
-    ) -> tuple[jax.Array, ...]:
-        fields, count = self._checked(sets)
+    def _of_blocks(self, what: str, sets: Any, width: Any, memory: float) -> tuple[jax.Array, ...]:
         check_resources(None, memory)
-        return tuple(
-            _known(self.filter, block, fields, width, what=what, at_once=_at_once(block, count, memory))
-            for block in self.blocks
-        )
-
-    def _checked(self, sets: Mapping[str, Any] | None) -> tuple[dict[str, jax.Array] | None, int]:
-        """The sets as arrays f32[sets], and how many there are."""
-        if sets is None:
-            return None, 1
-        fields = {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
-        shapes = {name: values.shape for name, values in fields.items()}
-        if len(set(shapes.values())) != 1 or len(next(iter(shapes.values()))) != 1:
+        fields = None if sets is None else {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
+        shapes = {name: values.shape for name, values in (fields or {"": jnp.zeros(1)}).items()}
+        count = max(map(math.prod, shapes.values()))
+        if set(shapes.values()) != {(count,)}:
             raise ParameterError(f"sets: {shapes}: arrays of one length are needed, a value for each set")
-        for name, values in fields.items():
-            known = {} if isinstance(values, jax.core.Tracer) else set(np.asarray(values).tolist())
-            for value in known or [getattr(self.filter, name, None)]:
-                self.filter.replace(**{name: value})  # checks name and value
-            jax.eval_shape(lambda one, name=name: dataclasses.replace(self.filter, **{name: one}), values[0])
-        return fields, len(next(iter(fields.values())))
+        for name, values in (fields or {}).items():
+            for value in () if isinstance(values, jax.core.Tracer) else set(np.asarray(values).tolist()):
+                self.filter.replace(**{name: value})
+        return tuple(
+            _known(self.filter, b, fields, width, what=what, at_once=_at_once(b, count, memory)) for b in self.blocks
+        )
 
 
 def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> Batch:
@@ -291,60 +245,37 @@ def _grouped(sizes: list[tuple[int, int, int]], most: int) -> list[list[int]]:
 
 
 def _at_once(block: Block, sets: int, memory: float) -> int:
-    """How many sets are computed together."""
+    """How many sets are computed together: on a processor one, whose grid stays in the cache; else a divisor of their number."""
     if jax.default_backend() == "cpu":
         return 1
-    each = CELL_BYTES * block.cells.lowest[0].size + POINT_BYTES * block.xyz.shape[1]
-    return max(1, min(sets, int(memory // each)))
-
-
-def _over(
-    function: Callable[[Any, Any, Block], Any],
-    filter_: Any,
-    block: Block,
-    sets: dict[str, jax.Array] | None,
-    at_once: int,
-) -> Any:
-    """See :meth:`Batch.map`."""
-
-    def of_cloud(cloud: Block) -> Any:
-        prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
-
-        def of_set(fields: dict[str, jax.Array]) -> Any:
-            return function(dataclasses.replace(filter_, **fields), prepared, cloud)
-
-        if sets is None:
-            return of_set({})
-        if at_once == 1:
-            return lax.map(of_set, sets)
-        count = len(next(iter(sets.values())))
-        number = np.minimum(
-            np.arange(-(-count // at_once) * at_once), count - 1
-        )  # whole chunks, so that one kind is compiled
-        found = lax.map(of_set, {name: values[number] for name, values in sets.items()}, batch_size=at_once)
-        return jax.tree.map(lambda values: values[:count], found)
-
-    return lax.map(of_cloud, block)
+    room = int(memory // (CELL_BYTES * block.cells.lowest[0].size + POINT_BYTES * block.xyz.shape[1]))
+    return next(n for n in range(max(1, min(sets, room)), 0, -1) if sets % n == 0)
 
 
 @functools.partial(jit, static_argnames=("what", "at_once"))
-def _known(
-    filter_: Any, block: Block, sets: dict[str, jax.Array] | None, width: jax.Array | float, what: str, at_once: int
-) -> jax.Array:
+def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what: str, at_once: int) -> jax.Array:
     """Of every cloud of a block with every set: labels, soft labels or counts."""
 
-    def labels(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+    def found(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+        if what == "soft":
+            return jnp.where(cloud.real, one._soft(prepared, cloud.xyz, width), 0)
         made = one.surface(prepared)._replace(counts={})
         # As in the call of one set the surface is in memory before it is read: else it is computed anew for each point.
         surface = lax.cond(cloud.real[0], lambda made: made, lambda made: jax.tree.map(jnp.zeros_like, made), made)
-        return cloud.real & (one.test(surface, cloud.xyz).margin <= 0)
-
-    def soft(one: Any, prepared: Any, cloud: Block) -> jax.Array:
-        return jnp.where(cloud.real, one._soft(prepared, cloud.xyz, width), 0)
-
-    def confusion(one: Any, prepared: Any, cloud: Block) -> jax.Array:
-        ground = labels(one, prepared, cloud) & cloud.counted
-        hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in (cloud.truth, ~cloud.truth)])
+        ground = cloud.real & (one.test(surface, cloud.xyz).margin <= 0)
+        if what == "ground":
+            return ground
+        kinds = cloud.counted & cloud.truth, cloud.counted & ~cloud.truth
+        hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in kinds])
         return jnp.stack([hits, cloud.totals - hits], axis=-1)
 
-    return _over({"ground": labels, "soft": soft, "confusion": confusion}[what], filter_, block, sets, at_once)
+    def of_cloud(cloud: Block) -> jax.Array:
+        prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
+        if sets is None:
+            return found(filter_, prepared, cloud)
+        chunk = None if at_once == 1 else at_once
+        return lax.map(
+            lambda fields: found(dataclasses.replace(filter_, **fields), prepared, cloud), sets, batch_size=chunk
+        )
+
+    return lax.map(of_cloud, block)
