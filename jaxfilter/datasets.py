@@ -12,6 +12,7 @@ import numpy as np
 
 from .core.cloud import PointCloud
 from .core.errors import InputError
+from .core.inputs import class_numbers
 from .core.reading import Reading
 from .files.reading import read
 from .scoring import GROUND, NEVER_CLASSIFIED
@@ -105,7 +106,11 @@ def folder(
     for part, some in found.items():
         if not some:
             raise InputError(f"splits: no file of {root} is in {part!r}; there are {', '.join(names[:20])}")
-    return Labelled(dict(zip(names, files, strict=True)), tuple(ground), tuple(ignore), found, reading)
+    classes = np.arange(256, dtype=np.uint8)
+    classes[GROUND] = 1  # an object, unless it is listed
+    classes[list(class_numbers(ground))] = GROUND
+    classes[list(class_numbers(ignore))] = NEVER_CLASSIFIED
+    return Labelled(dict(zip(names, files, strict=True)), classes, found, reading)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,7 +119,7 @@ class Labelled(Mapping[str, PointCloud]):
 
     Attributes:
         paths: of the files.
-        ground, ignore: classes that are ground, and classes without a reference.
+        classes: u8[256], what each class counts as: 2 = ground, 0 = without a reference.
         splits: names of the clouds in each part.
         reading: how they are read.
 
@@ -124,8 +129,7 @@ class Labelled(Mapping[str, PointCloud]):
     """
 
     paths: dict[str, Path]
-    ground: tuple[int, ...]
-    ignore: tuple[int, ...]
+    classes: np.ndarray
     splits: dict[str, tuple[str, ...]]
     reading: Reading
 
@@ -133,11 +137,7 @@ class Labelled(Mapping[str, PointCloud]):
         cloud = _read(self.paths[name], self.reading)
         if cloud.classification is None:
             return cloud
-        of_class = np.arange(256, dtype=np.uint8)
-        of_class[GROUND] = 1  # an object, unless it is ground or without a reference
-        of_class[list(self.ground)] = GROUND
-        of_class[list(self.ignore)] = NEVER_CLASSIFIED
-        classes = of_class[cloud.classification]
+        classes = self.classes[cloud.classification]
         return dataclasses.replace(cloud, classification=classes, reference=classes == GROUND)
 
     def __iter__(self) -> Iterator[str]:

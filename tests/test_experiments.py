@@ -19,10 +19,12 @@ from experiments.ablations import run as ablations  # noqa: E402
 from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import ops as bench_ops  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
+from experiments.benchmark import run as benchmark  # noqa: E402
 from experiments.default import doubt  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
 from experiments.failures import cuts  # noqa: E402
 from experiments.failures import run as failures  # noqa: E402
+from experiments.fits import run as fits  # noqa: E402
 from experiments.isprs import protocols, samples, search, spaces, tables  # noqa: E402
 from experiments.isprs import run as isprs  # noqa: E402
 from experiments.mutations import kinds as mutations  # noqa: E402
@@ -992,3 +994,42 @@ def test_labels_are_counted_on_clouds_that_tell_methods_apart():
     assert len(set(found.values())) == 3
     cloud = labels.clouds()[0]
     assert found["smrf"].split()[0] == str(int(jf.SMRF.for_cloud(cloud)(cloud).ground.sum()))
+
+
+def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    given = [str(two_samples / "isprs"), "--out", str(tmp_path), "--methods", "smrf", "pmf", "--repeats", "0"]
+    with pytest.warns(jf.JaxfilterWarning, match="2 clouds cannot give p below"):
+        benchmark.main(given)
+    rows = report.read_csv(tmp_path / "runs.csv")
+    assert {(row["method"], row["cloud"]) for row in rows} == {
+        (m, c) for m in ("SMRF", "PMF") for c in ("samp52", "samp53")
+    }
+    page, cloud = (tmp_path / "results.md").read_text(), jf.read(two_samples / "isprs" / "samp53.txt")
+    total = jf.evaluate(jf.SMRF.for_cloud(cloud)(cloud), cloud).total
+    assert next(row["total"] for row in rows if (row["method"], row["cloud"]) == ("SMRF", "samp53")) == pytest.approx(
+        total
+    )
+    assert f"{total:.2f}" in page and "Kappa, %" in page and (tmp_path / "totals.png").stat().st_size > 1000
+    assert (tmp_path / "tables.tex").read_text().count(r"\toprule") == 5
+    with pytest.raises(SystemExit, match="holds no file"):
+        benchmark.main([str(tmp_path / "cache"), "--out", str(tmp_path)])
+
+
+def test_fits_leave_each_site_out_and_go_on_where_they_were(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "data" / "isprs"
+    folder.mkdir(parents=True)
+    for name, of in (("samp11", "samp52"), ("samp21", "samp53"), ("samp31", "samp53")):
+        (folder / f"{name}.txt").write_bytes((two_samples / "isprs" / f"{of}.txt").read_bytes())
+    monkeypatch.setattr(fits, "SETS", {"smrf": 4, "pmf": 4})
+    given = ["--data", str(folder.parent), "--out", str(tmp_path), "--samples", "11", "21", "31"]
+    fits.main([*given, "--methods", "smrf", "--steps", "2"])
+    rows = report.read_csv(tmp_path / "runs.csv")
+    assert [row["way"] for row in rows] == 3 * list(fits.WAYS)
+    cloud = jf.read(folder / "samp21.txt")
+    start = next(row for row in rows if (row["sample"], row["way"]) == ("samp21", "start"))
+    assert start["total"] == pytest.approx(jf.evaluate(jf.SMRF()(cloud), cloud).total)
+    monkeypatch.setattr(jf, "fit", None)
+    fits.main([*given, "--methods", "smrf"])
+    assert report.read_csv(tmp_path / "runs.csv") == rows

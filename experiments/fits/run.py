@@ -172,8 +172,8 @@ def page(rows: list[Row], command: str) -> str:
         "`fit` holds out thirds of the other sites to know when to stop, and returns the start where they show no gain above "
         "its standard error. `calibrate` are its two rounds, judged by the mean over the clouds; random search takes the best. "
         f"A search tries {' or '.join(f'{n} sets ({m.upper()})' for m, n in SETS.items())}, to take about as long as a fit. "
-        "CPU seconds: median of the sites left out; those of the random search hold the compilation of the method, which is "
-        "done before the others. SMRF's defaults are those that its authors found best for all 15 samples "
+        "CPU seconds are the median of the sites left out; those of the random search hold the compilation of the method, which "
+        "is done before the others. SMRF's defaults are those that its authors found best for all 15 samples "
         "together, with their labels: what is found on some of them starts from a set that has seen the rest.",
     ]
     methods = list(dict.fromkeys(row["method"] for row in rows))

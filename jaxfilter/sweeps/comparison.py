@@ -233,17 +233,22 @@ def compare(
         for part, name in enumerate(named):
             report((done + part / len(named)) / len(of_name), f"{place}, {name}")
             facts = {"method": name, "cloud": place, "points": len(cloud)}
-            tried = [facts | _row(one, cloud, repeats, cell, workers) for one in named[name]]
-            found[name, place] = [row | {"group": group[place]} for row in tried]
+            end = {"group": group[place]}
+            found[name, place] = [facts | _row(one, cloud, repeats, cell, workers) | end for one in named[name]]
     report(1.0, "done")
     rows = []
     for name, place in itertools.product(named, of_name):
-        others = [found[name, other] for other in of_name if group[other] != group[place]]
-        means = np.array([[cost(row[choose], choose) for row in tried] for tried in others]).reshape(
-            -1, len(named[name])
-        )
-        best = 0 if means.shape[1] == 1 else int(np.argmin(np.nan_to_num(means.mean(axis=0), nan=np.inf)))
-        rows.append(found[name, place][best])
+        tried, best = found[name, place], 0
+        if len(tried) > 1:
+            others = [found[name, other] for other in of_name if group[other] != group[place]]
+            costs = np.array([[cost(row[choose], choose) for row in other] for other in others])
+            costs = costs[~np.isnan(costs).all(axis=1)]  # the others have no reference
+            if not len(costs):
+                raise InputError(
+                    f"compare: no cloud outside of the group {group[place]} has a reference to choose {name} by"
+                )
+            best = int(np.argmin(np.nan_to_num(costs, nan=np.inf).mean(axis=0)))
+        rows.append(tried[best])
     return Comparison(pandas.DataFrame(rows))
 
 
