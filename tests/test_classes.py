@@ -169,6 +169,9 @@ class Level(Filter):
         )
 
 
+del jf.FILTERS["level"]  # no method for other tests
+
+
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
     folder = tmp_path_factory.mktemp("survey")

@@ -261,7 +261,7 @@ def test_classes_of_a_survey_are_kept_and_have_no_influence(folder, survey, meth
 def test_classes_before_and_after_are_printed_and_can_be_judged(folder, survey):
     plain = ground(folder, source="survey.las", target="out.las", method="smrf").stdout
     rows = [line.split() for line in plain.splitlines()]
-    assert ["9", "kept", f"{(survey == 9).sum():,}"] in rows
+    assert ["9", "water", "kept", f"{(survey == 9).sum():,}"] in rows
     assert "points that were not judged keep class 2; the file now has " in " ".join(plain.split())
     every = ("--ignore-class", "none", "--returns", "all", "--keep-withheld")
     report = json.loads(ground(folder, *every, "--json", source="survey.las", target="all.las", method="smrf").stdout)
