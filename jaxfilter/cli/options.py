@@ -58,28 +58,20 @@ PRESET_OF_CLASSES = option(
     click.Choice(["ground", "usgs", "las14"]),
     default="ground",
 )
+_PLANTS = "Metres from which what is nothing else is low, medium and high vegetation (3, 4, 5)."
 WRITTEN = [
     PRESET_OF_CLASSES,
     option("--ground-class", "Class for ground points.", CLASS, default=2),
     option("--other-class", "Class for judged points that lose their class.", CLASS, default=1),
     option(
-        "--reset",
-        "Which classes points lose that are judged non-ground.",
-        click.Choice(["ground", "all", "none"]),
-        default="ground",
+        "--reset", "Which classes judged non-ground loses.", click.Choice(["ground", "all", "none"]), default="ground"
     ),
     option("--only-ground", "Mark ground and leave every other class as it is.", bool),
     option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
     option("--high-noise-class high_noise", "Class for single echoes far above all around (ASPRS: 18).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),
     option("--bridge-class bridge", "Class for points of decks (ASPRS: 17), by methods that find them.", CLASS),
-    option(
-        "--vegetation-classes vegetation",
-        "Metres above ground from which points that are nothing else are low, medium and high vegetation (3, 4, 5).",
-        float,
-        nargs=3,
-        metavar="LOW MEDIUM HIGH",
-    ),
+    option("--vegetation-classes vegetation", _PLANTS, float, nargs=3, metavar="LOW MEDIUM HIGH"),
     option("--unjudged-class unjudged", "Class for points of class 0 that are not judged.", CLASS),
     option("--overlap-flag", "Judged points of class 12 get another class, and the overlap flag instead.", bool),
 ]

@@ -122,11 +122,6 @@ def set_classes(records: np.ndarray, point_format: int, values: np.ndarray) -> N
         records[:, 16] = values
 
 
-def set_overlap(records: np.ndarray, marked: np.ndarray) -> None:
-    """Put the overlap flag on some points, bool[n], of point formats 6 to 10."""
-    records[marked, 15] |= 8
-
-
 def attributes(records: np.ndarray, point_format: int) -> dict[str, np.ndarray]:
     """The columns of a cloud, [n] each: echoes, classes, flags; overlap for point formats 6 to 10."""
     number, total = echoes(records, point_format)

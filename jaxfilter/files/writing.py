@@ -267,7 +267,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         old = records.classes(chunk, number)
         new = labels.classes(old, rows)
         if labels.rule.overlap_flag and number >= 6:
-            records.set_overlap(chunk, (old == OVERLAP_CLASS) & (new != old))
+            chunk[(old == OVERLAP_CLASS) & (new != old), 15] |= 8
         records.set_classes(chunk, number, new)
         for name, dimension in existing.items():
             values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])

@@ -315,12 +315,7 @@ def panel(cloud: PointCloud, result: FilterResult | np.ndarray, reference: np.nd
 
 
 def top_of(cloud: PointCloud, cell: float | None = None) -> tuple[np.ndarray, Grid]:
-    """The surface on top of all valid points, as :func:`rasterise` makes that below them.
-
-    >>> z, grid = jf.plots.maps.top_of(cloud, 2.0)
-    >>> bool(z.max() > cloud.xyz[truth, 2].max())
-    True
-    """
+    """The surface on top of all valid points, as :func:`rasterise` makes that below them."""
     z, grid = rasterise(cloud.xyz[_valid(cloud)] * np.array([1, 1, -1], np.float32), cell)
     return -z, grid
 
