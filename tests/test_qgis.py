@@ -97,6 +97,8 @@ def test_choices_are_those_of_the_library():
         ),
         ("products", {"INPUT": ["/1"], "CLASSIFIED": True, "CELL": 1.0, "OUTPUT": "/o/"},
          ["products", "/1", "/o/", "--classified", "2"]),
+        ("products", {"INPUT": ["/1"], "ONLY": [""], "MEMORY": "", "OUTPUT": "/o/"}, ["products", "/1", "/o/"]),  # of widgets
+        ("ground", {"INPUT": ["/1"], "EXTRA": [""], "MORE": "", "OUTPUT": "/o/"}, ["ground", "/1", "/o/"]),
         ("review", {"INPUT": ["/1"], "GROUND_CLASS": 8, "OUTPUT": "/p.gpkg"}, ["review", "/1", "/p.gpkg", "--classified", "8"]),
         ("apply", {"PLACES": "/p.gpkg", "FOLDER": "/in"}, ["apply", "/p.gpkg", "/in"]),
         ("accuracy", {"INPUT": ["/1"], "MODEL": "/d.tif", "CHECKPOINTS": "/c.csv", "OUTPUT": "/o.html"},
@@ -140,7 +142,7 @@ print("warning: \\u00fc", file=sys.stderr); print("in.laz: 50 % of 2 points")"""
     feedback = Feedback()
     assert command.run(python(code), feedback)
     assert feedback.share == 42.0
-    assert [name for name, _ in feedback.said] == ["setProgressText", "pushWarning", "pushInfo"]
+    assert [name for name, _ in feedback.said] == ["setProgressText", "pushWarning", "pushConsoleInfo"]
     assert feedback.said[1][1] == "warning: ü"
 
 
@@ -161,7 +163,7 @@ def test_a_line_of_progress_of_the_command_is_understood(capsys):
             "a.laz: no\nfile",
         ),
         ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
-        ("import sys; sys.exit(3)", "jaxfilter ended with code 3 and said nothing"),
+        ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
         ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
     ],
 )
@@ -191,7 +193,7 @@ def test_variables_of_qgis_are_kept_from_the_command(monkeypatch):
     assert command.run(
         python("import os; print(sorted(v for v in os.environ.values() if v in ('/of/qgis', 'kept')))"), feedback
     )
-    assert feedback.said == [("pushInfo", "['kept']")]
+    assert feedback.said == [("pushConsoleInfo", "['kept']")]
 
 
 def test_the_command_is_found_by_its_setting_or_path_and_else_pip_is_named(tmp_path, monkeypatch):
@@ -477,17 +479,18 @@ def test_places_are_listed_carried_out_and_stated_in_qgis(qgis, survey, tmp_path
     frame = geopandas.read_file(places)
     las = laspy.read(tmp_path / "known" / "a.laz")
     ground = np.asarray(las.classification) == 2
-    middle = np.argmin(np.hypot(las.x - las.x[ground].mean(), las.y - las.y[ground].mean()) + 1e6 * ~ground)
+    x, y = np.asarray(las.x), np.asarray(las.y)
+    middle = np.argmin(np.hypot(x - x.mean(), y - y.mean()) + 1e6 * ~ground)
     import shapely
 
-    box = shapely.Point(las.x[middle], las.y[middle]).buffer(8)
+    box = shapely.Point(x[middle], y[middle]).buffer(8)
     row = {name: (frame[name].iloc[0] if len(frame) else None) for name in frame.columns if name != "geometry"}
     decided = geopandas.GeoDataFrame([row | {"rank": 1, "verdict": "object"}], geometry=[box], crs="EPSG:25832")
     decided.to_file(tmp_path / "decided.gpkg", layer="review")
     before = (tmp_path / "known" / "b.laz").read_bytes()
     code, _, said = run_algorithm(qgis, "apply", PLACES=tmp_path / "decided.gpkg", FOLDER=tmp_path / "known")
     assert code == 0, said
-    inside = shapely.intersects_xy(box, np.asarray(las.x), np.asarray(las.y))
+    inside = shapely.intersects_xy(box, x, y)
     assert (ground & inside).any() and not (classes(tmp_path / "known" / "a.laz")[inside] == 2).any()
     assert (tmp_path / "known" / "b.laz").read_bytes() == before
     subprocess.run([COMMAND, "dtm", tmp_path / "known", tmp_path / "dtm.tif"], check=True)

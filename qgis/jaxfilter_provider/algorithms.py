@@ -57,7 +57,7 @@ BY_DATA = "The default is set up for the data. For the others, what depends on p
 AREA = "Only points in these polygons are written. Labels and heights are those of the whole survey."
 DOUBT = "In metres or degrees. Doubt is the chance that a label is wrong; the default method and ost have it."
 ONE_FILE = "Then no folder is made. A file that ends in .copc.laz opens in QGIS from 3.26 on without an index."
-STATE = "Outputs state it; nothing is reprojected."
+COLUMNS = "x, y, z, and if you like land_cover and vertical_datum"
 # fmt: off
 method = partial(Parameter, "METHOD", "choice", "Method", default="default", tip=BY_DATA, choices=["default", *METHODS])
 CLOUDS = [
@@ -65,7 +65,7 @@ CLOUDS = [
     Parameter("FOLDER", "folder", "Points: or a folder of files", "{}"),
 ]
 STATED = [
-    advanced("CRS", "crs", "CRS of files that state none", "--crs {}", tip=STATE),
+    advanced("CRS", "crs", "CRS of files that state none", "--crs {}", tip="Outputs state it; nothing is reprojected."),
     advanced("UNITS", "choice", "Units of X, Y and Z", "--units {}", UNITS[0], choices=UNITS),
 ]
 READING = [
@@ -78,6 +78,7 @@ CLASSES = [
     advanced("GROUND_CLASS", "class", "Class for ground points", "--ground-class {}", 2),
     advanced("OTHER_CLASS", "class", "Class for points that are no ground any more", "--other-class {}", 1),
 ]
+CLASSIFIED = advanced("GROUND_CLASS", "class", "Class of ground points", "--classified {}", 2)
 MORE = advanced("MORE", "words", "Further options of the command, as on the command line", tip="See jaxfilter COMMAND --help.")
 LIMITS = [
     advanced("WORKERS", "count", "Number of processes", "--workers {}"),
@@ -116,7 +117,7 @@ ALGORITHMS = [
         Result("OUTPUT", "survey.html", "", "PAGE"),
     ]),
     Algorithm("review", "List places to check", "review INPUT FOLDER OUTPUT", [
-        *CLOUDS, advanced("GROUND_CLASS", "class", "Class of ground points", "--classified {}", 2), *STATED, *RUN,
+        *CLOUDS, CLASSIFIED, *STATED, *RUN,
         needed("OUTPUT", "new places", "List of places", "{}"),
     ], [Result("OUTPUT", "", "places")]),
     Algorithm("apply", "Apply verdicts", "apply PLACES INPUT FOLDER", [
@@ -125,8 +126,8 @@ ALGORITHMS = [
     ]),
     Algorithm("accuracy", "State the accuracy", "accuracy INPUT FOLDER MODEL OUTPUT", [
         *CLOUDS, needed("MODEL", "raster", "Terrain model", "{}"),
-        Parameter("CHECKPOINTS", "table", "Check points (CSV)", "--checkpoints {}"),
-        MORE,
+        Parameter("CHECKPOINTS", "table", "Check points (CSV)", "--checkpoints {}", tip=COLUMNS),
+        CLASSIFIED, *STATED, *RUN,
         needed("OUTPUT", "new page", "Statement", "{}"),
     ]),
 ]
@@ -139,9 +140,11 @@ def words(parameter: Parameter, value: Any) -> list[str]:
         return shlex.split(value or "", posix=os.name != "nt")
     if value is False or value in (None, "", []) or (value == parameter.default and parameter.words != "{}"):
         return []
-    values = value if isinstance(value, (list, tuple)) else [value]
+    values = [
+        one for one in (value if isinstance(value, (list, tuple)) else [value]) if one != ""
+    ]  # '' of empty widgets
     if parameter.kind == "list":
-        values = [",".join(values)]
+        values = [",".join(values)] * bool(values)
     return [word.replace("{}", str(one)) for one in values for word in parameter.words.split()]
 
 

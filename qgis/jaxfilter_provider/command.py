@@ -69,7 +69,12 @@ def run(line: Sequence[str], feedback: Any) -> bool:
         except subprocess.TimeoutExpired:
             process.kill()
     if process.returncode and ended:
-        raise CommandError(_error(said) or f"{NAME} ended with code {process.returncode} and said nothing")
+        error = (
+            "\n".join(said[-40:]).rpartition("Error: ")[2]
+            or f"it ended with code {process.returncode} and said nothing"
+        )
+        other = error.startswith(("No such option", "No such command"))
+        raise CommandError(f"{error}\n{OTHER}" if other else error)
     return ended
 
 
@@ -87,11 +92,4 @@ def tell(text: str, feedback: Any) -> None:
         feedback.setProgress(float(share[1]))
         feedback.setProgressText(text)
     else:
-        (feedback.pushWarning if text.startswith("warning: ") else feedback.pushInfo)(text)
-
-
-def _error(said: Sequence[str]) -> str:
-    """The error among lines of the command; without one, the last lines."""
-    _, found, error = "\n".join(said).rpartition("Error: ")
-    other = error.startswith(("No such option", "No such command"))
-    return f"{error}\n{OTHER}" if other else error if found else "\n".join(said[-20:])
+        (feedback.pushWarning if text.startswith("warning: ") else feedback.pushConsoleInfo)(text)

@@ -128,15 +128,14 @@ class Command(core.QgsProcessingAlgorithm):
     icon = Provider.icon
 
     def shortHelpString(self) -> str:
-        return (HERE / "help" / f"{self.declared.name}.html").read_text(encoding="utf-8")
+        return " ".join((HERE / "help" / f"{self.declared.name}.html").read_text(encoding="utf-8").split())
 
     def initAlgorithm(self, configuration: Any = None) -> None:
         for one in self.declared.parameters:
             self.addParameter(made(one))
+        kinds = {"tif": core.QgsProcessingOutputRasterLayer, "tml": core.QgsProcessingOutputHtml}
         for result in (one for one in self.declared.results if one.name):
-            raster = result.pattern.endswith("tif")
-            kind = core.QgsProcessingOutputRasterLayer if raster else core.QgsProcessingOutputHtml
-            self.addOutput(kind(result.name, result.pattern))
+            self.addOutput(kinds[result.pattern[-3:]](result.name, result.pattern))
 
     def canExecute(self) -> tuple[bool, str]:
         try:
@@ -147,8 +146,10 @@ class Command(core.QgsProcessingAlgorithm):
     def checkParameterValues(self, parameters: dict[str, Any], context: Any) -> tuple[bool, str]:
         if not parameters.get("INPUT") and not parameters.get("FOLDER"):
             return False, "Name the points: choose layers or files, or a folder of files"
-        # without the INPUT, whose files QGIS would load and index
-        return super().checkParameterValues({**parameters, "INPUT": None}, context)
+        return super().checkParameterValues({**parameters, "INPUT": None}, context)  # QGIS would load and index it
+
+    def validateInputCrs(self, parameters: dict[str, Any], context: Any) -> bool:
+        return True  # the command checks them
 
     def prepareAlgorithm(self, parameters: dict[str, Any], context: Any, feedback: Any) -> bool:
         """Look up the files of layers, which belong to the main thread."""
@@ -172,8 +173,7 @@ class Command(core.QgsProcessingAlgorithm):
         if parameters.get(one.name) is None and (one.default is None or one.kind.startswith("new ")):
             return None
         value = getattr(self, f"parameterAs{read}")(parameters, one.name, context)
-        if one.kind == "crs":
-            return value.authid() or value.toWkt()
+        value = value.authid() or value.toWkt() if one.kind == "crs" else value
         return os.path.join(value, "") if one.kind == "new folder" else value
 
     def processAlgorithm(self, parameters: dict[str, Any], context: Any, feedback: Any) -> dict[str, Any]:
@@ -193,14 +193,13 @@ class Command(core.QgsProcessingAlgorithm):
                 if result.name and paths:
                     outputs[result.name] = paths[0]
                 _load(result, paths, values.get("LOAD"), context, feedback)
-        return {name: value for name, value in outputs.items() if value}
+        return {name: value for name, value in outputs.items() if value and os.path.exists(value)}
 
 
 def _file_of(value: Any, context: Any) -> str:
     """The file of a layer, or of its id or name in the project; any other text is that of a file."""
-    layer = value
-    if not isinstance(value, core.QgsMapLayer):
-        layer = core.QgsProcessingUtils.mapLayerFromString(str(value), context, False)
+    of_project = core.QgsProcessingUtils.mapLayerFromString
+    layer = value if isinstance(value, core.QgsMapLayer) else of_project(str(value), context, False)
     if layer is None:
         return str(value).split("|")[0]
     if layer.isEditable() and layer.isModified():

@@ -24,9 +24,11 @@
   <fieldConfiguration>
     <field name="verdict">
       <editWidget type="ValueMap">
-        <config><Option type="Map"><Option name="map" type="List"><Option type="Map"><Option name="not decided" type="QString" value="{2839923C-8B7D-419E-B84B-CA2FE9B80EC7}"/></Option><Option type="Map"><Option name="ground" type="QString" value="ground"/></Option><Option type="Map"><Option name="object" type="QString" value="object"/></Option><Option type="Map"><Option name="bridge" type="QString" value="bridge"/></Option><Option type="Map"><Option name="water" type="QString" value="water"/></Option><Option type="Map"><Option name="fine" type="QString" value="fine"/></Option></Option></Option></config>
+        <config><Option type="Map"><Option name="map" type="List"><Option type="Map"><Option name="not decided" type="QString" value=""/></Option><Option type="Map"><Option name="ground" type="QString" value="ground"/></Option><Option type="Map"><Option name="object" type="QString" value="object"/></Option><Option type="Map"><Option name="bridge" type="QString" value="bridge"/></Option><Option type="Map"><Option name="water" type="QString" value="water"/></Option><Option type="Map"><Option name="fine" type="QString" value="fine"/></Option></Option></Option></config>
       </editWidget>
     </field>
   </fieldConfiguration>
-  <attributetableconfig sortExpression="&quot;rank&quot;" sortOrder="0"/>
+  <attributetableconfig sortExpression="&quot;rank&quot;" sortOrder="0">
+    <columns><column type="field" name="fid" hidden="1" width="-1"/><column type="field" name="rank" hidden="0" width="60"/><column type="field" name="verdict" hidden="0" width="110"/><column type="field" name="reason" hidden="0" width="300"/><column type="field" name="area" hidden="0" width="80"/><column type="field" name="volume" hidden="0" width="80"/><column type="field" name="chance" hidden="0" width="80"/><column type="field" name="x" hidden="0" width="100"/><column type="field" name="y" hidden="0" width="100"/></columns>
+  </attributetableconfig>
 </qgis>
