@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from .sweeps.fit import Fit, fit
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
+    from .terrain.breaklines import breaklines
     from .terrain.interpolation import Interpolation
     from .terrain.layers import chm, contours, count, density, dsm, hillshade, voids
     from .terrain.models import dtm, height_above_ground
@@ -57,7 +58,7 @@ _HOMES = {
     "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
     ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("chm", "contours",
     "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
-    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("Batch", "batch"),
+    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("Batch", "batch"), "terrain.breaklines": ("breaklines",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -66,7 +67,7 @@ __all__ = [
     "FILTERS", "FPTD", "Filter", "FilterResult", "Fit", "ForkError", "GroundFilter", "HeightErrors", "IPTD", "InputError",
     "Interpolation", "JaxfilterError", "JaxfilterWarning", "MSF", "OST", "OutputError", "PMF", "PPDF", "PTD", "PTDF",
     "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status",
-    "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "calibrate", "chm", "citation",
+    "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm", "citation",
     "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
     "evaluate", "fit", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
     "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",

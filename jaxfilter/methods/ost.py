@@ -10,10 +10,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.filter import Filter, Labels, of_scene, stage
+from ..core.filter import Filter, Labels, degenerate, of_scene, stage
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
-from ..core.result import Decision, Progress
+from ..core.result import Decision, Progress, silent
 from ..engines.grid.morphology import dilation
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
@@ -29,8 +29,9 @@ from ..steps.objects import Roofs, Segments
 from ..steps.outliers import lowest_few, pits
 from ..steps.pruning import Scatter, prune
 from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
-from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, steepest_drops
-from ..steps.voids import filled_by
+from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
+from ..steps.voids import filled_by, sunk
+from ..steps.water import AFLOAT, SURFACE, waters
 from .papers import bibtex
 
 PASSES = 2
@@ -95,6 +96,10 @@ class OST(Filter):
 
     Of more than 30 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.
+
+    Of lidar from the air, points of bridge decks are marked as ``deck`` and never become ground, nor does what stands on water;
+    points of the surface of water are marked as ``water`` and stay ground (:mod:`jaxfilter.steps.decks`,
+    :mod:`jaxfilter.steps.water`).
 
     The result's ``height`` and ``slope`` are metres and degrees over the final triangulation, for ground over the facet that
     took it in; ``margin`` is metres from the limit of the last test, above zero for what is no ground. ``doubt`` is the
@@ -220,26 +225,22 @@ class OST(Filter):
         rough = look_up(points.xyz, scene.cells, rock.astype(np.float32))[0] if rock.any() else np.float32(0)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
-        deck = self.decks(scene, objects, spacing)
-        level = (
-            look_up(points.xyz, scene.cells, deck)[0]
-            if np.isfinite(deck).any()
-            else np.full(len(points), np.nan, np.float32)
-        )
-        on_deck = points.xyz[:, 2] > level - np.float32(self.roof_step)
-        del scene, objects, drop, rock, landscape, inside, deck  # none is needed while the ground grows
-        seeds = lowest[~in_object[lowest] & ~on_deck[lowest]]
+        crossed = self.crossed(scene, objects, points, spacing)
+        deck, level, clear = crossed.at(points.xyz, scene.cells)
+        apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
+        del scene, objects, drop, rock, landscape, inside, crossed  # none is needed while the ground grows
+        seeds = lowest[~in_object[lowest] & ~apart[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
         limits, kept = self.limits(spacing, around, rough), ("margin", "height", "slope")
-        height, distance = float(limits.first.height), np.where(on_deck, np.float32(-1), limits.then.distance)
+        height, distance = float(limits.first.height), np.where(apart, np.float32(-1), limits.then.distance)
         growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
         with GroundTin.start(network, growth, workers=workers) as ground:
             ground.margin.fill(0)
-            ground.change(growth.rule, but=low | on_deck)
+            ground.change(growth.rule, but=low | apart)
             ground.step()
             ground.change(limits.then._replace(distance=distance))
             grow(ground, self.rounds, lambda share, step: progress(0.5 + 0.3 * share, step))
@@ -257,10 +258,11 @@ class OST(Filter):
             labels = Labels(ground.ground, ground.height, ground.slope, margin=ground.margin, barred=low)
             if crowd is not None:
                 labels, seeds, own = crowd.labels(ground, low, LOW_DEPTH), crowd.rows[seeds], crowd.own
-                in_object, steepness, around, level = in_object[own], steepness[own], around[own], level[own]
-                points = crowd.every
+                in_object, steepness, around = in_object[own], steepness[own], around[own]
+                points, deck, level = crowd.every, deck[own], level[own]
                 scatter = Scatter(*(values[own] for values in scatter))
-        labels.deck = np.abs(points.xyz[:, 2] - level) < np.float32(self.roof_step)
+        labels.deck = ~labels.ground & (np.abs(points.xyz[:, 2] - deck) < np.float32(self.roof_step))
+        labels.water = labels.ground & (np.abs(points.xyz[:, 2] - level) < SURFACE)
         if points.kept is None:
             labels.doubt = doubts(labels, scatter, steepness, around, height)
         progress(1.0, "done")
@@ -308,16 +310,43 @@ class OST(Filter):
         progress(0.2, "openings")
         return Openings(low, lowest, cells, z, highest_in(points.xyz, cells), *self.drops(z, inside, cells))
 
-    def decks(self, scene: Openings, objects: np.ndarray, spacing: float) -> np.ndarray:
-        """f32[rows, columns], of the padded shape: elevation of bridge decks, metres, NaN elsewhere. Photographs and scans from
-        a car do not show what is beneath."""
-        found, segments = np.full(objects.shape, np.nan, np.float32), scene.segments
+    def crossed(self, scene: Openings, objects: np.ndarray, points: Points, spacing: float) -> Crossings:
+        """Water and bridge decks. Photographs and scans from a car do not show what is beneath, nor what a void is."""
+        segments = scene.segments
         rows, columns = segments.z.shape
-        if self.sensor in (AIRBORNE, DRONE):
-            lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
-            given = segments.z, objects[:rows, :columns], segments.seen, segments.inside
-            found[:rows, :columns] = decks(*given, lengths)
-        return found
+        deck, level = (np.full(objects.shape, np.nan, np.float32) for _ in range(2))
+        if self.sensor not in (AIRBORNE, DRONE):
+            return Crossings(deck, level, level, np.zeros((rows, columns), np.int32))
+        inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
+        z = sunk(segments.z, segments.seen | ~inside, self.cell, spacing)
+        lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
+        deck[inner] = decks(z, objects[inner], inside, lengths)
+        others = objects[inner] & np.isnan(deck[inner])
+        number = number_in(points, scene.cells)
+        body, level[inner], apart = waters(z, inside & np.isnan(deck[inner]), number, others, self.cell)
+        clear = np.where(
+            np.pad(apart, [(0, n - m) for n, m in zip(level.shape, apart.shape, strict=True)]), level, np.nan
+        )
+        return Crossings(deck, level, clear, body)
+
+    def waters(self, cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, tuple[float, ...]]:
+        """i32[rows, columns], which water body each cell is in, 0 for none; f32[rows, columns], the elevation of its surface,
+        local metres; and x and y of the south-western corner and side of a cell, local metres. No labels are made.
+
+        >>> body, level, (x, y, cell) = jf.OST().waters(cloud)
+        >>> body.shape == level.shape, bool((body == 0).all())
+        (True, True)
+        """
+        points = self.points_of(cloud)
+        if degenerate(cloud, points) is not None:
+            return np.zeros((1, 1), np.int32), np.full((1, 1), np.nan, np.float32), (0.0, 0.0, self.cell)
+        spacing = points.spacing() if self.spacing is None else self.spacing
+        crowd = Crowd.of(points)
+        points = points if crowd is None else crowd.points
+        scene = self.scene(points, spacing, None, silent)
+        crossed = self.crossed(scene, self.objects(scene)[0], points, spacing)
+        rows, columns = crossed.body.shape
+        return crossed.body, crossed.level[:rows, :columns], tuple(float(v) for v in scene.cells.frame)
 
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
@@ -407,6 +436,27 @@ class Openings(NamedTuple):
     steepest: np.ndarray
     segments: Segments
     landscape: Landscape
+
+
+class Crossings(NamedTuple):
+    """Bridge decks, and water.
+
+    Attributes:
+        deck: f32[rows, columns], of the padded shape of the cells: elevations of decks, metres, NaN where there is none.
+        level: f32[rows, columns], those of the surface of water, also below what stands on it; clear: NaN at the shore, too.
+        body: i32[rows, columns], without padding: which water body a cell is in, 0 for none.
+    """
+
+    deck: np.ndarray
+    level: np.ndarray
+    clear: np.ndarray
+    body: np.ndarray
+
+    def at(self, xyz: np.ndarray, cells: Cells) -> list[np.ndarray]:
+        """f32[n] each: elevations of decks, of water, and of water without the shore, at points f32[n, 3]."""
+        if np.isnan(self.deck).all() and np.isnan(self.level).all():
+            return [np.full(len(xyz), np.nan, np.float32)] * 3
+        return look_up(xyz, cells, self.deck, self.level, self.clear)
 
 
 @of_scene.register(OST)

@@ -19,12 +19,10 @@ JOIN = 0.6
 """Metres from one cell to the next that are no fall: less than what a fall of :data:`HIGH` has where it takes three cells."""
 LAND = 20.0
 """Square metres of ground that are more than a gap between objects."""
-LOW = 25.0
-"""Metres around a place in a void within which the lowest point counts."""
 
 
 def decks(
-    z: np.ndarray, objects: np.ndarray, seen: np.ndarray, inside: np.ndarray, lengths: tuple[float, float, float, float]
+    z: np.ndarray, objects: np.ndarray, inside: np.ndarray, lengths: tuple[float, float, float, float]
 ) -> np.ndarray:
     """f32[rows, columns]: elevation of the bridge decks in a surface of lowest points, metres, NaN where there is none.
 
@@ -35,15 +33,15 @@ def decks(
     edge, and have its elevation.
 
     Args:
-        z: f32[rows, columns], metres, none missing. objects: bool[rows, columns], cells that are none of the ground.
-        seen, inside: bool[rows, columns], cells with points, and cells that the data surround.
+        z: f32[rows, columns], metres, none missing, voids at the lowest elevation around.
+        objects: bool[rows, columns], cells that are none of the ground.
+        inside: bool[rows, columns], cells that the data surround.
         lengths: metres: side of a cell, spacing of the points, step between cells of one segment, width of the widest deck.
     """
     from ..engines.grid.shapes import flanks, segments  # imports Numba
 
     cell, spacing, step, widest = lengths
     none = np.full(z.shape, np.nan, np.float32)
-    z = _hung(z, seen | ~inside, cell, spacing)
     back = max(2, math.ceil(1.5 * spacing / cell))
     across, width, fall = flanks(z, back, np.float32(widest / cell), np.float32(DROP))
     core = inside & (fall > HIGH)
@@ -83,11 +81,3 @@ def decks(
     level = np.where(good[part], z, np.float32(-np.inf))
     beside = ndimage.maximum_filter(level, 3)
     return np.where(good[part], z, np.where(beside - z > DROP, beside, none))
-
-
-def _hung(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
-    """``z`` with the lowest elevation within :data:`LOW` in voids, wider than four spacings: water lies below what is around."""
-    size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
-    closed = ndimage.binary_closing(np.pad(seen, size, constant_values=True), np.ones((size, size), bool))
-    void = ~closed[size:-size, size:-size]
-    return np.where(void, ndimage.minimum_filter(z, 2 * round(LOW / cell) + 1), z) if void.any() else z

@@ -112,6 +112,13 @@ def highest_in(xyz: np.ndarray, cells: Cells) -> np.ndarray:
     return -cell_minima(xyz, -xyz[:, 2], np.asarray(cells.frame), extent, shape).reshape(shape)
 
 
+def number_in(points: Points, cells: Cells) -> np.ndarray:
+    """i64[rows, columns], without padding: how many points are in each cell."""
+    rows, columns = (int(n) for n in cells.extent)
+    at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
+    return np.bincount(at, points.weight, rows * columns).reshape(rows, columns)
+
+
 def check_openings(cells: Cells, openings: int, points: Points, name: str) -> None:
     """Raises: InputError, which begins with ``name``, for more openings of all cells than :data:`_WORK` allows."""
     rows, columns = np.asarray(cells.extent).tolist()

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy import ndimage
 
 from ..engines.grid.inpaint import fill_nearest
 from ..engines.grid.morphology import erosion
 from ..engines.tin.triangulation import Tin
 from .surfaces import Cells
+
+AROUND = 25.0
+"""Metres around a place in a void within which the lowest point counts, where it may be water."""
 
 
 def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -29,3 +35,16 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.nd
     beneath = np.minimum(low[row, column], tin.xyz[:, 2])
     draw(x, y, tin.triangles, tin.xyz[:, 2], beneath, longest / cell, z[:rows, :columns], seen[:rows, :columns])
     return np.asarray(fill_nearest(z, seen, cells.valid)), seen[:rows, :columns]
+
+
+def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.ndarray:
+    """f32[rows, columns]: ``z`` with the lowest elevation within :data:`AROUND` in voids: water is below what is around it.
+
+    Args:
+        z: f32[rows, columns], metres, none missing. seen: bool[rows, columns], cells with points.
+        cell, spacing: metres; voids are wider than four spacings.
+    """
+    size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
+    closed = ndimage.binary_closing(np.pad(seen, size, constant_values=True), np.ones((size, size), bool))
+    void = ~closed[size:-size, size:-size]
+    return np.where(void, ndimage.minimum_filter(z, 2 * round(AROUND / cell) + 1), z) if void.any() else z

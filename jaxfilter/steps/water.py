@@ -1,0 +1,99 @@
+"""Water bodies: level cells, or voids, that lie lower than what is around them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+FLAT, STEP = 0.25, 0.2
+"""Metres between the lowest and the highest of 5 x 5 cells of water, at most, and from one cell to the next: noise of 5 cm."""
+LEVEL = 0.1
+"""Metres between their means of 5 x 5: a slope of 2.5 %."""
+CORE = 50.0
+"""Square metres of such cells, at least."""
+AREA, SLOPING = 200.0, 0.4
+"""Square metres of a water body at least, and metres between nearly all its means at most, where it has returned few of the
+pulses."""
+DENSE_AREA, DENSE_LEVEL = 1000.0, 0.15
+"""The same of a body that has as many points as land. Courtyards can be as level, but not as large."""
+THIN = 0.5
+"""Of the points on a cell beside it that a body with few points has on one."""
+RISE, RISING, FALLING = 0.15, 0.5, 0.05
+"""Metres that land is higher than water, or lower; of the cells beside a body so many are higher, at least, or lower, at most."""
+RIM = 4
+"""Cells from a body up to which others are beside it, and half the width of what stands on water."""
+SURFACE, AFLOAT = 0.15, 0.3
+"""Metres from the level of water up to which points are its surface, and from which on they are no ground."""
+
+
+def waters(
+    z: np.ndarray, known: np.ndarray, count: np.ndarray, objects: np.ndarray, cell: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Water bodies in a surface of lowest points: i32[rows, columns], which body a cell is in, 0 for none; and
+    f32[rows, columns], the elevation of the water, metres, NaN where there is none, also at objects on it, a few cells wide;
+    and bool[rows, columns], cells where nothing above that or below is ground: those without the shore.
+
+    A body is a segment of flat cells whose means differ by centimetres, or by decimetres where water has returned few of the
+    pulses; nearly all around it the surface is higher, and nowhere lower. So level meadows, which end at ditches, are none, nor
+    are car parks, which slope, nor roofs.
+
+    Args:
+        z: f32[rows, columns], metres, none missing, voids at the lowest elevation around.
+        known: bool[rows, columns], cells that the data surround. count: i64[rows, columns], points in each cell.
+        objects: bool[rows, columns], cells that are none of the ground. cell: side of a cell, metres.
+    """
+    from ..engines.grid.shapes import segments  # imports Numba
+
+    mean = ndimage.uniform_filter(z, 5)
+    clear = (_range(z) < FLAT) & (_range(mean) < LEVEL) & known
+    flat = ndimage.maximum_filter(clear, 5) & known
+    core, bodies = segments(np.where(flat, z, np.float32(np.nan)), np.float32(STEP), CORE / cell**2)
+    level = np.full(z.shape, np.nan, np.float32)
+    if bodies == 0:
+        return core, level, core > 0
+    heights = np.bincount(core.ravel(), z.ravel())[1:] / np.bincount(core.ravel())[1:]
+    rank = np.zeros(bodies + 1, np.int32)
+    rank[1 + np.argsort(-heights, kind="stable")] = np.arange(1, bodies + 1)  # at a shore the lower one counts
+    core = rank[core]
+    lowest = ndimage.minimum_filter(np.where(clear & (core > 0), mean, np.float32(np.inf)), 2 * RIM + 5)
+    shore = (core == 0) & (np.abs(z - lowest) < SURFACE) & known
+    part = np.where(shore, ndimage.maximum_filter(core, 2 * RIM + 1), core)
+    inner = (part > 0) & (ndimage.minimum_filter(part, 5) == ndimage.maximum_filter(part, 5))
+    name, mean = part[inner], mean[inner]
+    order = np.lexsort((mean, name))
+    sizes = np.bincount(name, minlength=bodies + 1)
+    first = np.minimum(np.cumsum(sizes)[:-1], max(len(name) - 1, 0))
+    low, high = (mean[order][first + (share * np.maximum(sizes[1:] - 1, 0)).astype(int)] for share in (0.05, 0.95))
+    rough, body = np.where(sizes[1:] > 0, high - low, np.inf), np.zeros_like(part)
+    for number, box in enumerate(ndimage.find_objects(part), 1):
+        if rough[number - 1] > SLOPING:
+            continue
+        box = tuple(slice(max(one.start - RIM, 0), one.stop + RIM) for one in box)
+        own = part[box] == number
+        rim = ndimage.maximum_filter(own, 2 * RIM + 1) & ~own & known[box]
+        rise = z[box][rim] - _mean(z[box], own, 2 * RIM + 1)[rim]
+        thin = rim.any() and count[box][own].mean() < THIN * count[box][rim].mean()
+        most, least = (SLOPING, AREA) if thin else (DENSE_LEVEL, DENSE_AREA)
+        higher, lower = (rise > RISE).sum(), (rise < -RISE).sum()
+        fits = rough[number - 1] <= most and own.sum() * cell**2 >= least and rim.any()
+        if fits and higher >= RISING * rim.sum() and lower <= FALLING * rim.sum():
+            body[box][own] = number
+    apart = body > 0
+    if apart.any():
+        near = ndimage.binary_closing(np.pad(body > 0, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects
+        level = np.where((body > 0) | near, _mean(z, body > 0, 2 * RIM + 1), level)
+        apart = near | (ndimage.minimum_filter((body > 0) | near, 3))
+    return body, level, apart
+
+
+def _range(z: np.ndarray) -> np.ndarray:
+    """f32[rows, columns]: metres between the lowest and the highest of 5 x 5 cells."""
+    return np.asarray(ndimage.maximum_filter(z, 5) - ndimage.minimum_filter(z, 5))
+
+
+def _mean(z: np.ndarray, on: np.ndarray, size: int) -> np.ndarray:
+    """f32[rows, columns]: the mean of ``z`` over the cells of a square window that are ``on``, NaN without any."""
+    share = ndimage.uniform_filter(on.astype(np.float64), size, mode="constant")
+    total = ndimage.uniform_filter(np.where(on, z, 0).astype(np.float64), size, mode="constant")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(share > 0.5 / size**2, total / share, np.nan).astype(np.float32)
