@@ -324,9 +324,8 @@ class OST(Filter):
         others = objects[inner] & np.isnan(deck[inner])
         number = number_in(points, scene.cells)
         body, level[inner], apart = waters(z, inside & np.isnan(deck[inner]), number, others, self.cell)
-        clear = np.where(
-            np.pad(apart, [(0, n - m) for n, m in zip(level.shape, apart.shape, strict=True)]), level, np.nan
-        )
+        clear = np.full(objects.shape, np.nan, np.float32)
+        clear[inner] = np.where(apart, level[inner], np.nan)
         return Crossings(deck, level, clear, body)
 
     def waters(self, cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, tuple[float, ...]]:
