@@ -108,7 +108,7 @@ def test_ground_grows_from_the_lowest_points_of_a_place(scene, wrong):
     hill = inside(xyz, *HILL)
     before = labelled(xyz, wrong)
     made = jf.apply(before, table(hill="ground"))
-    assert wrong[hill].mean() < 0.75 and made.ground[hill].mean() > 0.98
+    assert wrong[hill].mean() < 0.75 and made.ground[hill].mean() > 0.95
     np.testing.assert_array_equal(made.ground[~hill], wrong[~hill])
 
 

@@ -42,7 +42,7 @@ ORDERS = {
     "random": "places of the list at random",
     "points": "around isolated points",
 }
-GROUPS = ("tiles", "hard tiles", "scenes")
+GROUPS, TOGETHER = ("tiles", "scenes", "hard tiles"), "tiles and scenes"
 
 
 @dataclasses.dataclass
@@ -109,11 +109,11 @@ def around_points(site: Site, count: int, radius: float) -> geopandas.GeoDataFra
 
 
 def verdict(site: Site, shape: shapely.Geometry) -> str:
-    """What the reference says of a place: the label that most of it should change to; fine where most should not change.
+    """What the reference says of a place, by its cells of 2 m.
 
-    ``object`` if most points that are labelled ground are none; ``ground`` if in most cells of 2 m without such a point, which
-    are a tenth of the place at least, the lowest point is ground. Of both, that with more cells. Points within :data:`LEVEL` of
-    the terrain of the reference are ground, since references label some of their ground points only.
+    ``fine`` if less than a quarter of them is wrong: most points that are labelled ground are none, or there is no such point
+    and the lowest one is ground. Else ``ground`` if most cells hold ground, and ``object`` if not. Points within :data:`LEVEL` of the
+    terrain of the reference are ground, since references label some of their ground points only.
     """
     known, cloud, grid = site.known, site.known.cloud, site.grid
     x0, y0, x1, y1 = shape.bounds
@@ -127,20 +127,20 @@ def verdict(site: Site, shape: shapely.Geometry) -> str:
         return "fine"
     column, row = (np.floor(xyz[rows, :2] / grid.cell).astype(int) - (grid.left, grid.bottom)).T
     terrain = site.truth[np.clip(grid.rows - 1 - row, 0, grid.rows - 1), np.clip(column, 0, grid.columns - 1)]
-    level = np.abs(xyz[rows, 2] - terrain) * cloud.units.z <= LEVEL
-    truth, label = known.ground[rows] | level, site.result.ground[rows]
+    truth = known.ground[rows] | (np.abs(xyz[rows, 2] - terrain) * cloud.units.z <= LEVEL)
+    label = site.result.ground[rows]
     cell = np.unique(np.floor(xyz[rows, :2] * cloud.units.xy / SIDE), axis=0, return_inverse=True)[1].ravel()
     order = np.lexsort((xyz[rows, 2], cell))
-    lowest = order[np.diff(cell[order], prepend=-1) > 0]
-    labelled = np.bincount(cell, label) > 0
-    wrong, open_ = ~truth[label], truth[lowest][~labelled]
-    cut = int(labelled.sum()) if len(wrong) and wrong.mean() > 0.5 else 0
-    lost = len(open_) if len(open_) >= 0.1 * len(lowest) and open_.mean() > 0.5 else 0
-    return "fine" if cut == lost == 0 else "object" if cut > lost else "ground"
+    lowest = truth[order[np.diff(cell[order], prepend=-1) > 0]]
+    labelled, right = np.bincount(cell, label), np.bincount(cell, label & truth)
+    wrong = np.where(labelled > 0, 2 * right < labelled, lowest)
+    if wrong.mean() < 0.25:
+        return "fine"
+    return "ground" if (np.bincount(cell, truth) > 0).mean() > 0.5 else "object"
 
 
 def prepared(site: Site, path: Path) -> geopandas.GeoDataFrame:
-    """All places of a cloud in all orders, with verdicts; kept in a file."""
+    """All places of a cloud in all orders; kept in a file."""
     if path.exists():
         return read_places(path)
     places = listed(site)
@@ -153,7 +153,6 @@ def prepared(site: Site, path: Path) -> geopandas.GeoDataFrame:
     table = pd.concat(
         [one.assign(order=order) for order, one in (("list", places), ("random", random), ("points", points))]
     )
-    table["verdict"] = [verdict(site, shape) for shape in table.geometry]
     table["km2"] = area
     table.to_file(path, driver="GPKG", layer="places")
     return read_places(path)
@@ -190,15 +189,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--scenes", type=float, default=1.0, help="share of the length of scenes [%(default)s]")
     parser.add_argument("--clouds", nargs="*", default=[], help="begins of names")
     parser.add_argument("--without", nargs="*", default=[], help="begins of names of clouds that are left out")
+    parser.add_argument("--only", nargs="*", default=[], help="begins of names whose rows this process makes")
     options = parser.parse_args(given)
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
     options.work.mkdir(parents=True, exist_ok=True)
-    folder, path = samples.data_folder(options.data), options.out / "verdicts.csv"
+    folder = samples.data_folder(options.data)
     names = [n for n in cloud_names(folder) if not options.clouds or any(n.startswith(c) for c in options.clouds)]
     names = [n for n in names if not any(n.startswith(c) for c in options.without)]
-    rows: list[Row] = read_csv(path) if path.exists() else []
     sites: dict[str, Site] = {}
     known: dict[tuple[str, tuple[str, ...]], Row] = {}  # what was found with the same places
 
@@ -210,41 +209,43 @@ def main(arguments: list[str] | None = None) -> None:
 
     tables = {}
     for name in names:
-        kept = options.work / f"{name.replace(' ', '_')}.gpkg"
-        tables[name] = read_places(kept) if kept.exists() else prepared(site(name), kept)
+        path = options.work / f"{name.replace(' ', '_')}.gpkg"
+        tables[name] = prepared(site(name), path) if not path.exists() else read_places(path)
         print("places", name, len(tables[name]), file=sys.stderr, flush=True)
     every = pd.concat([table.assign(cloud=name) for name, table in tables.items()])
-    area = sum(float(table["km2"].iloc[0]) for table in tables.values())
-    done = {(row["cloud"], row["order"], row["rate"]) for row in rows}
-    first = {order: every[every["order"] == order].sort_values(["key", "cloud"], ascending=False) for order in ORDERS}
-    for name in names:
+    every["hard"] = every["cloud"].isin([path.stem for path in (folder / "tiles_hard").glob("*.la[sz]")])
+    first = {
+        (hard, order): own.sort_values(["key", "cloud"], ascending=False)
+        for (hard, order), own in every.groupby(["hard", "order"])
+    }
+    area = {hard: float(own.groupby("cloud")["km2"].first().sum()) for hard, own in every.groupby("hard")}
+    kept = {name: options.work / f"{name.replace(' ', '_')}.csv" for name in names}
+    for name in (n for n in names if not kept[n].exists()):
+        if options.only and not any(name.startswith(one) for one in options.only):
+            continue
+        rows: list[Row] = []
         for order in ORDERS:
             for rate in (0, *RATES):
-                if (name, order, rate) in done:
-                    continue
-                chosen = first[order].head(round(rate * area))
+                hard = bool(every["hard"][every["cloud"] == name].iloc[0])
+                chosen = first[hard, order].head(round(rate * area[hard]))
                 own = chosen[chosen["cloud"] == name]
-                row: Row = {
-                    "cloud": name,
-                    "group": site(name).known.group,
-                    "order": order,
-                    "rate": rate,
-                    "places": len(own),
-                }
+                own = own.assign(verdict=[verdict(site(name), shape) for shape in own.geometry])
                 key = name, tuple(sorted(own.geometry.to_wkb(hex=True)))
                 if key not in known:
                     before = site(name).result
-                    known[key] = site(name).errors(
-                        jf.apply(before, own[["verdict", "geometry"]]) if len(own) else before
-                    )
-                found = known[key]
-                rows.append(
-                    row | found | {f"said_{w}": int((own["verdict"] == w).sum()) for w in ("ground", "object", "fine")}
-                )
-        write_csv(path, rows)
+                    after = jf.apply(before, own[["verdict", "geometry"]]) if len(own) else before
+                    known[key] = site(name).errors(after)
+                row = {"cloud": name, "group": site(name).known.group, "order": order, "rate": rate, "places": len(own)}
+                said = {f"said_{word}": int((own["verdict"] == word).sum()) for word in ("ground", "object", "fine")}
+                rows.append(row | known[key] | said)
+        write_csv(kept[name], rows)
         print("done", name, file=sys.stderr, flush=True)
+    if not all(path.exists() for path in kept.values()):
+        return
+    rows = [row for path in kept.values() for row in read_csv(path)]
+    write_csv(options.out / "verdicts.csv", rows)
     command = shlex.join(["python", "experiments/verdicts/run.py", *given])
-    (options.out / "results.md").write_text(page(rows, area, f"`{command}` on {machine()}.") + "\n")
+    (options.out / "results.md").write_text(page(rows, sum(area.values()), f"`{command}` on {machine()}.") + "\n")
     figure(summed(rows), options.out / "verdicts.png")
 
 
@@ -252,7 +253,7 @@ def summed(rows: list[Row]) -> pd.DataFrame:
     """Errors by group, order and rate, all clouds of a group together, and all groups."""
     table = pd.DataFrame(rows)
     columns = ["wrong", "points", "off", "cells", "places", "said_ground", "said_object", "said_fine"]
-    parts = [table, table.assign(group="all three")]
+    parts = [table, table[table["group"] != "hard tiles"].assign(group=TOGETHER)]
     sums = pd.concat(parts).groupby(["group", "order", "rate"])[columns].sum().reset_index()
     sums["error"], sums["share"] = 100 * sums["wrong"] / sums["points"], 100 * sums["off"] / sums["cells"]
     start = sums[sums["rate"] == 0].set_index(["group", "order"])["off"]
@@ -270,7 +271,7 @@ def page(rows: list[Row], area: float, made: str) -> str:
     ]  # fmt: skip
     text = [f"# Errors left after verdicts\n\n{made} {len({r['cloud'] for r in rows})} clouds, {area:.2f} km2 in all.\n\n"
             "![Share of cells that are off, by places per km2](verdicts.png)"]  # fmt: skip
-    for group in (*GROUPS, "all three"):
+    for group in (*GROUPS, TOGETHER):
         own = sums[sums["group"] == group]
         table = [
             row | {"how": ORDERS[row["order"]]}
@@ -287,7 +288,7 @@ def figure(sums: pd.DataFrame, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    groups = [group for group in (*GROUPS, "all three") if (sums["group"] == group).any()]
+    groups = [group for group in (*GROUPS, TOGETHER) if (sums["group"] == group).any()]
     drawn = Figure(figsize=(3.2 * len(groups), 3.0), layout="constrained")
     FigureCanvasAgg(drawn)
     for ax, group in zip(drawn.subplots(1, len(groups), sharey=True, squeeze=False)[0], groups, strict=True):

@@ -31,6 +31,8 @@ GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "wa
 """What may be said of a place."""
 RIM = 2 * SIDE
 """Metres around a place in which points are tested again: two of the cells that places are made of."""
+CELL = 2 * SIDE
+"""Metres: the lowest points of such cells are seeds."""
 HALO = 40.0
 """Metres around that whose ground takes part, as around the tiles of terrain models."""
 LEVEL = 0.3
@@ -169,7 +171,7 @@ def repaired(cloud: PointCloud, ground: np.ndarray, site: Site, filter_: OST) ->
     """Carry out the verdicts of a site on the points of its window.
 
     Points in an object or a bridge are no ground. In water those near the plane of its lowest points are. In ground the lowest
-    points of cells are seeds, and what is ground already stays. From these, and from the ground around, the ground grows by the
+    points of cells are seeds, and no others. From these, and from the ground around, the ground grows by the
     rules of ``filter_`` through the places that are ground and the rims of all places. Ground in the rim of an object or a bridge
     must pass again. Points elsewhere, and those of places that are fine, keep their labels.
 
@@ -189,7 +191,6 @@ def repaired(cloud: PointCloud, ground: np.ndarray, site: Site, filter_: OST) ->
     water = now & (word == WATER)
     seeds = now.copy()
     if (places := word == GROUND).any():
-        seeds |= was & places
         seeds[_lowest(points, places & ~filter_.low(points))] = True
     if (grows & ~seeds).any() and has_area(points.xyz[seeds]):
         now = _grown(points, seeds, grows, places, filter_)
@@ -224,9 +225,9 @@ def _zones(points: Points, site: Site) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _lowest(points: Points, counted: np.ndarray) -> np.ndarray:
-    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`places.SIDE` metres from the anchor."""
+    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`CELL` metres from the anchor."""
     rows = np.flatnonzero(counted)
-    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / SIDE).astype(np.int64)
+    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / CELL).astype(np.int64)
     order = np.lexsort((rows, points.xyz[rows, 2], cell[:, 0], cell[:, 1]))
     first = np.ones(len(rows), bool)
     first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)

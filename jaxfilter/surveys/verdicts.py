@@ -56,7 +56,7 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     ============  ========================================================================================================
     verdict       what is done
     ============  ========================================================================================================
-    ``ground``    the lowest points of cells of 2 m are seeds, and the ground grows from them; what is ground stays
+    ``ground``    the lowest points of cells of 4 m are seeds, and the ground grows from them alone
     ``object``    no point is ground
     ``bridge``    the same; points that were ground are marked as ``deck``
     ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
