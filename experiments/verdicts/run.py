@@ -112,8 +112,8 @@ def verdict(site: Site, shape: shapely.Geometry) -> str:
     """What the reference says of a place, by its cells of 2 m.
 
     ``fine`` if less than a quarter of them is wrong: most points that are labelled ground are none, or there is no such point
-    and the lowest one is ground. Else ``ground`` if most cells hold ground, and ``object`` if not. Points within :data:`LEVEL` of the
-    terrain of the reference are ground, since references label some of their ground points only.
+    and the lowest one is ground. Else ``ground`` if most cells hold ground, and ``object`` if not. Points within :data:`LEVEL` of
+    the terrain of the reference are ground, since references label some of their ground points only.
     """
     known, cloud, grid = site.known, site.known.cloud, site.grid
     x0, y0, x1, y1 = shape.bounds
