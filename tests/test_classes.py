@@ -12,7 +12,7 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.filter import Filter, Labels
 from jaxfilter.core.params import filter_params
-from jaxfilter.files.classes import Finding, class_name, classes_of, findings_of
+from jaxfilter.files.classes import Finding, class_name, classes_of, findings_of, table_of
 from jaxfilter.scenes import Kind
 from jaxfilter.steps import high_noise, vegetation
 from jaxfilter.surveys import ground as survey_ground
@@ -142,7 +142,7 @@ def test_presets_and_what_they_refuse():
     with pytest.raises(jf.ParameterError, match=r"classes=.*name them there only"):
         jf.write("x.laz", made([0]), np.array([True]), classes=usgs, noise_class=7)
     assert (class_name(17), class_name(64)) == ("17 bridge deck", "64")
-    rows = usgs.table()
+    rows = table_of(usgs)
     assert rows.shape == (len(Finding), 256) and (rows[Finding.KEPT, 1:] == np.arange(1, 256)).all()
     assert (rows[[Finding.OTHER, Finding.HIGH_NOISE, Finding.DECK], 20:] == np.arange(20, 256)).all()
     assert rows[Finding.KEPT, 0] == 1 and rows[Finding.HIGH_NOISE, [0, 1, 2, 5, 6]].tolist() == [18, 18, 18, 5, 6]

@@ -115,38 +115,6 @@ class Classes:
             raise ParameterError(f"classes={name!r}: choose one of {', '.join(cls.PRESETS)}")
         return cls(**{**cls.PRESETS[name], **changes})
 
-    @property
-    def asked(self) -> list[str]:
-        """The settings that give points other classes than ground and ``other_class``, as text, for messages."""
-        values = [(name, getattr(self, name)) for name in (*_OPTIONAL, "vegetation")]
-        return [f"{name}={value!r}" for name, value in values if value is not None]
-
-    def table(self) -> np.ndarray:
-        """u8[10, 256]: the new class, by :class:`Finding` and by the old class."""
-        old = np.arange(256, dtype=np.uint8)
-        resets = np.full(256, self.reset == "all" and not self.only_ground)
-        if self.reset == "ground" and not self.only_ground:
-            resets[[0, GROUND_CLASS, self.ground_class]] = True
-        resets[OVERLAP_CLASS] |= self.overlap_flag
-        open_ = resets | np.isin(old, _OPEN)
-        table = np.tile(np.where(resets, np.uint8(self.other_class), old), (len(Finding), 1))
-        table[Finding.KEPT] = old
-        table[Finding.KEPT, 0] = self.unjudged or 0
-        table[[Finding.GROUND, Finding.WATER]] = self.ground_class
-        table[Finding.LOW_NOISE] = table[Finding.LOW_NOISE] if self.noise_class is None else self.noise_class
-        plants = (None, None, None) if self.vegetation is None else (3, 4, 5)
-        for kind, given in zip(
-            list(Finding)[Finding.HIGH_NOISE :], (self.high_noise, self.water, self.bridge, *plants), strict=True
-        ):
-            table[kind, open_] = table[kind, open_] if given is None else given
-        return table
-
-    @property
-    def largest(self) -> int:
-        """The largest number that points may get."""
-        given = [getattr(self, name) or 0 for name in _OPTIONAL]
-        return max(self.ground_class, self.other_class, *given)
-
 
 _FOUND = (
     (Finding.WATER, "water", "water", "water"),
@@ -157,6 +125,38 @@ _FOUND = (
 _OPTIONAL = ("noise_class", "high_noise", "water", "bridge", "unjudged")
 _USGS = {"noise_class": 7, "high_noise": 18, "water": 9, "bridge": 17, "unjudged": 1, "overlap_flag": True}
 Classes.PRESETS.update(usgs=_USGS, las14={**_USGS, "vegetation": (0.5, 2.0, 5.0)})
+
+
+def asked(classes: Classes) -> list[str]:
+    """The settings that give points other classes than ground and ``other_class``, as text, for messages."""
+    values = [(name, getattr(classes, name)) for name in (*_OPTIONAL, "vegetation")]
+    return [f"{name}={value!r}" for name, value in values if value is not None]
+
+
+def table_of(classes: Classes) -> np.ndarray:
+    """u8[10, 256]: the new class, by :class:`Finding` and by the old class."""
+    old = np.arange(256, dtype=np.uint8)
+    resets = np.full(256, classes.reset == "all" and not classes.only_ground)
+    if classes.reset == "ground" and not classes.only_ground:
+        resets[[0, GROUND_CLASS, classes.ground_class]] = True
+    resets[OVERLAP_CLASS] |= classes.overlap_flag
+    open_ = resets | np.isin(old, _OPEN)
+    table = np.tile(np.where(resets, np.uint8(classes.other_class), old), (len(Finding), 1))
+    table[Finding.KEPT] = old
+    table[Finding.KEPT, 0] = classes.unjudged or 0
+    table[[Finding.GROUND, Finding.WATER]] = classes.ground_class
+    table[Finding.LOW_NOISE] = table[Finding.LOW_NOISE] if classes.noise_class is None else classes.noise_class
+    plants = (None, None, None) if classes.vegetation is None else (3, 4, 5)
+    for kind, given in zip(
+        list(Finding)[Finding.HIGH_NOISE :], (classes.high_noise, classes.water, classes.bridge, *plants), strict=True
+    ):
+        table[kind, open_] = table[kind, open_] if given is None else given
+    return table
+
+
+def largest(classes: Classes) -> int:
+    """The largest number that points may get."""
+    return max(classes.ground_class, classes.other_class, *(getattr(classes, name) or 0 for name in _OPTIONAL))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -248,7 +248,7 @@ def classes_of(
 ) -> np.ndarray:
     """u8[n]: the classes that the points of a cloud get when they are written."""
     found = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
-    return np.asarray(classes.table()[found.code, old_classes(cloud)])
+    return np.asarray(table_of(classes)[found.code, old_classes(cloud)])
 
 
 def class_changes(

@@ -21,7 +21,7 @@ from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, records, text
 from .classes import RESETS as RESETS
 from .classes import Classes as Classes
-from .classes import Findings, findings_of
+from .classes import Findings, asked, findings_of, largest, table_of
 from .classes import class_changes as class_changes
 from .disk import Tally, new_file
 from .handles import Handle
@@ -170,7 +170,7 @@ def write_cloud(
             raise OutputError(f"{path}: text holds labels, and there are none; pass result=, or write .las or .laz")
         named = [*additions.extra, *additions.columns, *(["heights"] if additions.z is not None else [])]
         table = None if source is None or source.kind == "las" else source.layout()
-        named += [] if table is not None and "classification" in table.columns else classes.asked
+        named += [] if table is not None and "classification" in table.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
     if copc.is_copc(path) and source is not None and source.kind == "las":
@@ -207,7 +207,7 @@ class _Labels:
             nothing = np.zeros(len(cloud), np.uint8)
             self.table, result = np.arange(256, dtype=np.uint8)[None], Findings(nothing.astype(bool), nothing)
         else:
-            self.table = classes.table()
+            self.table = table_of(classes)
         given = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
         self.rule, self.ground, self.code = classes, given.ground, given.code
         names = tuple(additions.extra)
@@ -233,10 +233,10 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     header = _fresh_header(path, cloud) if las is None else las.header()
     chunks = _fresh_records(path, header, cloud, tally) if las is None else las.records(header, tally)
     number = header.point_format
-    largest = labels.rule.largest
-    if number < 6 and largest > 31:
+    most = largest(labels.rule)
+    if number < 6 and most > 31:
         raise OutputError(
-            f"{path}: class {largest} does not fit into point format {number}, which holds 0 to 31; upgrade the "
+            f"{path}: class {most} does not fit into point format {number}, which holds 0 to 31; upgrade the "
             "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}

@@ -15,7 +15,7 @@ from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
-from ..files.classes import Classes, Findings, class_changes, findings_of
+from ..files.classes import Classes, Findings, asked, class_changes, findings_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import check_suffix
 from ..files.writing import Additions, write_cloud
@@ -69,7 +69,7 @@ class GroundProduct(Product):
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
         told = time.perf_counter()
-        if self.classes.asked:
+        if asked(self.classes):
             summary.seconds["classes"] = told - done
         summarise(summary, around, result, found, None if bare else self.classes)
         kept = suspects_in(around, result, tile, self.reader.reading)
