@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .pdal import from_pdal
     from .reports import ReportOptions, report, review
     from .scoring import Scores, evaluate
+    from .steps.batch import Batch
     from .steps.grid_filter import soft_labels
     from .surveys.accuracy import accuracy_statement
     from .surveys.collection import Collection, open
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from .surveys.products import products
     from .surveys.verdicts import apply, apply_survey, review_survey
     from .sweeps.batch import Batch, batch
+    from .sweeps.batch import batch
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
     from .sweeps.fit import Fit, fit
@@ -58,7 +60,8 @@ _HOMES = {
     "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
     ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("chm", "contours",
     "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
-    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("Batch", "batch"), "terrain.breaklines": ("breaklines",),
+    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "terrain.breaklines": ("breaklines",), "steps.batch":
+    ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -1,0 +1,243 @@
+"""Batches: clouds of unlike size in a few padded blocks on the device, under many sets of parameters at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from ..core.compilation import jit
+from ..core.errors import ParameterError
+from ..core.filter import check_resources
+from ..core.points import Points
+from ..engines.grid.cells import padded_length
+from .grid_filter import CELL_BYTES, POINT_BYTES
+from .surfaces import Cells
+
+_STEP = 16
+"""Rows, columns of blocks are multiples of this many, and points of so many times 64."""
+_CELL_COST = 4
+"""A cell takes about as long as so many points."""
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["cells", "xyz", "real", "truth", "counted", "totals"], meta_fields=[]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Clouds in arrays of one shape, or one of them, then without the first axis; a pytree.
+
+    Attributes:
+        cells: of each cloud, with the axis of clouds first in each array.
+        xyz: f32[clouds, n, 3], local metres: the rows of ``Filter.points_of``, and zeros.
+        real: bool[clouds, n], rows that are points.
+        truth: bool[clouds, n], reference labels, True = ground; counted: bool[clouds, n], points that have one.
+        totals: i32[clouds, 2], how many points of the whole cloud have the reference label ground, and object.
+    """
+
+    cells: Cells
+    xyz: jax.Array
+    real: jax.Array
+    truth: jax.Array
+    counted: jax.Array
+    totals: jax.Array
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["filter", "blocks"], meta_fields=["points", "names", "order"]
+)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch:
+    """Clouds in padded blocks, for a method on a grid; made by :func:`jaxfilter.batch`. A pytree, for ``jax.jit`` and ``vmap``.
+
+    ``ground``, ``soft`` and ``confusion`` take sets of parameters: a mapping from traced fields to arrays f32[sets]; without, the
+    filter counts alone. They are pure. One program for each block goes over clouds and sets. What no traced field decides, such
+    as the openings of SMRF, is computed once a cloud. ``memory``: bytes that sets computed at the same time may hold. Static
+    fields (``cell``, ``window``, ...) fix shapes: make a batch for each value. Raises: ParameterError for a field that is
+    static or unknown, a value out of its limits, or sets of unlike length.
+
+    Attributes:
+        filter: the method; its traced fields hold where ``sets`` has none.
+        blocks: the clouds.
+        points: of every cloud. names: of the clouds, or None. order: of every cloud its block, and its place there.
+
+    >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF())
+    >>> [labels.shape for labels in batch.unstack(batch.ground())] == [(len(cloud),), (2000,)]
+    True
+    """
+
+    filter: Any
+    blocks: tuple[Block, ...]
+    points: tuple[Points, ...]
+    names: tuple[str, ...] | None
+    order: tuple[tuple[int, int], ...]
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def ground(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> tuple[jax.Array, ...]:
+        """Labels of each block: bool[clouds, sets, n], or bool[clouds, n] without sets; False for rows that are no points.
+
+        >>> batch = jf.batch([cloud], jf.SMRF())
+        >>> [labels] = batch.unstack(batch.ground({"slope": [0.1, 0.3]}))
+        >>> bool((labels[1] == jf.SMRF(slope=0.3)(cloud).ground).all())
+        True
+        """
+        return self._of_blocks("ground", sets, 0.0, memory)
+
+    def soft(
+        self, sets: Mapping[str, Any] | None = None, *, width: jax.Array | float = 0.1, memory: float = 1e9
+    ) -> tuple[jax.Array, ...]:
+        """:func:`jaxfilter.soft_labels` of each block: f32[clouds, sets, n], or f32[clouds, n]; 0 for rows that are no points.
+
+        >>> batch = jf.batch([cloud], jf.PMF())
+        >>> [soft] = batch.soft(width=0.2)
+        >>> bool(((soft >= 0) & (soft <= 1)).all())
+        True
+        """
+        return self._of_blocks("soft", sets, width, memory)
+
+    def confusion(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> jax.Array:
+        """Counts as in :class:`jaxfilter.Scores`, of all points with a reference label: i32[clouds, sets, 2, 2], in the order
+        of the clouds, or i32[clouds, 2, 2] without sets. Points that are no candidates are labelled object. A cloud without
+        labels has zeros.
+
+        >>> batch = jf.batch([cloud], jf.SMRF(), [truth])
+        >>> counts = batch.confusion({"slope": [0.1, 0.3]})
+        >>> counts.shape, int(counts[0, 1].sum()) == len(cloud)
+        ((1, 2, 2, 2), True)
+        """
+        first = np.cumsum([0, *(len(block.real) for block in self.blocks)])
+        places = np.array([first[block] + place for block, place in self.order])
+        return jnp.concatenate(self._of_blocks("confusion", sets, 0.0, memory))[places]
+
+    def unstack(self, values: tuple[Any, ...], empty: Any = 0) -> Any:
+        """Values of points [clouds, ..., n] of each block, back to the clouds: NumPy arrays [..., points], in input order.
+
+        ``empty``: for points that are no candidates. Returns: a list, or a dict where the clouds have names.
+
+        >>> batch = jf.batch({"a": cloud}, jf.SMRF())
+        >>> bool((batch.unstack(batch.ground())["a"] == jf.SMRF()(cloud).ground).all())
+        True
+        """
+        arrays, found = [np.asarray(part) for part in values], []
+        for points, (block, place) in zip(self.points, self.order, strict=True):
+            own = arrays[block][place][..., : len(points)]
+            rows = [points.spread(row, empty) for row in own.reshape(-1, len(points))]
+            found.append(np.stack(rows).reshape(*own.shape[:-1], len(points.cloud)))
+        return found if self.names is None else dict(zip(self.names, found, strict=True))
+
+    def _of_blocks(self, what: str, sets: Any, width: Any, memory: float) -> tuple[jax.Array, ...]:
+        check_resources(None, memory)
+        fields = None if sets is None else {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
+        shapes = {name: values.shape for name, values in (fields or {"": jnp.zeros(1)}).items()}
+        count = max(map(math.prod, shapes.values()))
+        if set(shapes.values()) != {(count,)}:
+            raise ParameterError(f"sets: {shapes}: arrays of one length are needed, a value for each set")
+        for name, values in (fields or {}).items():
+            for value in () if isinstance(values, jax.core.Tracer) else set(np.asarray(values).tolist()):
+                self.filter.replace(**{name: value})
+        return tuple(
+            _known(self.filter, b, fields, width, what=what, at_once=_at_once(b, count, memory)) for b in self.blocks
+        )
+
+
+def stacked(
+    filter_: Any, taken: list[Points], ready: list[tuple[Any, ...]], names: tuple[str, ...] | None, blocks: int
+) -> Batch:
+    """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
+    groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)
+    order = {c: (b, place) for b, group in enumerate(groups) for place, c in enumerate(group)}
+    made = tuple(_block([ready[c] for c in group]) for group in groups)
+    return Batch(filter_, made, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
+
+
+def _block(clouds: list[tuple[Any, ...]]) -> Block:
+    rows, columns = (-(-max(int(cells.extent[a]) for cells, *_ in clouds) // _STEP) * _STEP for a in range(2))
+    most = -(-max(len(xyz) for _, xyz, *_ in clouds) // (64 * _STEP)) * 64 * _STEP
+
+    def fitted(values: Any, lengths: tuple[int, ...]) -> np.ndarray:
+        part = np.asarray(values)[tuple(slice(n) for n in lengths)]
+        widths = [(0, n - have) for n, have in zip(lengths, part.shape, strict=False)]
+        return np.pad(part, widths + [(0, 0)] * (part.ndim - len(widths)))
+
+    def of_grid(values: Any) -> Any:
+        return values if np.ndim(values) < 2 else fitted(values, (rows, columns))
+
+    grids = [jax.tree.map(of_grid, cells) for cells, *_ in clouds]
+    of_points = [
+        [fitted(values, (most,)) for values in (xyz, np.ones(len(xyz), bool), t, c)] for _, xyz, t, c, _ in clouds
+    ]
+    each = [(grid, *values, one[-1]) for grid, values, one in zip(grids, of_points, clouds, strict=True)]
+    return Block(*jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *each))
+
+
+def _grouped(sizes: list[tuple[int, int, int]], most: int) -> list[list[int]]:
+    """Numbers of clouds by block, given their rows, columns and points. The two blocks whose union costs least are joined, until
+    there are few enough. Clouds whose membranes have other levels stay apart, so that each has the one that it has alone."""
+
+    def size(group: list[int]) -> tuple[int, ...]:
+        return tuple(max(sizes[c][axis] for c in group) for axis in range(3))
+
+    def cost(group: list[int]) -> int:
+        rows, columns, points = size(group)
+        return len(group) * (_CELL_COST * rows * columns + points)
+
+    def joinable(a: list[int], b: list[int]) -> bool:
+        return padded_length(max(size(a)[:2])) == padded_length(max(size(b)[:2]))
+
+    groups = [[c] for c in range(len(sizes))]
+    while len(groups) > most:
+        pairs = [
+            (cost(a + b) - cost(a) - cost(b), a, b) for a, b in itertools.combinations(groups, 2) if joinable(a, b)
+        ]
+        if not pairs:
+            break
+        _, a, b = min(pairs)
+        groups = [group for group in groups if group not in (a, b)] + [sorted(a + b)]
+    return sorted(groups)
+
+
+def _at_once(block: Block, sets: int, memory: float) -> int:
+    """How many sets are computed together: on a processor one, whose grid stays in the cache; else a divisor of their number."""
+    if jax.default_backend() == "cpu":
+        return 1
+    room = int(memory // (CELL_BYTES * block.cells.lowest[0].size + POINT_BYTES * block.xyz.shape[1]))
+    return next(n for n in range(max(1, min(sets, room)), 0, -1) if sets % n == 0)
+
+
+@functools.partial(jit, static_argnames=("what", "at_once"))
+def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what: str, at_once: int) -> jax.Array:
+    """Of every cloud of a block with every set: labels, soft labels or counts."""
+
+    def found(one: Any, prepared: Any, cloud: Block) -> jax.Array:
+        if what == "soft":
+            return jnp.where(cloud.real, one._soft(prepared, cloud.xyz, width), 0)
+        made = one.surface(prepared)._replace(counts={})
+        # As in the call of one set the surface is in memory before it is read: else it is computed anew for each point.
+        surface = lax.cond(cloud.real[0], lambda made: made, lambda made: jax.tree.map(jnp.zeros_like, made), made)
+        ground = cloud.real & (one.test(surface, cloud.xyz).margin <= 0)
+        if what == "ground":
+            return ground
+        kinds = cloud.counted & cloud.truth, cloud.counted & ~cloud.truth
+        hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in kinds])
+        return jnp.stack([hits, cloud.totals - hits], axis=-1)
+
+    def of_cloud(cloud: Block) -> jax.Array:
+        prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
+        if sets is None:
+            return found(filter_, prepared, cloud)
+        chunk = None if at_once == 1 else at_once
+        return lax.map(
+            lambda fields: found(dataclasses.replace(filter_, **fields), prepared, cloud), sets, batch_size=chunk
+        )
+
+    return lax.map(of_cloud, block)
