@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from .surveys.options import RunOptions
     from .surveys.products import products
     from .surveys.verdicts import apply, apply_survey, review_survey
-    from .sweeps.batch import Batch, batch
     from .sweeps.batch import batch
     from .sweeps.calibrate import Calibration, CrossValidation, Study, calibrate
     from .sweeps.comparison import Comparison, compare
