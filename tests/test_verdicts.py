@@ -18,6 +18,7 @@ from test_tiles_run import Here
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
+from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = [
     pytest.mark.usefixtures("compilation_cache"),
@@ -39,7 +40,7 @@ def scene():
     z += np.where(within(x, y, BRIDGE), 5.0, 0.0)
     stake = within(x, y, RIVER) & ~within(x, y, BRIDGE) & (rng.random(x.size) < 0.1)
     z += np.where(stake, rng.uniform(0.6, 3, x.size), 0.0)
-    return np.column_stack([x + 500_000, y + 5_400_000, z]), stake
+    return np.column_stack([x + 500_000, y + 5_400_000, z]).round(3), stake
 
 
 def box(x0, y0, x1, y1):
@@ -248,7 +249,7 @@ def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
     jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
     cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
     like = dataclasses.replace(labelled(xyz, wrong & (old == 2)))
-    filter_ = jf.default_filter(cloud)
+    filter_ = Sampler(jf.open(survey), jf.Reading(), survey / "index").filter_for(Recipe())
     memory = jf.apply(dataclasses.replace(like, run=dataclasses.replace(like.run, cloud=cloud, filter=filter_)), places)
     np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
 

@@ -111,9 +111,9 @@ def around_points(site: Site, count: int, radius: float) -> geopandas.GeoDataFra
 def verdict(site: Site, shape: shapely.Geometry) -> str:
     """What the reference says of a place, by its cells of 2 m.
 
-    ``fine`` if less than a quarter of them is wrong: most points that are labelled ground are none, or there is no such point
-    and the lowest one is ground. Else ``ground`` if most cells hold ground, and ``object`` if not. Points within :data:`LEVEL` of
-    the terrain of the reference are ground, since references label some of their ground points only.
+    ``fine`` if less than a tenth of them is wrong: most points that are labelled ground are none, or there is no such point
+    and the lowest one is ground. Else ``ground`` if most of it lies within :data:`NEAR` of ground, and ``object`` if not. Points
+    within :data:`LEVEL` of the terrain of the reference are ground, since references label some of their ground points only.
     """
     known, cloud, grid = site.known, site.known.cloud, site.grid
     x0, y0, x1, y1 = shape.bounds
@@ -134,9 +134,13 @@ def verdict(site: Site, shape: shapely.Geometry) -> str:
     lowest = truth[order[np.diff(cell[order], prepend=-1) > 0]]
     labelled, right = np.bincount(cell, label), np.bincount(cell, label & truth)
     wrong = np.where(labelled > 0, 2 * right < labelled, lowest)
-    if wrong.mean() < 0.25:
+    if wrong.mean() < 0.1:
         return "fine"
-    return "ground" if (np.bincount(cell, truth) > 0).mean() > 0.5 else "object"
+    x, y = grid.centres()
+    columns, lines = (np.flatnonzero((at > low) & (at < high)) for at, low, high in ((x, x0, x1), (y, y0, y1)))
+    box = site.truth[np.ix_(lines, columns)]
+    held = shapely.intersects_xy(shape, *np.meshgrid(x[columns], y[lines]))
+    return "ground" if np.isfinite(box[held]).mean() > 0.5 else "object"
 
 
 def prepared(site: Site, path: Path) -> geopandas.GeoDataFrame:
@@ -279,7 +283,7 @@ def page(rows: list[Row], area: float, made: str) -> str:
             for row in own[own["order"] == order].to_dict("records")
         ]
         if table:
-            text.append(f"## {group[0].upper()}{group[1:]}\n\n{markdown(table, columns)}")
+            text.append(f"## {group[0].upper()}{group[1:]}\n\n{markdown(columns, table)}")
     return "\n\n".join(text)
 
 

@@ -87,6 +87,8 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
             table = geopandas.read_file(name)
         except Exception as error:  # GDAL has many of its own
             raise InputError(f"{name}: cannot be read as places: {error}") from error
+    if not len(table):  # an empty GeoJSON has no columns
+        return Given([], [])
     if "verdict" not in table:
         raise InputError(
             f"{name}: has no column verdict; it has {', '.join(map(str, table.columns))}: add it, with one of {', '.join(WORDS)}"
@@ -118,7 +120,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
 
 def _contradictions(verdicts: Sequence[Verdict]) -> list[tuple[int, int]]:
     """Pairs that overlap and say different things."""
-    shapes = [one.shape for one in verdicts]
+    shapes = np.array([one.shape for one in verdicts], object)
     pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects").T.tolist()
     return [(a, b) for a, b in sorted(map(tuple, pairs)) if a < b and verdicts[a].word != verdicts[b].word
             and shapes[a].intersection(shapes[b]).area > _OVERLAP]  # fmt: skip
@@ -249,9 +251,9 @@ def _level(xyz: np.ndarray) -> np.ndarray:
     return np.asarray(kept)
 
 
-def _slope(xyz: np.ndarray) -> float:
-    """Rise over run between means of squares of ground points f32[k, 3], averaged."""
-    at = np.floor(xyz[:, :2] / _BLOCK).astype(np.int64)
+def _slope(xyz: np.ndarray, anchored: np.ndarray) -> float:
+    """Rise over run between means of squares of ground points f32[k, 3], averaged. The squares count from the anchor."""
+    at = np.floor((xyz[:, :2] + anchored) / _BLOCK).astype(np.int64)
     at -= at.min(axis=0)
     shape = tuple((at.max(axis=0) + 1).tolist())
     key = at[:, 0] * shape[1] + at[:, 1]
@@ -269,7 +271,7 @@ def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, places: np.ndar
     rows = np.flatnonzero(seeds | grows)
     some = dataclasses.replace(points, xyz=points.xyz[rows], weight=points.weight[rows])
     seed, within = seeds[rows], places[rows]
-    around = np.full(len(rows), _slope(some.xyz[seed]), np.float32)
+    around = np.full(len(rows), _slope(some.xyz[seed], points.anchored()), np.float32)
     limits = filter_.limits(
         points.spacing() if filter_.spacing is None else filter_.spacing, around, within * np.float32(1)
     )
