@@ -234,7 +234,7 @@ class OST(Filter):
             seeds = lowest
         progress(0.4, "triangulation")
         limits, kept = self.limits(spacing, around, rough), ("margin", "height", "slope")
-        height, distance = float(limits.first.height), np.where(apart, np.float32(-1), limits.then.distance)
+        height, distance = limits.height, np.where(apart, np.float32(-1), limits.distance)
         growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
         network = one_network(points, seeds, np.zeros((0, 2)), Outliers(low, np.zeros_like(low)))
         network = dataclasses.replace(network, open=network.open & points.near_core(TESTED))
@@ -287,7 +287,7 @@ class OST(Filter):
         beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
         relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
         distance = np.float32(self.max_distance * height) + relief * around
-        return Limits(HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond)
+        return Limits(height, distance, HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond)
 
     @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
     def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Openings:
@@ -408,8 +408,11 @@ class OST(Filter):
 
 
 class Limits(NamedTuple):
-    """The rules of OST's growth: the ``first`` round, those ``then``, and outside the hull (step 6)."""
+    """The rules of OST's growth: the ``first`` round, those ``then``, and outside the hull (step 6); ``height``: metres, and
+    ``distance``: f32[m], metres, in them."""
 
+    height: float
+    distance: np.ndarray
     first: HeightRule
     then: AngleRule
     beyond: Beyond

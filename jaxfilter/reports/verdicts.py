@@ -143,8 +143,8 @@ def sites(verdicts: Sequence[Verdict], metre: float) -> list[Site]:
     if not verdicts:
         return []
     rims = [one.shape.buffer(RIM / metre) for one in verdicts]
-    ends = shapely.STRtree(rims).query(rims, predicate="intersects")
-    of, found = groups(ends[0], ends[1], len(rims)), []
+    one, other = shapely.STRtree(rims).query(rims, predicate="intersects")
+    of, found = groups(one, other, len(rims)), []
     for number in range(int(of.max()) + 1):
         own = sorted((verdicts[row] for row in np.flatnonzero(of == number).tolist()), key=lambda one: one.key)
         acting = [one.shape for one in own if one.word != FINE]
@@ -288,7 +288,7 @@ def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, places: np.ndar
         grow(ground, filter_.rounds)
         scatter = Scatter.of(ground.tin)
         spread = float(filter_.scene_spread) * scatter.of_scene(ground.tin)
-        prune(ground, scatter, spread, float(filter_.local_spread), np.asarray(limits.then.distance), within)
+        prune(ground, scatter, spread, float(filter_.local_spread), limits.distance, within)
         now = np.zeros(len(points), bool)
         now[rows] = ground.ground
     return now

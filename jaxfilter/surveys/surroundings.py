@@ -99,7 +99,7 @@ class GroundNeeded(Product):
         return {"classes_of_ground": self.classes_of_ground}
 
 
-def ground_by_class(cloud: PointCloud, classes: Iterable[int] | None, tile: Tile) -> np.ndarray:
+def ground_by_class(cloud: PointCloud, classes: tuple[int, ...] | None, tile: Tile) -> np.ndarray:
     """bool[n]: ground by class, or by the labels of text. Raises: InputError if there are neither."""
     if not classes:
         return np.zeros(len(cloud), bool)
