@@ -26,7 +26,7 @@ import jaxfilter as jf
 from experiments.defaults.clouds import Known
 from experiments.failures.run import FILLED, SEED, SIZES, SWATH, load
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, read_csv, write_csv
+from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.reports.places import SIDE, places_of, suspects
 from jaxfilter.terrain.layer import extent_of
@@ -300,10 +300,11 @@ def figure(sums: pd.DataFrame, path: Path) -> None:
             own = sums[(sums["group"] == group) & (sums["order"] == order)]
             ax.plot(own["rate"], own["left"], style, label=words, markersize=4)
         ax.axhline(0.5, color="grey", linewidth=0.8)
-        ax.set(title=group, xlabel="places per km2", ylim=(0, None))
+        ax.set(title=group, xlabel="places per km2")
+    drawn.axes[0].set_ylim(0, 1.05 * max(1.0, float(sums["left"].max())))
     drawn.axes[0].set_ylabel("cells off by > 0.5 m, of the start")
     drawn.axes[-1].legend(fontsize=7)
-    drawn.savefig(path, dpi=200)
+    save_png(drawn, path)
 
 
 if __name__ == "__main__":
