@@ -304,7 +304,7 @@ def figure(sums: pd.DataFrame, path: Path) -> None:
     drawn.axes[0].set_ylim(0, 1.05 * max(1.0, float(sums["left"].max())))
     drawn.axes[0].set_ylabel("cells off by > 0.5 m, of the start")
     drawn.axes[-1].legend(fontsize=7)
-    save_png(drawn, path)
+    save_png(drawn, path, 150)
 
 
 if __name__ == "__main__":
