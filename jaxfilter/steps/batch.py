@@ -85,6 +85,7 @@ class Batch:
 
     def ground(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> tuple[jax.Array, ...]:
         """Labels of each block: bool[clouds, sets, n], or bool[clouds, n] without sets; False for rows that are no points.
+        ``memory``: bytes; see the class.
 
         >>> batch = jf.batch([cloud], jf.SMRF())
         >>> [labels] = batch.unstack(batch.ground({"slope": [0.1, 0.3]}))
@@ -97,6 +98,7 @@ class Batch:
         self, sets: Mapping[str, Any] | None = None, *, width: jax.Array | float = 0.1, memory: float = 1e9
     ) -> tuple[jax.Array, ...]:
         """:func:`jaxfilter.soft_labels` of each block: f32[clouds, sets, n], or f32[clouds, n]; 0 for rows that are no points.
+        ``width``: metres; ``memory``: bytes.
 
         >>> batch = jf.batch([cloud], jf.PMF())
         >>> [soft] = batch.soft(width=0.2)
@@ -108,7 +110,7 @@ class Batch:
     def confusion(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> jax.Array:
         """Counts as in :class:`jaxfilter.Scores`, of all points with a reference label: i32[clouds, sets, 2, 2], in the order
         of the clouds, or i32[clouds, 2, 2] without sets. Points that are no candidates are labelled object. A cloud without
-        labels has zeros.
+        labels has zeros. ``memory``: bytes.
 
         >>> batch = jf.batch([cloud], jf.SMRF(), [truth])
         >>> counts = batch.confusion({"slope": [0.1, 0.3]})
