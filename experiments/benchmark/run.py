@@ -67,7 +67,8 @@ def page(found: jf.Comparison, scored: list[str], command: str) -> str:
         "# All methods on a folder of labelled clouds",
         f"`{command}` on {machine()}.",
         "Every method as `for_cloud(cloud)` gives it: defaults, and what follows from the point spacing. Points without a "
-        "reference are filtered and not scored. Seconds, by the clock: the median of the calls after the first, or of the first if there is no other.",
+        "reference are filtered and not scored. Seconds, by the clock: the median of the calls after the first, or of the first "
+        "if there is no other.",
     ]
     for score in scored:
         text += [f"## {TITLES[score]}", found.markdown(score)]
