@@ -128,7 +128,7 @@ def test_the_source_distribution_is_light_and_the_wheel_typed(tmp_path):
     from hatchling.builders.wheel import WheelBuilder
 
     source = Path(next(SdistBuilder(str(ROOT)).build(directory=str(tmp_path))))
-    assert source.stat().st_size < 1_050_000
+    assert source.stat().st_size < 1_000_000
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     shipped = {f"jaxfilter/{name}" for name in ("py.typed", "methods/papers.bib", "reports/page.html")}

@@ -160,7 +160,7 @@ def largest(classes: Classes) -> int:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Findings:
+class Found:
     """``ground``: bool[n]; ``code``: u8[n], a :class:`Finding` of each point, as far as classes depend on it."""
 
     ground: np.ndarray
@@ -173,7 +173,7 @@ def findings_of(
     classes: Classes = Classes(),
     reading: Reading = Reading(),  # noqa: B008
     workers: int | None = None,
-) -> Findings:
+) -> Found:
     """What was found of the points of a cloud, by a filter and by what is around them.
 
     ``reading`` says which points may become high noise and vegetation though another echo of their pulse was judged. Raises:
@@ -201,7 +201,7 @@ def findings_of(
         _look_around(cloud, found, ground, code, classes, reading, workers)
     if classes.overlap_flag and cloud.overlap is None:
         code[old == OVERLAP_CLASS] = Finding.KEPT
-    return Findings(ground, code)
+    return Found(ground, code)
 
 
 def _look_around(
@@ -244,15 +244,15 @@ def old_classes(cloud: PointCloud) -> np.ndarray:
 
 
 def classes_of(
-    cloud: PointCloud, result: FilterResult | np.ndarray | Findings, classes: Classes = Classes()
+    cloud: PointCloud, result: FilterResult | np.ndarray | Found, classes: Classes = Classes()
 ) -> np.ndarray:
     """u8[n]: the classes that the points of a cloud get when they are written."""
-    found = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
+    found = result if isinstance(result, Found) else findings_of(cloud, result, classes)
     return np.asarray(table_of(classes)[found.code, old_classes(cloud)])
 
 
 def class_changes(
-    cloud: PointCloud, result: FilterResult | np.ndarray | Findings, classes: Classes = Classes()
+    cloud: PointCloud, result: FilterResult | np.ndarray | Found, classes: Classes = Classes()
 ) -> dict[tuple[int, int], int]:
     """What :func:`write` makes of the classes: number of points by (old class, new class), in order.
 

@@ -21,7 +21,7 @@ from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, records, text
 from .classes import RESETS as RESETS
 from .classes import Classes as Classes
-from .classes import Findings, asked, findings_of, largest, table_of
+from .classes import Found, asked, findings_of, largest, table_of
 from .classes import class_changes as class_changes
 from .disk import Tally, new_file
 from .handles import Handle
@@ -148,7 +148,7 @@ def write(
 def write_cloud(
     path: Place,
     cloud: PointCloud,
-    result: FilterResult | np.ndarray | Findings | None,
+    result: FilterResult | np.ndarray | Found | None,
     classes: Classes = Classes(),  # noqa: B008
     additions: Additions = Additions(),
     *,
@@ -198,17 +198,17 @@ class _Labels:
     def __init__(
         self,
         cloud: PointCloud,
-        result: FilterResult | np.ndarray | Findings | None,
+        result: FilterResult | np.ndarray | Found | None,
         classes: Classes,
         additions: Additions = Additions(),
     ) -> None:
         found = result if isinstance(result, FilterResult) else None
         if result is None:
             nothing = np.zeros(len(cloud), np.uint8)
-            self.table, result = np.arange(256, dtype=np.uint8)[None], Findings(nothing.astype(bool), nothing)
+            self.table, result = np.arange(256, dtype=np.uint8)[None], Found(nothing.astype(bool), nothing)
         else:
             self.table = table_of(classes)
-        given = result if isinstance(result, Findings) else findings_of(cloud, result, classes)
+        given = result if isinstance(result, Found) else findings_of(cloud, result, classes)
         self.rule, self.ground, self.code = classes, given.ground, given.code
         names = tuple(additions.extra)
         if found is None and names:

@@ -43,7 +43,7 @@ _BLOCK = 5.0
 """Metres: ground is averaged in such squares before its slope is taken, as in the landscape of OST."""
 
 
-class Verdict(NamedTuple):
+class PlaceVerdict(NamedTuple):
     """What is said of a place.
 
     Attributes:
@@ -56,7 +56,7 @@ class Verdict(NamedTuple):
     key: str
 
     @classmethod
-    def of(cls, word: str, shape: shapely.Geometry, name: str) -> Verdict:
+    def of(cls, word: str, shape: shapely.Geometry, name: str) -> PlaceVerdict:
         """With a key that word and shape decide, to a millimetre."""
         plain = shapely.set_precision(shape, 0.001).normalize()
         return cls(word, shape, name, hashlib.sha256(word.encode() + shapely.to_wkb(plain)).hexdigest()[:24])
@@ -65,7 +65,7 @@ class Verdict(NamedTuple):
 class Given(NamedTuple):
     """Verdicts that can be carried out, and in words why others cannot."""
 
-    verdicts: list[Verdict]
+    verdicts: list[PlaceVerdict]
     problems: list[str]
 
 
@@ -110,7 +110,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
         elif not shape.intersects(shapely.box(*bounds)):
             problems.append(f"{name}: {which}: lies outside of the data: is it in another CRS?")
         else:
-            verdicts.append(Verdict.of(word, shapely.make_valid(shape), which))
+            verdicts.append(PlaceVerdict.of(word, shapely.make_valid(shape), which))
     wrong = _contradictions(verdicts)
     problems += [f"{name}: {verdicts[a].name} is {verdicts[a].word} and {verdicts[b].name}, which overlaps it, "
                  f"{verdicts[b].word}: neither is carried out" for a, b in wrong]  # fmt: skip
@@ -118,7 +118,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
     return Given([one for row, one in enumerate(verdicts) if row not in left_out], problems)
 
 
-def _contradictions(verdicts: Sequence[Verdict]) -> list[tuple[int, int]]:
+def _contradictions(verdicts: Sequence[PlaceVerdict]) -> list[tuple[int, int]]:
     """Pairs that overlap and say different things."""
     shapes = np.array([one.shape for one in verdicts], object)
     pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects").T.tolist()
@@ -126,19 +126,19 @@ def _contradictions(verdicts: Sequence[Verdict]) -> list[tuple[int, int]]:
             and shapes[a].intersection(shapes[b]).area > _OVERLAP]  # fmt: skip
 
 
-class Site(NamedTuple):
+class Repair(NamedTuple):
     """Verdicts that are carried out together, since points are in the rims of several.
 
     Attributes:
         verdicts: of these places. touched: box around them and their rims. window: box whose points take part. File coordinates.
     """
 
-    verdicts: list[Verdict]
+    verdicts: list[PlaceVerdict]
     touched: Bounds
     window: Bounds
 
 
-def sites(verdicts: Sequence[Verdict], metre: float) -> list[Site]:
+def sites(verdicts: Sequence[PlaceVerdict], metre: float) -> list[Repair]:
     """Places whose rims meet are a site; where nothing is to be changed there is none. ``metre``: metres per unit of the file."""
     if not verdicts:
         return []
@@ -150,7 +150,7 @@ def sites(verdicts: Sequence[Verdict], metre: float) -> list[Site]:
         acting = [one.shape for one in own if one.word != FINE]
         if acting:
             box = shapely.union_all(acting).bounds
-            found.append(Site(own, _wider(box, RIM / metre), _wider(box, (RIM + HALO) / metre)))
+            found.append(Repair(own, _wider(box, RIM / metre), _wider(box, (RIM + HALO) / metre)))
     return found
 
 
@@ -169,7 +169,7 @@ class Repaired:
     deck: np.ndarray
 
 
-def repaired(cloud: PointCloud, ground: np.ndarray, site: Site, filter_: OST) -> Repaired:
+def repaired(cloud: PointCloud, ground: np.ndarray, site: Repair, filter_: OST) -> Repaired:
     """Carry out the verdicts of a site on the points of its window.
 
     Points in an object or a bridge are no ground. In water those near the plane of its lowest points are. In ground the lowest
@@ -212,7 +212,7 @@ def _inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
     return np.asarray(shapely.intersects_xy(shape, x, y))
 
 
-def _zones(points: Points, site: Site) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _zones(points: Points, site: Repair) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is said of each point, U[m], "" = nothing; bool[m]: those in rims; and of these, those beside what is no ground."""
     word = np.full(len(points), "", "U6")
     near, beside, rim = (np.zeros(len(points), bool) for _ in range(3))

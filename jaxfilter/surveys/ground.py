@@ -15,7 +15,7 @@ from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
-from ..files.classes import Classes, Findings, asked, class_changes, findings_of
+from ..files.classes import Classes, Found, asked, class_changes, findings_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import check_suffix
 from ..files.writing import Additions, write_cloud
@@ -108,7 +108,7 @@ class GroundProduct(Product):
         return {"classes": dataclasses.asdict(self.classes), "extra": self.extra}
 
 
-def summarise(summary: Summary, around: Around, result: FilterResult, found: Findings, classes: Classes | None) -> None:
+def summarise(summary: Summary, around: Around, result: FilterResult, found: Found, classes: Classes | None) -> None:
     """What is said of the labels of a tile; ``classes``: that are written, None = the output has none."""
     own = around.own
     cloud, ground, barred = part_of(around.cloud, own), result.ground[own], result.barred[own]
@@ -117,7 +117,7 @@ def summarise(summary: Summary, around: Around, result: FilterResult, found: Fin
     summary.barred, summary.barred_ground = int(barred.sum()), int((barred & ground).sum())
     summary.low_noise = int(result.low_noise[own].sum())
     if classes is not None:
-        summary.classes.update(class_changes(cloud, Findings(ground, found.code[own]), classes))
+        summary.classes.update(class_changes(cloud, Found(ground, found.code[own]), classes))
     summary.overlap.update(overlap_counts(cloud, ground))
     summary.statuses[result.status.name] = 1
     summary.counts = {name: value for name, value in result.info.items() if isinstance(value, (int, float, str))}

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError
-from ..files.classes import Findings
+from ..files.classes import Found
 from ..files.windows import file_cloud
 from .product import FileTask, Product
 from .store import Store
@@ -20,7 +20,7 @@ CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
 
 
-def packed(around: Around, found: Findings, quantities: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays of the core of a tile, file by file: records i64[k] (or the first of k in succession), labels u8[k], and
     quantities f[k].
 
@@ -51,7 +51,7 @@ class FileLabels:
     """
 
     cloud: PointCloud
-    found: Findings
+    found: Found
     quantities: dict[str, np.ndarray]
 
 
@@ -75,9 +75,9 @@ def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> Fi
     return FileLabels(cloud, found_in(label), quantities)
 
 
-def found_in(label: np.ndarray) -> Findings:
+def found_in(label: np.ndarray) -> Found:
     """What labels u8[n] say of points."""
-    return Findings((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
+    return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
 
 
 def gathered(

@@ -20,7 +20,7 @@ from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
 from ..core.version import __version__
-from ..files.classes import Classes, Finding, Findings
+from ..files.classes import Classes, Finding, Found
 from ..files.disk import Seal, new_file
 from ..files.storage import Remote, place_of
 from ..files.vectors import check_suffix
@@ -29,7 +29,7 @@ from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
 from ..methods.ost import OST
 from ..reports.places import SIDE
-from ..reports.verdicts import FINE, HALO, RIM, WORDS, Site, Verdict, read_verdicts, repaired, sites
+from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
 from .collection import Collection
 from .labels import CANDIDATE, found_in, gathered, packed
@@ -136,8 +136,8 @@ class VerdictProduct(Product):
 
     NAME = "verdicts"
     REPORT = VerdictReport
-    sites: tuple[Site, ...]
-    new: tuple[Verdict, ...]
+    sites: tuple[Repair, ...]
+    new: tuple[PlaceVerdict, ...]
     classes: Classes
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
@@ -160,7 +160,7 @@ class VerdictProduct(Product):
         code = np.full(len(cloud), Finding.OTHER, np.uint8)
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
-        arrays = packed(some, Findings(found.ground, code), {})
+        arrays = packed(some, Found(found.ground, code), {})
         kept = {"files": np.unique(around.file[touched]), "changed": np.array(int(touched.sum()))}
         return arrays | {f"{KEPT}{name}": values for name, values in kept.items()}, summary
 
@@ -275,7 +275,7 @@ class _Log:
         """Whether a verdict was carried out, and its files are as they were left."""
         return key in self._known and not self._broken.intersection(self._known[key])
 
-    def add(self, verdicts: Sequence[Verdict], collection: Collection) -> None:
+    def add(self, verdicts: Sequence[PlaceVerdict], collection: Collection) -> None:
         """Write down verdicts, and how their files are now. Raises: OutputError."""
         if not verdicts:
             return
