@@ -76,6 +76,12 @@ PAGES = {
     "failures/results/results.md": Page("experiments/failures/run.py all", "where methods fail: borders, cliffs, cuts through "
                                         "clouds, the place of the grid, places that are named", 45, keeps=True),
     "sensors/results/results.md": Page("experiments/sensors/run.py all", "clouds from photographs, drone lidar and cars", 10),
+    "fits/results/results.md": Page("experiments/fits/run.py", "fits by gradient beside searches, sites left out",
+                                    20),
+    "verdicts/results/results.md": Page("experiments/verdicts/run.py", "errors left after verdicts of people", 15),
+    "verdicts/results/speed.md": Page("experiments/verdicts/speed.py", "what apply takes beside ground", 5),
+    "water/results/results.md": Page("experiments/water/run.py", "water and bridge decks in scenes and tiles", 8),
+    "bench/results/ops.md": Page("experiments/bench/ops.py", "operations beside those of other libraries", 10),
     "tiling/results/labels.md": Page(_tiling("labels"), "labels of tiles against those of the whole", 15),
     "tiling/results/halos.md": Page(_tiling("halos", " --small 300"), "the same by halo", 10),
     "tiling/results/border.md": Page(_tiling("border", " --methods smrf ost ptd csf"), "places that the border cuts", 1),

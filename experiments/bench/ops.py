@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(json.dumps(measured(*json.loads(given[1]))))
         return
     sys.path.insert(0, str(ROOT))
-    from experiments.report import machine, markdown, write_csv
+    from experiments.report import markdown, write_csv, write_page
 
     options = _parser().parse_args(given)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -53,8 +53,6 @@ def main(arguments: list[str] | None = None) -> None:
     text = [
         "# Operations beside those of other libraries",
         "",
-        f"`{shlex.join(['python', 'experiments/bench/ops.py', *given])}`; {machine()}.",
-        "",
         f'CPU seconds of all threads, median of {REPEATS} calls after a first one; "first call" is with compilation. Each row '
         "and library has a process of its own. A cell is empty where the library has no such operation. The last column counts "
         "the cells in which a library differs from jaxfilter by more than 1e-4: other rules of borders, of equally near cells, "
@@ -64,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
         "",
         *([f"Not installed, so left out: {', '.join(missing)}."] if missing else []),
     ]
-    (options.out / "ops.md").write_text("\n".join(text).rstrip() + "\n")
+    write_page(options.out / "ops.md", "\n".join(text), shlex.join(["python", "experiments/bench/ops.py", *given]))
     print("\n".join(text))
 
 

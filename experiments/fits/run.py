@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.ranges import search_ranges
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
             rows += _left_out(method, site, seen, clouds, searches, options)
             write_csv(path, rows)
     command = shlex.join(["python", "experiments/fits/run.py", *given])
-    (options.out / "results.md").write_text(page(rows, command))
+    write_page(options.out / "results.md", page(rows), command, {row["method"] for row in rows})
     print(f"results are in {options.out}")
 
 
@@ -162,11 +162,10 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
     return call(), time.process_time() - begin
 
 
-def page(rows: list[Row], command: str) -> str:
+def page(rows: list[Row]) -> str:
     """The results as Markdown."""
     text = [
         "# Fits by gradient, beside searches",
-        f"`{command}` on {machine()}.",
         "Each site of the ISPRS samples is left out in turn. Parameters are found on the samples of the other sites, from the "
         "method's defaults and within the same ranges, and the samples of the site are scored with them: total error, percent. "
         "`fit` holds out thirds of the other sites to know when to stop, and returns the start where they show no gain above "

@@ -26,7 +26,7 @@ import jaxfilter as jf
 from experiments.defaults.clouds import Known
 from experiments.failures.run import FILLED, SEED, SIZES, SWATH, load
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, read_csv, save_png, write_csv
+from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.reports.places import SIDE, places_of, suspects
 from jaxfilter.terrain.layer import extent_of
@@ -249,7 +249,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [row for path in kept.values() for row in read_csv(path)]
     write_csv(options.out / "verdicts.csv", rows)
     command = shlex.join(["python", "experiments/verdicts/run.py", *given])
-    (options.out / "results.md").write_text(page(rows, sum(area.values()), f"`{command}` on {machine()}.") + "\n")
+    write_page(options.out / "results.md", page(rows, sum(area.values())), command, ["ost", "scenes"])
     figure(summed(rows), options.out / "verdicts.png")
 
 
@@ -265,7 +265,7 @@ def summed(rows: list[Row]) -> pd.DataFrame:
     return sums
 
 
-def page(rows: list[Row], area: float, made: str) -> str:
+def page(rows: list[Row], area: float) -> str:
     """Tables by group."""
     sums = summed(rows)
     columns: list[Column] = [
@@ -273,7 +273,7 @@ def page(rows: list[Row], area: float, made: str) -> str:
         ("said_object", "object", "d"), ("said_fine", "fine", "d"), ("error", "total error, %", ".2f"),
         ("share", "cells off by > 0.5 m, %", ".2f"), ("left", "of the start", ".2f"),
     ]  # fmt: skip
-    text = [f"# Errors left after verdicts\n\n{made} {len({r['cloud'] for r in rows})} clouds, {area:.2f} km2 in all.\n\n"
+    text = [f"# Errors left after verdicts\n\n{len({r['cloud'] for r in rows})} clouds, {area:.2f} km2 in all.\n\n"
             "![Share of cells that are off, by places per km2](verdicts.png)"]  # fmt: skip
     for group in (*GROUPS, TOGETHER):
         own = sums[sums["group"] == group]

@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments.report import machine
+from experiments.report import write_page
 from experiments.tiling.scale import COMMAND, watched
 from jaxfilter.reports.verdicts import RIM
 
@@ -80,7 +80,6 @@ def main(arguments: list[str] | None = None) -> None:
     area, keep = right["area"].sum(), len(before) - changed
     lines = [
         "# Time of verdicts\n",
-        f"`python experiments/verdicts/speed.py` on {machine()}.\n",
         f"{ground['points']:,} points in {len(before)} files, {len(right)} verdicts on {area:,.0f} m2.\n",
         "| | CPU seconds | seconds | peak memory, GB |",
         "|---|---:|---:|---:|",
@@ -91,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
         f"\n`apply` takes {100 * apply['cpu'] / ground['cpu']:.1f} % of the CPU time of `ground`. {changed} files have changed, "
         f"and {keep} keep their bytes and times, among them all {len(untouched)} without a verdict.",
     ]
-    (options.out / "speed.md").write_text("\n".join(lines) + "\n")
+    write_page(options.out / "speed.md", "\n".join(lines), "python experiments/verdicts/speed.py")
     print("\n".join(lines))
 
 
