@@ -78,6 +78,9 @@ def waters(
         fits = rough[number - 1] <= most and own.sum() * cell**2 >= least and rim.any()
         if fits and higher >= RISING * rim.sum() and lower <= FALLING * rim.sum():
             body[box][own] = number
+    body = np.where(
+        ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0), body, 0
+    )  # without crumbs of the shore
     apart = body > 0
     if apart.any():
         near = ndimage.binary_closing(np.pad(body > 0, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects
