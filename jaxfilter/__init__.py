@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from .sweeps.fit import Fit, fit
     from .sweeps.sweep import SweepOptions, sweep
     from .terrain.accuracy import HeightErrors, dtm_rmse
-    from .terrain.breaklines import breaklines
     from .terrain.interpolation import Interpolation
-    from .terrain.layers import chm, contours, count, density, dsm, hillshade, voids
+    from .terrain.layers import breaklines, chm, contours, count, density, dsm, hillshade, voids
     from .terrain.models import dtm, height_above_ground
     from .terrain.raster import Raster
 
@@ -57,10 +56,9 @@ _HOMES = {
     "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
     "terrain.models": ("dtm", "height_above_ground"), "terrain.accuracy": ("dtm_rmse", "HeightErrors"), "reports": ("report",
     "ReportOptions", "review"), "surveys.collection": ("Collection", "open"), "surveys.ground": ("ground",), "surveys.heights":
-    ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("chm", "contours",
-    "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
-    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "terrain.breaklines": ("breaklines",), "steps.batch":
-    ("Batch",),
+    ("heights",), "surveys.model": ("terrain_model",), "surveys.products": ("products",), "terrain.layers": ("breaklines", "chm",
+    "contours", "count", "density", "dsm", "hillshade", "voids"), "surveys.verdicts": ("apply", "apply_survey", "review_survey"),
+    "surveys.accuracy": ("accuracy_statement",), "sweeps.batch": ("batch",), "steps.batch": ("Batch",),
 }  # fmt: skip
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -74,7 +74,7 @@ class Place:
     Attributes:
         cloud: its points, n of them; truth: bool[n], ground.
         x, y: f64[k], centres of the cells of 1 m within 3 m of points or under water, projected.
-        water, deck: bool[k], what they are. terrain: f64[k], metres; under water its surface, where that returns echoes.
+        water, deck: bool[k], what they are. terrain: f64[k], metres; under water its surface, NaN where that returns no echoes.
     """
 
     name: str
@@ -105,7 +105,7 @@ def place(name: str, density: float, seed: int, side: float = SIDE) -> Place:
     gx, gy = (v.ravel() for v in np.meshgrid(*(np.arange(a + 0.5, b) for a, b in zip(low, high, strict=True))))
     water, deck, level = scene.water(gx, gy), np.isfinite(scene.deck(gx, gy)), scene.water_level(gx, gy)
     known = water | (cKDTree(scene.xyz[inside, :2]).query(np.c_[gx, gy])[0] < 3)
-    terrain = np.where(np.isfinite(level), level, scene.terrain(gx, gy))
+    terrain = np.where(water, level, scene.terrain(gx, gy))
     return Place(name, cloud, scene.truth[inside], *(v[known] for v in (gx, gy, water & ~deck, deck, terrain)))
 
 

@@ -12,7 +12,6 @@ from ..core.errors import InputError
 from ..core.result import FilterResult
 from ..files.storage import place_of
 from ..files.vectors import check_suffix, write_features
-from ..methods import OST
 
 if TYPE_CHECKING:
     import geopandas
@@ -44,6 +43,8 @@ def breaklines(
     import geopandas
     import rasterio.features
     import shapely
+
+    from ..methods import OST  # imports JAX
 
     cloud, run = as_cloud(cloud), result.run
     if run is None or not isinstance(run.filter, OST) or run.cloud is not cloud:

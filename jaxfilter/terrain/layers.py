@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .breaklines import breaklines as breaklines
 from .chm import Chm
 from .contours import Contours
 from .contours import contours as contours
