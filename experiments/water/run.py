@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
 from experiments.isprs import samples
-from experiments.report import Column, Row, machine, markdown, write_csv
+from experiments.report import Column, Row, markdown, write_csv, write_page
 from experiments.water import scenes
 from jaxfilter.core.compilation import keep_compilations
 
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     write_csv(options.out / "scenes.csv", rows)
     write_csv(options.out / "tiles.csv", tiles)
-    (options.out / "results.md").write_text(page(rows, tiles) + "\n")
+    write_page(options.out / "results.md", page(rows, tiles), "python experiments/water/run.py", ["ost", "scenes"])
 
 
 def scored(name: str, density: float, seed: int) -> Row:
@@ -89,7 +89,7 @@ def tile(path: Path) -> Row | None:
 
 def page(rows: list[Row], tiles: list[Row]) -> str:
     """The tables as Markdown."""
-    text = ["# Water and bridge decks", "", f"`python experiments/water/run.py` on {machine()}.", ""]
+    text = ["# Water and bridge decks", ""]
     for seed in dict.fromkeys(row["seed"] for row in rows):
         seen = "looked at while the rules were chosen" if seed == scenes.CHOICE else "only scored"
         columns: list[Column] = [
