@@ -80,7 +80,7 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
     last = (
         f"ground points on the clouds of `experiments/labels.py`: {behind}" if behind else "none are behind this page"
     )
-    head = f"`{command}`, {date} UTC, {seconds:,.0f} s on {machine()}."
+    head = f"`{command}`, {date} UTC, {max(seconds, 1):,.0f} s on {machine()}."
     part = path.with_name(path.name + ".part")
     part.write_text(f"{title}\n\n{head}\n\n{body.strip()}\n\nLabels: {last}.\n")
     part.replace(path)

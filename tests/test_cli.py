@@ -456,7 +456,7 @@ def test_demo_runs_again_from_the_compilation_cache(tmp_path):
         (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
         (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
         (("compare", "in.laz"), "jf.compare"),
-        (("review", "in.laz"), "ground IN OUT --review places.gpkg"),
+        (("review", "in.laz"), "OUT is missing"),
         (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
         (("{scene}", "out.laz"), "ground {scene} OUT"),
     ],

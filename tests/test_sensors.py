@@ -1,6 +1,7 @@
 """What is told of a cloud's sensor, and what OST makes of it, against scenes whose truth is known."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from jaxfilter.steps.surfaces import lowest_cells
 SIZES = {AIRBORNE: (90.0, 4.0), DRONE: (40.0, 100.0), MATCHING: (60.0, 30.0), MOBILE: (90.0, 20.0)}
 
 
+@functools.cache
 def scene(sensor, layout="town", seed=101, **options):
     side, density = SIZES[sensor]
     return jf.scenes.make(layout, **{"size": side, "density": density, "seed": seed, "sensor": sensor} | options)

@@ -490,7 +490,7 @@ def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
         return self._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
 
     def surface(self: Any, prepared: smrf.Opened) -> Surface:
-        cells, filled, steepest, bare, _ = prepared
+        cells, filled, steepest, bare = prepared[:4]
         terrain = fill(filled, bare & (steepest <= self.slope * self.cell), cells.valid)
         return Surface.over(cells, terrain)
 
