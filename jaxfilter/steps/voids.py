@@ -45,6 +45,7 @@ def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.nda
         cell, spacing: metres; voids are wider than four spacings.
     """
     size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
-    closed = ndimage.binary_closing(np.pad(seen, size, constant_values=True), np.ones((size, size), bool))
-    void = ~closed[size:-size, size:-size]
+    void = ~ndimage.minimum_filter(
+        ndimage.maximum_filter(seen, size, mode="constant", cval=1), size, mode="constant", cval=1
+    )
     return np.where(void, ndimage.minimum_filter(z, 2 * round(AROUND / cell) + 1), z) if void.any() else z
