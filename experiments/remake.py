@@ -95,6 +95,7 @@ PAGES = {
     "tiling/results/tiles.md": Page(_tiling("tiles"), "what tiles cost against single files", 15),
     "sensitivity/results/results.md": Page("experiments/sensitivity/run.py", "what the parameters decide", 4, (ISPRS,)),
     "sensitivity/results/speed.md": Page("experiments/sensitivity/speed.py", "how fast sweeps are", 20),
+    "sensitivity/results/batches.md": Page("experiments/sensitivity/batches.py", "many clouds with many sets in one call", 8),
     "sensitivity/results/agreement.md": Page("experiments/sensitivity/agreement.py --minutes 20", "labels of sweeps against "
                                              "those of single calls", 21),
     "sensitivity/results/calibration.md": Page("experiments/sensitivity/calibration.py", "calibration from few labels", 40),

@@ -12,7 +12,7 @@ from jaxfilter.engines.grid.cells import padded_length
 from jaxfilter.steps import batch as module
 
 SMRF = jf.SMRF(window=6.0)
-SETS = {"slope": [0.05, 0.2, 0.4], "threshold": [0.2, 0.5, 0.9], "scaling": [0.0, 1.25, 2.0]}
+SETS = {"slope": [0.2, 0.05, 0.2, 0.4], "threshold": [0.5, 0.2, 0.9, 0.9], "scaling": [1.25, 0.0, 2.0, 2.0]}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_other_methods_take_batches(scenes, filter_, sets):
 def test_counts_are_those_of_evaluate_and_of_the_labels(scenes, smrf):
     counts, labels = smrf.confusion(SETS), smrf.unstack(smrf.ground(SETS))
     for c, (name, scene) in enumerate(scenes.items()):
-        for s in range(3):
+        for s in range(4):
             np.testing.assert_array_equal(counts[c, s], jf.evaluate(labels[name][s], scene.truth).confusion)
 
 

@@ -60,9 +60,10 @@ class Batch:
 
     ``ground``, ``soft`` and ``confusion`` take sets of parameters: a mapping from traced fields to arrays f32[sets]; without, the
     filter counts alone. They are pure. One program for each block goes over clouds and sets. What no traced field decides, such
-    as the openings of SMRF, is computed once a cloud. ``memory``: bytes that sets computed at the same time may hold. Static
-    fields (``cell``, ``window``, ...) fix shapes: make a batch for each value. Raises: ParameterError for a field that is
-    static or unknown, a value out of its limits, or sets of unlike length.
+    as the openings of SMRF, is computed once a cloud. A surface is computed once for all sets that differ only in what ``test``
+    reads: ``threshold`` and ``scaling`` of SMRF. ``memory``: bytes that sets computed at the same time may hold. Static fields
+    (``cell``, ``window``, ...) fix shapes: make a batch for each value. Raises: ParameterError for a field that is static or
+    unknown, a value out of its limits, or sets of unlike length.
 
     Attributes:
         filter: the method; its traced fields hold where ``sets`` has none.
@@ -220,26 +221,40 @@ def _at_once(block: Block, sets: int, memory: float) -> int:
 def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what: str, at_once: int) -> jax.Array:
     """Of every cloud of a block with every set: labels, soft labels or counts."""
 
-    def found(one: Any, prepared: Any, cloud: Block) -> jax.Array:
-        if what == "soft":
-            return jnp.where(cloud.real, one._soft(prepared, cloud.xyz, width), 0)
-        made = one.surface(prepared)._replace(counts={})
-        # As in the call of one set the surface is in memory before it is read: else it is computed anew for each point.
-        surface = lax.cond(cloud.real[0], lambda made: made, lambda made: jax.tree.map(jnp.zeros_like, made), made)
-        ground = cloud.real & (one.test(surface, cloud.xyz).margin <= 0)
-        if what == "ground":
-            return ground
-        kinds = cloud.counted & cloud.truth, cloud.counted & ~cloud.truth
-        hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in kinds])
-        return jnp.stack([hits, cloud.totals - hits], axis=-1)
-
     def of_cloud(cloud: Block) -> jax.Array:
         prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
-        if sets is None:
-            return found(filter_, prepared, cloud)
-        chunk = None if at_once == 1 else at_once
-        return lax.map(
-            lambda fields: found(dataclasses.replace(filter_, **fields), prepared, cloud), sets, batch_size=chunk
-        )
 
-    return lax.map(of_cloud, block)
+        def surface(fields: Any) -> Any:
+            return dataclasses.replace(filter_, **fields).surface(prepared)._replace(counts={})
+
+        def soft(fields: Any) -> jax.Array:
+            return jnp.where(cloud.real, dataclasses.replace(filter_, **fields)._soft(prepared, cloud.xyz, width), 0)
+
+        def held(fields: Any, made: Any) -> jax.Array:
+            ground = cloud.real & (dataclasses.replace(filter_, **fields).test(made, cloud.xyz).margin <= 0)
+            if what == "ground":
+                return ground
+            kinds = cloud.counted & cloud.truth, cloud.counted & ~cloud.truth
+            hits = jnp.stack([(ground & kind).sum(dtype=jnp.int32) for kind in kinds])
+            return jnp.stack([hits, cloud.totals - hits], axis=-1)
+
+        def after(last: Any, given: Any) -> tuple[Any, jax.Array]:
+            (key, fields), (other, made) = given, last
+            made = lax.cond((key == other).all(), lambda: made, lambda: surface(fields))
+            return (key, made), held(fields, made)
+
+        if what == "soft":
+            return lax.map(lambda given: soft(given[1]), (keys, shared))
+        if at_once > 1:
+            return lax.map(lambda given: held(given[1], surface(given[1])), (keys, shared), batch_size=at_once)
+        empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(lambda: surface({})))
+        return lax.scan(after, (jnp.full(keys.shape[1], jnp.nan), empty), (keys, shared))[1]
+
+    # Sets that differ only in what ``test`` reads follow each other, so that they share their surface.
+    count = 1 if sets is None else len(next(iter(sets.values())))
+    untested = [values for name, values in (sets or {}).items() if name not in filter_.TESTED]
+    keys = jnp.stack([jnp.zeros(count), *untested], axis=1)
+    order = jnp.lexsort(keys.T)
+    keys, shared = jax.tree.map(lambda values: values[order], (keys, sets or {}))
+    found = lax.map(of_cloud, block)
+    return found[:, 0] if sets is None else jnp.take(found, jnp.argsort(order), axis=1)
