@@ -28,10 +28,10 @@ SURFACE, AFLOAT = 0.15, 0.3
 
 def waters(
     z: np.ndarray, known: np.ndarray, count: np.ndarray, objects: np.ndarray, cell: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Water bodies in a surface of lowest points: i32[rows, columns], which body a cell is in, 0 for none; and
-    f32[rows, columns], the elevation of the water, metres, NaN where there is none, also at objects on it, a few cells wide;
-    and bool[rows, columns], cells where nothing above that or below is ground: those without the shore.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Water bodies in a surface of lowest points: f32[rows, columns], the elevation of the water, metres, NaN elsewhere, and
+    also at objects on it, a few cells wide; and bool[rows, columns], cells where nothing above that or below is ground: those
+    without the shore.
 
     A body is a segment of flat cells whose means differ by centimetres, or by decimetres where water has returned few of the
     pulses; nearly all around it the surface is higher, and nowhere lower. So level meadows, which end at ditches, are none, nor
@@ -50,7 +50,7 @@ def waters(
     core, bodies = segments(np.where(flat, z, np.float32(np.nan)), np.float32(STEP), CORE / cell**2)
     level = np.full(z.shape, np.nan, np.float32)
     if bodies == 0:
-        return core, level, core > 0
+        return level, core > 0
     heights = np.bincount(core.ravel(), z.ravel())[1:] / np.bincount(core.ravel())[1:]
     rank = np.zeros(bodies + 1, np.int32)
     rank[1 + np.argsort(-heights, kind="stable")] = np.arange(1, bodies + 1)  # at a shore the lower one counts
@@ -86,7 +86,7 @@ def waters(
         near = ndimage.binary_closing(np.pad(body > 0, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects
         level = np.where((body > 0) | near, _mean(z, body > 0, 2 * RIM + 1), level)
         apart = near | (ndimage.minimum_filter((body > 0) | near, 3))
-    return body, level, apart
+    return level, apart
 
 
 def _range(z: np.ndarray) -> np.ndarray:
