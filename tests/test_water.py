@@ -70,6 +70,16 @@ def test_water_is_level_and_lower_than_its_rim() -> None:
     assert pool(0.0, 1.5, 1, cells=12).any()  # a pond, from its points
 
 
+@pytest.mark.parametrize("slope, found", [(0.0008, True), (0.003, False)])
+def test_a_long_river_falls(slope: float, found: bool) -> None:
+    """A kilometre of a channel, 20 m wide, with few points."""
+    rows, columns = np.mgrid[:60, :1000]
+    channel, rng = abs(rows - 30) < 10, np.random.default_rng(0)
+    z = slope * columns + np.where(channel, 0, 2) + 0.02 * rng.standard_normal(rows.shape)
+    water = np.isfinite(waters(z.astype(np.float32), rows >= 0, np.where(channel, 1, 4), rows < 0, 1.0)[0])
+    assert water[channel].mean() > 0.95 if found else not water.any()
+
+
 def test_ost_marks_decks_and_water_in_a_scene(tmp_path) -> None:  # type: ignore[no-untyped-def]
     layout = jf.scenes.SceneLayout(relief=4, landform=128, river=28, water_echoes=0.8, forest=0, settlement=0)
     scene = jf.scenes.make(layout, size=(440, 180), density=2, seed=7)  # with a river and a bridge
