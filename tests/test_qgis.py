@@ -85,9 +85,12 @@ def test_choices_are_those_of_the_library():
             "ground",
             {"INPUT": ["/1"], "METHOD": "default", "EXTRA": ["doubt", "height"], "GROUND_CLASS": 2, "OTHER_CLASS": 3}
             | {"OVERWRITE": True, "RESUME": False, "LOAD": True, "MORE": '--bounds 1 2 3 4 --work "a b"', "OUTPUT": "/o/"}
-            | {"CRS": "EPSG:25832", "UNITS": "as the CRS says", "RETURNS": "last,only", "NOISE_CLASS": 0},
+            | {"CRS": "EPSG:25832", "UNITS": "as the CRS says", "RETURNS": "last,only", "NOISE_CLASS": 0}
+            | {"WATER_CLASS": 9, "BRIDGE_CLASS": 17, "BREAKLINES": "/w.gpkg"},
             ["ground", "/1", "/o/", "--extra", "doubt", "--extra", "height", "--other-class", "3", "--noise-class", "0"]
-            + ["--crs", "EPSG:25832", "--overwrite", "--bounds", "1", "2", "3", "4", "--work", "a b"],
+            + ["--water-class", "9", "--bridge-class", "17"]
+            + ["--crs", "EPSG:25832", "--overwrite", "--bounds", "1", "2", "3", "4", "--work", "a b"]
+            + ["--breaklines", "/w.gpkg"],
         ),
         (
             "products",
@@ -363,10 +366,17 @@ def test_ground_in_qgis_is_that_of_the_command(qgis, survey, tmp_path):
 
 
 def test_products_in_qgis_are_those_of_the_command(qgis, survey, tmp_path):
+    water = tmp_path / "water.gpkg"
     code, results, said = run_algorithm(
-        qgis, "products", FOLDER=survey / "known", CLASSIFIED="true", ONLY="dtm,hillshade", OUTPUT=tmp_path / "p"
+        qgis,
+        "products",
+        FOLDER=survey / "known",
+        CLASSIFIED="true",
+        ONLY="dtm,hillshade",
+        OUTPUT=tmp_path / "p",
+        BREAKLINES=water,
     )
-    assert code == 0, said
+    assert code == 0 and results["BREAKLINES"] == str(water) and water.exists(), said
     assert results["DTM"] == str(tmp_path / "p" / "dtm.tif") and Path(results["PAGE"]).exists()
     subprocess.run([COMMAND, "dtm", survey / "known", tmp_path / "dtm.tif"], check=True)
     with rasterio.open(results["DTM"]) as one, rasterio.open(tmp_path / "dtm.tif") as other:

@@ -50,16 +50,15 @@ def main(arguments: list[str] | None = None) -> None:
 def scored(name: str, density: float, seed: int) -> Row:
     """F1 by area, and cells of 1 m whose terrain is off by more than 0.5 m; water without echoes has no surface to hold it to."""
     place = scenes.place(name, density, seed)
-    filter_ = jf.OST.for_cloud(place.cloud)
-    result = filter_(place.cloud)
+    result = jf.OST.for_cloud(place.cloud)(place.cloud)
     deck = scenes.nearest(place.cloud, result.deck, place.x, place.y, 1.5 * density**-0.5)
-    body, _, (x0, y0, cell) = filter_.waters(place.cloud)
-    at = [
-        np.clip(((v - o - v0) / cell).astype(int), 0, n - 1)
-        for v, o, v0, n in zip((place.y, place.x), place.cloud.origin[1::-1], (y0, x0), body.shape, strict=True)
-    ]
+    water = np.zeros(len(place.x), bool)
+    if (cells := result.water_cells) is not None:
+        at = np.column_stack([place.y, place.x]) - place.cloud.anchor[::-1]
+        places = np.floor(at / cells.side + 0.5).astype(np.int64) @ [1 << 32, 1]
+        water = np.isin(places, cells.at.astype(np.int64) @ [1 << 32, 1])
     row: Row = {"scene": name, "density": density, "seed": seed}
-    for what, area, truth in (("deck", deck, place.deck), ("water", body[tuple(at)] > 0, place.water)):
+    for what, area, truth in (("deck", deck, place.deck), ("water", water, place.water)):
         row |= {f"{what}_{key}": v for key, v in scenes.by_area(area, truth).items()}
         row[f"{what}_wrong"] = int((area & ~truth).sum())
     model = jf.dtm(place.cloud, result, 1.0)

@@ -21,11 +21,12 @@ import click
 from ..core.process import collect_seldom
 from ..core.version import __version__
 from .options import (
+    BREAKLINES,
     BY_DATA,
     READING,
     RUN,
     WRITTEN,
-    check_target,
+    check_shapes,
     open_files,
     take,
     take_classes,
@@ -163,6 +164,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         *WRITTEN,
         option("--extra", "Also write this quantity, in metres or degrees.", click.Choice(EXTRAS), multiple=True),
         REVIEW,
+        BREAKLINES,
         *RUN,
         *session_options(),
     ]
@@ -177,10 +179,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     recipe.alone()  # what is wrong with the parameters is said before anything is read
     from ..surveys.ground import ground
 
-    if (review := options["review"]) is not None:
-        from ..files.vectors import DRIVERS
-
-        check_target(review, options["overwrite"] or options["resume"], tuple(DRIVERS))
+    review, breaklines = options["review"], options["breaklines"]
+    check_shapes(options, review, breaklines)
     classes, extra = take_classes(options), options["extra"]
     files = open_files(session, paths, options, bare=recipe.method is None)
     with session.step("run", files.collection.count):
@@ -192,6 +192,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
             classes=classes,
             extra=extra,
             review=review,
+            breaklines=breaklines,
             run=files.run,
         )
     if report.forecast is not None:

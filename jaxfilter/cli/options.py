@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, METRES, Bytes, Number, option
+from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, option
 
 if TYPE_CHECKING:
     from ..files.classes import Classes
@@ -84,6 +84,9 @@ WIDTH = option(
 )
 BY_DATA = [FOR_CLOUD, WIDTH]
 FINDER = option("--filter", "Find the ground with this filter instead of by class or label.", "METHOD")
+BREAKLINES = option(
+    "--breaklines", "Also write the outlines of water bodies, with their level, as .gpkg or .geojson.", OUTPUT
+)
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
 CLASSES = option("--ground-class ground_classes", "Class of the ground points.", CLASS, multiple=True, default=(2,))
@@ -195,17 +198,30 @@ def check_inputs(names: Sequence[str], bare: bool = False) -> None:
             raise BadUsage(f"{name}: no such file or folder{words}")
 
 
-def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = ()) -> None:
+def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), made: str = "") -> None:
     """Raises BadUsage if ``target`` exists and not ``overwrite``, or has none of the suffixes; OutputError if it cannot be
-    written."""
+    written. ``made``: a folder that will be made."""
     from ..files.disk import is_there
 
     if suffixes and target.suffix.lower() not in suffixes:
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     if is_there(target) and not overwrite:
         raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if isinstance(target, Path) and not target.absolute().parent.is_dir():
-        raise BadUsage(f"{target.absolute().parent} is not a folder: make it first")
+    if (
+        isinstance(target, Path)
+        and not (parent := target.absolute().parent).is_dir()
+        and parent != Path(made).absolute()
+    ):
+        raise BadUsage(f"{parent} is not a folder: make it first")
+
+
+def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
+    """As :func:`check_target`, for files of shapes of a run that may go on."""
+    from ..files.vectors import DRIVERS
+
+    for target in targets:
+        if target is not None:
+            check_target(target, options["overwrite"] or options["resume"], tuple(DRIVERS), made)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -63,6 +63,8 @@ def print_report(report: dict[str, Any]) -> None:
     if report["review"]:
         volume = sum(place["volume"] for place in report["places"])
         click.echo(f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect")
+    if report["breaklines"]:
+        click.echo(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
         click.echo("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
     marked = report["overlap"]

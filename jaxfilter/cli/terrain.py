@@ -11,12 +11,14 @@ import click
 from .commands import main
 from .options import (
     BOUNDS,
+    BREAKLINES,
     FILTER,
     GROUND,
     PRESET_OF_CLASSES,
     READING,
     RUN,
     Files,
+    check_shapes,
     open_files,
     take,
     take_classes,
@@ -44,6 +46,7 @@ _MODEL = [
     option("--fill", "Give cells outside the hull of the ground points a height too.", bool),
     option("--neighbours", "Number of nearest ground points that idw and kriging use.", int, default=12),
     option("--power", "Power of the distance that idw uses.", float, default=2.0),
+    option("--level-water/--raw-water", "Give water its level, or the triangles of its points.", bool, default=True),
 ]
 _LEVELS, _GAP = (0.0, 2.0, 5.0, 10.0, 15.0), 10.0
 _SURFACE = [
@@ -150,6 +153,7 @@ def _cells(report: TerrainReport, side: str) -> str:
     option("--classified", "Take the points of this class for ground, and classify no files.", CLASS, multiple=True),
     option("--only", "Names of what is made, with commas between: dtm,hillshade.  [default: everything]", "NAMES"),
     *CELL,
+    BREAKLINES,
     *RUN[:-1],
 )
 @in_session
@@ -172,6 +176,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
     if names[-1] == "-":
         raise BadUsage("-: products are several files: name a folder")
+    check_shapes(options, options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
     assert files.out is not None
     cell, side = _side(files, options)
@@ -184,6 +189,7 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
             cell=cell,
             reading=files.reading,
             classes=classes,
+            breaklines=options["breaklines"],
             run=files.run,
         )
     plan = made.rasters.forecast
@@ -249,5 +255,7 @@ def _answer(session: Session, report: RunReport, files: Files, text: str, what: 
             f"heights of {count(report.uncertain, what)} over wide voids may differ between neighbouring tiles"
         )
     tell(session, report)
+    if report.breaklines:
+        text += f"{report.breaklines}: {count(report.as_dict()['water_bodies'], 'outline')} of water\n"
     text += f"{count(report.tiles, 'tile')} in {report.elapsed:.1f} s; {times(report.seconds)}"
     return Answer(run_facts(session, report, files), f"{files.output}: {text}", complete=report.complete)

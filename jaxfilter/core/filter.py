@@ -21,6 +21,7 @@ from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, plain_points
 from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
+from .water import WaterCells
 
 _BYTES = 1000
 """About so many of memory per point of a classification."""
@@ -32,6 +33,7 @@ class Labels:
 
     ``settled``: bool[m], points that are ground before the last thresholds are applied. ``doubt``: f32[m], probability that
     the label is wrong. ``water``, ``deck``: bool[m], points of water, which are ground, and of decks, which are not.
+    ``water_cells``: where the water is.
     """
 
     ground: np.ndarray
@@ -46,6 +48,7 @@ class Labels:
     doubt: np.ndarray | None = None
     water: np.ndarray | None = None
     deck: np.ndarray | None = None
+    water_cells: WaterCells | None = None
     status: Status = Status.CONVERGED
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     trace: list[dict[str, Any]] = dataclasses.field(default_factory=list)
@@ -426,5 +429,6 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         status=labels.status,
         info={"points": len(cloud), "candidates": len(points.index), **labels.info},
         trace=trace,
+        water_cells=labels.water_cells,
         **known,
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from .errors import InputError, warn
 from .markup import sheet
+from .water import WaterCells
 
 if TYPE_CHECKING:
     import pandas
@@ -99,11 +100,10 @@ class FilterResult:
         info: counts of the run (seeds, rounds, facets, ...).
         trace: a dict of counts per round, in order; with ``trace=True`` also ``"ground"``: bool[n] after that round.
         doubt: f32[n] or None; probability that the label is wrong, by methods that state it (OST); NaN if never judged.
-        water, deck: bool[n] or None; points of the surface of a body of water, which are ground, and of bridge decks, which are
-            not; None if nobody has looked for them.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
         water: bool[n] or None; points of the surface of a water body, which stay ground. None = the method looks for none.
         deck: bool[n] or None; points of a bridge deck, which are no ground. None = the method looks for none.
+        water_cells: where the water bodies are, voids included; None = there are none, or the method looks for none.
         low_noise: bool[n]; low outliers: barred from the seeds, not ground in the end, and below the final surface, unless they
             are given. Methods that bar no points, such as SMRF, which bars cells, have none.
         run: the filter and the cloud; None for a result that was put together by hand.
@@ -129,6 +129,7 @@ class FilterResult:
     doubt: np.ndarray | None = None
     water: np.ndarray | None = None
     deck: np.ndarray | None = None
+    water_cells: WaterCells | None = None
     low_noise: np.ndarray = None  # type: ignore[assignment]
     run: Call | None = dataclasses.field(default=None, repr=False)
 

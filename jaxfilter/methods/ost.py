@@ -10,10 +10,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.filter import Filter, Labels, degenerate, of_scene, stage
+from ..core.filter import Filter, Labels, of_scene, stage
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
-from ..core.result import Decision, Progress, silent
+from ..core.result import Decision, Progress
+from ..core.water import WaterCells
 from ..engines.grid.morphology import dilation
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
@@ -227,6 +228,7 @@ class OST(Filter):
         low, lowest = scene.low, scene.lowest
         crossed = self.crossed(scene, objects, points, spacing)
         deck, level, clear = crossed.at(points.xyz, scene.cells)
+        wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
         del scene, objects, drop, rock, landscape, inside, crossed  # none is needed while the ground grows
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
@@ -262,6 +264,7 @@ class OST(Filter):
                 points, deck, level = crowd.every, deck[own], level[own]
                 scatter = Scatter(*(values[own] for values in scatter))
         labels.deck = ~labels.ground & (np.abs(points.xyz[:, 2] - deck) < np.float32(self.roof_step))
+        labels.water_cells = wet
         labels.water = labels.ground & (np.abs(points.xyz[:, 2] - level) < SURFACE)
         if points.kept is None:
             labels.doubt = doubts(labels, scatter, steepness, around, height)
@@ -316,36 +319,17 @@ class OST(Filter):
         rows, columns = segments.z.shape
         deck, level = (np.full(objects.shape, np.nan, np.float32) for _ in range(2))
         if self.sensor not in (AIRBORNE, DRONE):
-            return Crossings(deck, level, level, np.zeros((rows, columns), np.int32))
+            return Crossings(deck, level, level)
         inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
         z = sunk(segments.z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)
         others = objects[inner] & np.isnan(deck[inner])
         number = number_in(points, scene.cells)
-        body, level[inner], apart = waters(z, inside & np.isnan(deck[inner]), number, others, self.cell)
+        level[inner], apart = waters(z, inside & np.isnan(deck[inner]), number, others, self.cell)
         clear = np.full(objects.shape, np.nan, np.float32)
         clear[inner] = np.where(apart, level[inner], np.nan)
-        return Crossings(deck, level, clear, body)
-
-    def waters(self, cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, tuple[float, ...]]:
-        """i32[rows, columns], which water body each cell is in, 0 for none; f32[rows, columns], the elevation of its surface,
-        local metres; and x and y of the south-western corner and side of a cell, local metres. No labels are made.
-
-        >>> body, level, (x, y, cell) = jf.OST().waters(cloud)
-        >>> body.shape == level.shape, bool((body == 0).all())
-        (True, True)
-        """
-        points = self.points_of(cloud)
-        if degenerate(cloud, points) is not None:
-            return np.zeros((1, 1), np.int32), np.full((1, 1), np.nan, np.float32), (0.0, 0.0, self.cell)
-        spacing = points.spacing() if self.spacing is None else self.spacing
-        crowd = Crowd.of(points)
-        points = points if crowd is None else crowd.points
-        scene = self.scene(points, spacing, None, silent)
-        crossed = self.crossed(scene, self.objects(scene)[0], points, spacing)
-        rows, columns = crossed.body.shape
-        return crossed.body, crossed.level[:rows, :columns], tuple(float(v) for v in scene.cells.frame)
+        return Crossings(deck, level, clear)
 
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
@@ -446,13 +430,18 @@ class Crossings(NamedTuple):
     Attributes:
         deck: f32[rows, columns], of the padded shape of the cells: elevations of decks, metres, NaN where there is none.
         level: f32[rows, columns], those of the surface of water, also below what stands on it; clear: NaN at the shore, too.
-        body: i32[rows, columns], without padding: which water body a cell is in, 0 for none.
     """
 
     deck: np.ndarray
     level: np.ndarray
     clear: np.ndarray
-    body: np.ndarray
+
+    def cells(self, cloud: PointCloud, cells: Cells) -> WaterCells | None:
+        """Where the water is."""
+        if np.isnan(self.level).all():
+            return None
+        x, y, side = (float(v) for v in cells.frame)
+        return WaterCells.of(cloud, self.level, (x, y), side)
 
     def at(self, xyz: np.ndarray, cells: Cells) -> list[np.ndarray]:
         """f32[n] each: elevations of decks, of water, and of water without the shore, at points f32[n, 3]."""

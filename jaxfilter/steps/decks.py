@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import ndimage
+
+from ..engines.grid.extremes import highest
 
 DROP, HIGH = 0.8, 1.8
 """Metres that a deck falls by at its flanks, at least: anywhere, and at half of its cells."""
@@ -47,7 +48,7 @@ def decks(
     core = inside & (fall > HIGH)
     if not core.any():
         return none
-    on = (across > 0) & inside & ndimage.maximum_filter(core, 2 * round(NEAR / cell) + 1)
+    on = (across > 0) & inside & highest(core, 2 * round(NEAR / cell) + 1)
     part, count = segments(np.where(on, z, np.float32(np.nan)), np.float32(step), AREA / cell**2)
     row, column = np.nonzero(part)
     name = part[row, column]
@@ -58,6 +59,12 @@ def decks(
     cells = np.maximum(total(np.ones(len(name))), 1)
     turn = np.pi / 4 * (across[row, column] - 1)  # twice the angle, since a line has no sense
     sine, cosine = total(np.sin(turn)) / cells, total(np.cos(turn)) / cells
+    wide = total(width[row, column]) / cells
+    good = (np.hypot(sine, cosine) >= STEADY) & (cells * cell >= LENGTH * wide)
+    good &= 2 * total(fall[row, column] > HIGH) >= cells
+    good[0] = False
+    if not good.any():
+        return none
     axis = (np.arctan2(sine, cosine) + np.pi) / 2
     along = row * np.sin(axis)[name] + column * np.cos(axis)[name]
     ahead = along > (total(along) / cells)[name]
@@ -70,14 +77,11 @@ def decks(
         beside, level = np.pad(land[rest], 1)[other], np.pad(z, 1)[other]
         joins |= beside & (np.abs(level - z[row, column]) < JOIN)
     beyond = np.pad(~inside, 1, constant_values=True)
-    cut = ndimage.maximum_filter(beyond, 2 * back + 3)[1:-1, 1:-1][row, column]
-    wide = total(width[row, column]) / cells
+    cut = highest(beyond, 2 * back + 3)[1:-1, 1:-1][row, column]
     ends = [[total(what & side) / (wide + 2) for side in (ahead, ~ahead)] for what in (joins, cut)]
     join, edge = (np.array(both) for both in ends)
     met = (join >= ENDS) | ((edge >= ENDS) & (join[::-1] >= ENDS))
-    good = met.all(axis=0) & (join <= MOST).all(axis=0) & (np.hypot(sine, cosine) >= STEADY)
-    good &= (cells * cell >= LENGTH * wide) & (2 * total(fall[row, column] > HIGH) >= cells)
-    good[0] = False
+    good &= met.all(axis=0) & (join <= MOST).all(axis=0)
     level = np.where(good[part], z, np.float32(-np.inf))
-    beside = ndimage.maximum_filter(level, 3)
+    beside = highest(level, 3)
     return np.where(good[part], z, np.where(beside - z > DROP, beside, none))

@@ -139,7 +139,7 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
         return spread
 
     names = ("ground", "height", "slope", "angle", "elevation", "margin", "decision")
-    found = {name: of_points(getattr(out, name)) for name in names}
+    found: dict[str, Any] = {name: of_points(getattr(out, name)) for name in names}
     trace = out.trace
     if network.before is not None:
         before, trace = network.before, network.before.trace + trace

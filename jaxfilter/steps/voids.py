@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import ndimage
 
+from ..engines.grid.extremes import highest, lowest
 from ..engines.grid.inpaint import fill_nearest
 from ..engines.grid.morphology import erosion
 from ..engines.tin.triangulation import Tin
@@ -45,7 +45,5 @@ def sunk(z: np.ndarray, seen: np.ndarray, cell: float, spacing: float) -> np.nda
         cell, spacing: metres; voids are wider than four spacings.
     """
     size = 2 * max(2, math.ceil(2 * spacing / cell)) + 1
-    void = ~ndimage.minimum_filter(
-        ndimage.maximum_filter(seen, size, mode="constant", cval=1), size, mode="constant", cval=1
-    )
-    return np.where(void, ndimage.minimum_filter(z, 2 * round(AROUND / cell) + 1), z) if void.any() else z
+    void = ~lowest(highest(seen, size, outside=True), size)
+    return np.where(void, lowest(z, 2 * round(AROUND / cell) + 1), z) if void.any() else z

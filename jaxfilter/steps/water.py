@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy import ndimage
+
+from ..engines.grid.extremes import highest, lowest
 
 FLAT, STEP = 0.25, 0.2
 """Metres between the lowest and the highest of 5 x 5 cells of water, at most, and from one cell to the next: noise of 5 cm."""
@@ -14,6 +18,8 @@ CORE = 50.0
 AREA, SLOPING = 200.0, 0.4
 """Square metres of a water body at least, and metres between nearly all its means at most, where it has returned few of the
 pulses."""
+SLOPE = 0.001
+"""Rise over run that such a body, a river, may have along the diagonal of its extent besides: 1 m in 1 km."""
 DENSE_AREA, DENSE_LEVEL = 1000.0, 0.15
 """The same of a body that has as many points as land. Courtyards can be as level, but not as large."""
 THIN = 0.5
@@ -28,14 +34,14 @@ SURFACE, AFLOAT = 0.15, 0.3
 
 def waters(
     z: np.ndarray, known: np.ndarray, count: np.ndarray, objects: np.ndarray, cell: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Water bodies in a surface of lowest points: i32[rows, columns], which body a cell is in, 0 for none; and
-    f32[rows, columns], the elevation of the water, metres, NaN where there is none, also at objects on it, a few cells wide;
-    and bool[rows, columns], cells where nothing above that or below is ground: those without the shore.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Water bodies in a surface of lowest points: f32[rows, columns], the elevation of the water, metres, NaN elsewhere, and
+    also at objects on it, a few cells wide; and bool[rows, columns], cells where nothing above that or below is ground: those
+    without the shore.
 
-    A body is a segment of flat cells whose means differ by centimetres, or by decimetres where water has returned few of the
-    pulses; nearly all around it the surface is higher, and nowhere lower. So level meadows, which end at ditches, are none, nor
-    are car parks, which slope, nor roofs.
+    A body is a segment of flat cells whose means differ by centimetres, or by decimetres, or a metre along a kilometre, where
+    water has returned few of the pulses; nearly all around it the surface is higher, and nowhere lower. So level meadows, which
+    end at ditches, are none, nor are car parks, which slope, nor roofs.
 
     Args:
         z: f32[rows, columns], metres, none missing, voids at the lowest elevation around.
@@ -46,52 +52,65 @@ def waters(
 
     mean = ndimage.uniform_filter(z, 5)
     clear = (_range(z) < FLAT) & (_range(mean) < LEVEL) & known
-    flat = ndimage.maximum_filter(clear, 5) & known
+    flat = highest(clear, 5) & known
     core, bodies = segments(np.where(flat, z, np.float32(np.nan)), np.float32(STEP), CORE / cell**2)
     level = np.full(z.shape, np.nan, np.float32)
     if bodies == 0:
-        return core, level, core > 0
+        return level, core > 0
     heights = np.bincount(core.ravel(), z.ravel())[1:] / np.bincount(core.ravel())[1:]
     rank = np.zeros(bodies + 1, np.int32)
     rank[1 + np.argsort(-heights, kind="stable")] = np.arange(1, bodies + 1)  # at a shore the lower one counts
     core = rank[core]
-    lowest = ndimage.minimum_filter(np.where(clear & (core > 0), mean, np.float32(np.inf)), 2 * RIM + 5)
-    shore = (core == 0) & (np.abs(z - lowest) < SURFACE) & known
-    part = np.where(shore, ndimage.maximum_filter(core, 2 * RIM + 1), core)
-    inner = (part > 0) & (ndimage.minimum_filter(part, 5) == ndimage.maximum_filter(part, 5))
-    name, mean = part[inner], mean[inner]
-    order = np.lexsort((mean, name))
-    sizes = np.bincount(name, minlength=bodies + 1)
-    first = np.minimum(np.cumsum(sizes)[:-1], max(len(name) - 1, 0))
-    low, high = (mean[order][first + (share * np.maximum(sizes[1:] - 1, 0)).astype(int)] for share in (0.05, 0.95))
-    rough, body = np.where(sizes[1:] > 0, high - low, np.inf), np.zeros_like(part)
+    near = lowest(np.where(clear & (core > 0), mean, np.float32(np.inf)), 2 * RIM + 5)
+    shore = (core == 0) & (np.abs(z - near) < SURFACE) & known
+    part = np.where(shore, highest(core, 2 * RIM + 1), core)
+    inner = (part > 0) & (lowest(part, 5) == highest(part, 5))
+    area, rough = np.bincount(part.ravel(), minlength=bodies + 1) * cell**2, _spread(mean[inner], part[inner], bodies)
+    body = np.zeros_like(part)
     for number, box in enumerate(ndimage.find_objects(part), 1):
-        if rough[number - 1] > SLOPING:
+        most = max(SLOPING, SLOPE * cell * math.hypot(*(one.stop - one.start for one in box)))
+        if rough[number] > most or area[number] < AREA:
             continue
         box = tuple(slice(max(one.start - RIM, 0), one.stop + RIM) for one in box)
         own = part[box] == number
-        rim = ndimage.maximum_filter(own, 2 * RIM + 1) & ~own & known[box]
-        rise = z[box][rim] - _mean(z[box], own, 2 * RIM + 1)[rim]
+        rim = highest(own, 2 * RIM + 1) & ~own & known[box]
         thin = rim.any() and count[box][own].mean() < THIN * count[box][rim].mean()
-        most, least = (SLOPING, AREA) if thin else (DENSE_LEVEL, DENSE_AREA)
-        higher, lower = (rise > RISE).sum(), (rise < -RISE).sum()
-        fits = rough[number - 1] <= most and own.sum() * cell**2 >= least and rim.any()
-        if fits and higher >= RISING * rim.sum() and lower <= FALLING * rim.sum():
+        if not rim.any() or not (thin or (rough[number] <= DENSE_LEVEL and area[number] >= DENSE_AREA)):
+            continue
+        rise = z[box][rim] - _mean(z[box], own, 2 * RIM + 1)[rim]
+        if (rise > RISE).sum() >= RISING * rim.sum() and (rise < -RISE).sum() <= FALLING * rim.sum():
             body[box][own] = number
-    body = np.where(
-        ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0), body, 0
-    )  # without crumbs of the shore
-    apart = body > 0
-    if apart.any():
-        near = ndimage.binary_closing(np.pad(body > 0, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects
-        level = np.where((body > 0) | near, _mean(z, body > 0, 2 * RIM + 1), level)
-        apart = near | (ndimage.minimum_filter((body > 0) | near, 3))
-    return body, level, apart
+    if not body.any():
+        return level, body > 0
+    ends = [np.flatnonzero(body.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+    box = tuple(slice(max(first - 3 * RIM, 0), last + 3 * RIM) for first, last in ends)
+    body, core, apart = body[box], core[box], np.zeros(z.shape, bool)
+    wet = ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0)  # without crumbs of the shore
+    near = ndimage.binary_closing(np.pad(wet, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects[box]
+    level[box] = np.where(wet | near, _mean(z[box], wet, 2 * RIM + 1), level[box])
+    apart[box] = near | lowest(wet | near, 3)
+    return level, apart
 
 
 def _range(z: np.ndarray) -> np.ndarray:
     """f32[rows, columns]: metres between the lowest and the highest of 5 x 5 cells."""
-    return np.asarray(ndimage.maximum_filter(z, 5) - ndimage.minimum_filter(z, 5))
+    return highest(z, 5) - lowest(z, 5)
+
+
+def _spread(z: np.ndarray, name: np.ndarray, most: int) -> np.ndarray:
+    """f64[1 + most]: metres within which nine tenths of the values f32[n] of each name i32[n] lie, infinite without any."""
+    order, out = (
+        np.argsort(name.astype(np.uint16) if most < 1 << 16 else name, kind="stable"),
+        np.full(most + 1, np.inf),
+    )
+    values, ends = z[order], np.cumsum(np.bincount(name, minlength=most + 1))
+    for number in range(1, most + 1):
+        some = values[ends[number - 1] : ends[number]]
+        if len(some):
+            low, high = (int(share * (len(some) - 1)) for share in (0.05, 0.95))
+            some = np.partition(some, (low, high))
+            out[number] = some[high] - some[low]
+    return out
 
 
 def _mean(z: np.ndarray, on: np.ndarray, size: int) -> np.ndarray:

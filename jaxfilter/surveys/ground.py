@@ -19,6 +19,7 @@ from ..files.classes import Classes, Found, asked, class_changes, findings_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import check_suffix
 from ..files.writing import Additions, write_cloud
+from ..terrain.levels import water_of
 from .collection import Collection
 from .executors import LOCAL
 from .labels import collected, packed
@@ -30,6 +31,7 @@ from .report import RunReport, Summary
 from .survey import Cut, Survey, open_files
 from .targets import Targets, targets_of
 from .tiles import Around, Tile, TileReader, part_of
+from .water import WaterWanted, kept_water, list_water
 
 _REACH = 40.0
 """Metres around a tile that high noise and heights of plants depend on, as their steps say."""
@@ -41,6 +43,7 @@ class GroundProduct(Product):
 
     Attributes:
         classes: that are written; extra: quantities that are written along; review: a file for the list of places to look at.
+        water: where its outlines go.
         into_text: the output is text, which has classes only if the lines of the input had.
     """
 
@@ -50,6 +53,7 @@ class GroundProduct(Product):
     classes: Classes
     extra: tuple[str, ...]
     review: Path | None
+    water: WaterWanted
     into_text: bool
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
@@ -73,6 +77,7 @@ class GroundProduct(Product):
             summary.seconds["classes"] = told - done
         summarise(summary, around, result, found, None if bare else self.classes)
         kept = suspects_in(around, result, tile, self.reader.reading)
+        kept |= kept_water(cloud, water_of(cloud, result, result.ground), tile)
         summary.seconds["places"] = time.perf_counter() - told
         return packed(around, found, self.columns(around, result)) | kept, summary
 
@@ -100,8 +105,9 @@ class GroundProduct(Product):
         )
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """List the places to look at, and write them. Raises: InputError, OutputError."""
+        """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
         list_places(self, report, collection, self.review, options.overwrite or options.resume)
+        list_water(self, report, collection, self.water, options.overwrite or options.resume)
 
     def facts(self) -> dict[str, Any]:
         """Classes and quantities."""
@@ -132,6 +138,7 @@ def ground(
     classes: Classes = Classes(),
     extra: Iterable[str] = (),
     review: str | Path | None = None,
+    breaklines: str | Path | None = None,
     run: RunOptions = RunOptions(),
 ) -> RunReport:
     """Classify the ground points of a file into a file, or of the files of a collection into one file for each in a folder.
@@ -149,6 +156,7 @@ def ground(
         reading: which points are read and judged, see :class:`Reading`; with ``bounds`` only points within are written.
         classes: that are written, see :class:`Classes`; extra: quantities that are written along, as in :func:`jaxfilter.write`.
         review: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the places to look at, see :func:`jaxfilter.review`.
+        breaklines: the same for the outlines of water bodies, which are joined across tiles, see :func:`jaxfilter.breaklines`.
         run: how it is carried out, see :class:`RunOptions`: tiles, memory, workers or a cluster, going on after a stop.
 
     Returns: RunReport; what could not be done is in it.
@@ -161,16 +169,19 @@ def ground(
     """
     recipe = recipe_of(filter_)
     recipe.alone()  # what is wrong with parameters is said before anything is read
-    listed = None if review is None else Path(review)
-    if listed is not None:
-        check_suffix(listed)
+    listed, outlined = (None if one is None else Path(one) for one in (review, breaklines))
+    for path in (listed, outlined):
+        if path is not None:
+            check_suffix(path)
     collection = open_files(what, out, reading, run)
     targets = targets_of(None if run.in_place else out, collection.uris, run)
     survey, quantities = Survey(collection, targets, recipe, reading, run), tuple(Additions(extra).extra)
 
     def product_for(reader: TileReader, filter_: Filter | None) -> GroundProduct:
         text = all(place.suffix.lower() in TEXT for place in targets.places)
-        return GroundProduct(reader, targets.store.path, filter_, classes, quantities, listed, text)
+        return GroundProduct(
+            reader, targets.store.path, filter_, classes, quantities, listed, WaterWanted(path=outlined), text
+        )
 
     def cut_for(filter_: Filter | None, halo: float | None) -> Cut:
         assert filter_ is not None

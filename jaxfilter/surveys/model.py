@@ -21,6 +21,7 @@ from ..files.vectors import check_suffix, write_features
 from ..terrain.contours import Contours
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
+from ..terrain.levels import water_of
 from ..terrain.lines import contour_tables
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_mosaic
@@ -33,8 +34,11 @@ from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, Surroun
 from .survey import FIND_GROUND, Survey, open_files
 from .targets import Targets, target_of, targets_beside
 from .tiles import Tile, TileReader
+from .water import WaterWanted, kept_water, list_water
 
 _CORNER = f"{KEPT}corner"
+_WIDE = f"{KEPT}wide_"
+"""Begins the names of layers with a ring of cells, out of which others are made anew where they meet water."""
 
 
 @dataclasses.dataclass
@@ -59,12 +63,14 @@ class RasterProduct(GroundNeeded):
 
     Attributes:
         grid: of all rasters; layers: what they show; interpolation: of heights between ground points.
+        water: how tiles come to know of it.
     """
 
     NAME, REPORT = "rasters", TerrainReport
     grid: RasterGrid
     layers: tuple[Layer, ...]
     interpolation: Interpolation
+    water: WaterWanted
 
     @property
     def reach(self) -> float:
@@ -79,7 +85,8 @@ class RasterProduct(GroundNeeded):
             ring = np.array([-whole.cell, -whole.cell, whole.cell, whole.cell])  # hillshade looks at it
             grid, wide = whole.part(tile.core), whole.part(tuple((tile.core + ring).tolist()))
         row, column = wide.bottom + wide.rows - grid.bottom - grid.rows, grid.left - wide.left
-        arrays: dict[str, np.ndarray] = {_CORNER: np.array([whole.top - grid.top, grid.left - whole.left])}
+        ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]
+        arrays: dict[str, np.ndarray] = {_CORNER: np.array(ends)}
         for found in self.surroundings(tile, summary):
             around, start, doubtful = found.around, time.perf_counter(), 0
             own = around.own
@@ -96,6 +103,10 @@ class RasterProduct(GroundNeeded):
                 values = site.of(layer)[row : row + grid.rows, column : column + grid.columns]
                 values = np.where(wanted, values, np.float32(np.nan))
                 arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
+            water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
+            arrays |= kept_water(around.cloud, water, tile)
+            if water is not None or self.water.known:
+                arrays |= {_WIDE + layer.NAME: site.of(layer) for layer in _parts(self.layers)}
             summary.seconds["interpolate"] += time.perf_counter() - start
             unknown = doubt.reaches and not doubt.looked and any(layer.SURFACE for layer in self.layers)
             doubtful = grid.rows * grid.columns if unknown else doubt.count
@@ -127,38 +138,64 @@ class RasterProduct(GroundNeeded):
             self.store.discard()
             raise InputError(f"{collection.name}: no point is ground; {FIND_GROUND}{more}")
         grid, start, replace = self.grid, time.perf_counter(), options.overwrite or options.resume
+        list_water(self, report, collection, self.water, replace)
         report.rows, report.columns, report.transform = *grid.shape, grid.transform
         report.bounds = grid.bounds
         places: dict[Layer, Place] = dict(zip(self.layers, targets.places, strict=True))
         rasters = {layer: place for layer, place in places.items() if layer.cells == layer}
-        known = [self._write(layer, place, report, collection.crs, replace) for layer, place in rasters.items()]
+        known = [self._write(layer, place, report, collection, replace) for layer, place in rasters.items()]
         for layer in self.layers:
             if isinstance(layer, Contours):
                 model = rasters.get(layer.cells)
                 if not isinstance(model, Path):
                     model = self.folder / "model.tif"
-                    known.append(self._write(layer.cells, model, report, collection.crs, True))
+                    known.append(self._write(layer.cells, model, report, collection, True))
                 tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
                 write_features(places[layer], tables, layer.NAME, overwrite=replace)
         report.empty = grid.rows * grid.columns - known[0]
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
 
-    def _write(self, layer: Layer, place: Place, report: RunReport, crs: Any, replace: bool) -> int:
+    def _write(
+        self,
+        layer: Layer,
+        place: Place,
+        report: RunReport,
+        collection: Collection,
+        replace: bool,
+    ) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
+        levels, units = report.water, collection.units
+        anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
         def parts() -> Iterator[tuple[int, int, np.ndarray]]:
             for number in np.flatnonzero(report.state != -1).tolist():
-                stored = self.store.arrays(number, (_CORNER, KEPT + layer.NAME))
-                if len(stored) > 1:
-                    yield *stored[_CORNER].tolist(), stored[KEPT + layer.NAME]
+                names = [_WIDE + part.NAME for part in anew]
+                stored = self.store.arrays(number, (_CORNER, KEPT + layer.NAME, *names))
+                if KEPT + layer.NAME not in stored:
+                    continue
+                (left, bottom, columns, rows), ring = stored[_CORNER].tolist()
+                values = stored[KEPT + layer.NAME]
+                if levels is not None and names and names[0] in stored:
+                    known = {part: stored[name] for part, name in zip(anew, names, strict=True)}
+                    wide = RasterGrid(self.grid.cell, *ring)
+                    row, column = ring[1] + ring[3] - bottom - rows, left - ring[0]
+                    made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
+                    made = packed(made[row : row + rows, column : column + columns], layer.KIND, layer.NODATA)
+                    values = np.where(values == layer.NODATA, values, made)
+                yield self.grid.bottom + self.grid.rows - bottom - rows, left - self.grid.left, values
 
-        return write_mosaic(place, self.grid, crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
+        return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
 
 
 def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
     """The layers whose cells are needed, each once."""
     return list(dict.fromkeys(layer.cells for layer in layers))
+
+
+def _parts(layers: tuple[Layer, ...]) -> set[Layer]:
+    """What layers are made of that change with the level of water."""
+    return {part for layer in _cells(layers) if Dtm() in layer.parts for part in layer.parts}
 
 
 def _reach(layers: tuple[Layer, ...], side: float) -> float:
@@ -210,6 +247,7 @@ def make_rasters(
     interpolation: Interpolation = Interpolation(),
     reading: Reading = Reading(),
     run: RunOptions = RunOptions(),
+    water: WaterWanted = WaterWanted(),
 ) -> TerrainReport:
     """Make layers of a file or of a collection in one go, each into a file.
 
@@ -245,6 +283,7 @@ def make_rasters(
             grid,
             layers,
             interpolation,
+            water if interpolation.level_water else WaterWanted(False),
         )
 
     survey = Survey(collection, targets, recipe, whole, run)

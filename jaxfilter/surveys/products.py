@@ -13,6 +13,7 @@ from ..core.reading import Reading
 from ..files.classes import Classes
 from ..files.disk import is_there, output_errors
 from ..files.storage import Place, place_of
+from ..files.vectors import check_suffix
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .measures import Recipe
@@ -20,6 +21,7 @@ from .model import TerrainReport, make_rasters
 from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
+from .water import WaterWanted
 
 CLASSIFIED, PAGE = "classified", "survey.html"
 
@@ -50,6 +52,7 @@ def products(
     cell: float = 1.0,
     reading: Reading = Reading(),
     classes: Classes = Classes(),
+    breaklines: str | Path | None = None,
     run: RunOptions = RunOptions(),
 ) -> Products:
     """Classify a survey, and make rasters and contours of its ground, each as one file, and a page that shows them.
@@ -66,6 +69,8 @@ def products(
         only: names of what is made: dtm, dsm, chm, hillshade, density, count, voids, contours.
         cell: side of the cells of rasters, in file units.
         classes: of the classified files. Points of water are ground of the rasters, whatever class they get.
+        breaklines: a GeoPackage (.gpkg) or GeoJSON (.geojson) to write as well: the outlines of water bodies, on which the
+            terrain is level, see :func:`jaxfilter.breaklines`.
 
     Returns: Products; what could not be done is in its reports.
     Raises: as :func:`jaxfilter.ground` and :func:`jaxfilter.terrain_model`.
@@ -89,9 +94,14 @@ def products(
     if isinstance(folder, Path) and not run.dry_run:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-    classified = None
+    classified, outlined = None, None if breaklines is None else Path(breaklines)
+    if outlined is not None:
+        check_suffix(outlined)
+    water = WaterWanted(path=outlined)
     if ground is None or isinstance(ground, Filter | Recipe):
         classified = classify(what, f"{folder / CLASSIFIED}/", ground, reading=reading, classes=classes, run=run)
+        if reading.aoi is None:
+            water = WaterWanted(False, classified.water is not None, classified.water, outlined)
     if run.dry_run:
         tried: GroundSource = (
             Recipe() if ground is None else ground
@@ -110,7 +120,7 @@ def products(
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
     assert ground is not None
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
-    rasters = make_rasters(what, outputs, ground, cell=cell, reading=reading, run=anew)
+    rasters = make_rasters(what, outputs, ground, cell=cell, reading=reading, run=anew, water=water)
     measured = (rasters if classified is None else classified).method or "classes of the files"
     facts = [
         *(("points", rasters.points), ("ground", rasters.ground), ("found by", measured), ("tiles", rasters.tiles)),

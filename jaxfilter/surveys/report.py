@@ -9,13 +9,16 @@ import json
 import math
 import warnings
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import numpy as np
 
 from ..core.errors import JaxfilterWarning
 from ..files.disk import new_file
 from ..files.storage import Place
+
+if TYPE_CHECKING:
+    from ..terrain.levels import WaterRuns
 
 _MOST_DRAWN = 100_000  # tiles
 
@@ -131,6 +134,7 @@ class RunReport(Summary):
         elapsed: seconds of this process.
         places: where the terrain may be wrong, largest expected error volume first: a dict each of ``x``, ``y``, ``area``,
             ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`. review: the file of the list, if one was written.
+        water: the bodies of water, where they were asked for. breaklines: the file of their outlines, if one was written.
         method, parameters: of the filter; None if the ground was taken from classes.
         measures: of the scene, which the parts share: see :class:`jaxfilter.core.cloud.Whole`; None for a single tile.
         forecast: what the run would do, of one that was not to write; then nothing else here is known.
@@ -147,6 +151,8 @@ class RunReport(Summary):
     elapsed: float = 0.0
     places: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     review: str | None = None
+    water: WaterRuns | None = None
+    breaklines: str | None = None
     method: str | None = None
     parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
     measures: dict[str, Any] | None = None
@@ -162,10 +168,11 @@ class RunReport(Summary):
     def as_dict(self) -> dict[str, Any]:
         """For JSON, without the arrays."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        for name in ("cores", "state", "unread", "forecast"):
+        for name in ("cores", "state", "unread", "forecast", "water"):
             del found[name]
         found["classes"] = [{"before": old, "after": new, "points": n} for (old, new), n in self.classes.items()]
         found["seconds"] = dict(self.seconds)
+        found["water_bodies"] = 0 if self.water is None else len(np.unique(self.water.body))
         return found | {"complete": self.complete}
 
     def write(self, place: Place) -> None:

@@ -3,67 +3,69 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError
 from ..core.result import FilterResult
-from ..files.storage import place_of
+from ..files.storage import Place, place_of
 from ..files.vectors import check_suffix, write_features
+from .layer import ground_of
+from .levels import WaterRuns, levels_in
 
 if TYPE_CHECKING:
     import geopandas
 
 
 def breaklines(
-    cloud: PointCloud, result: FilterResult, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False
+    cloud: PointCloud,
+    result: FilterResult | np.ndarray | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> geopandas.GeoDataFrame:
-    """The water bodies of a cloud in memory as polygons with one elevation each, after a filter that looks for water (OST).
+    """The water bodies of a cloud in memory as polygons: those that the filter found (OST), and those of points of class 9.
 
-    They follow the cells of the filter, so that voids of water that returns nothing are in them; islands are holes. Of a cloud
-    that is a part of a survey, those of the part.
+    They follow cells of a metre or more, so that voids of water that returns nothing are in them; islands are holes. Corners have
+    the height that :func:`jaxfilter.dtm` gives the water: one for all, or, where the two ends differ by more than 0.1 m, heights
+    that fall along the course.
 
     Args:
-        cloud: n points, those that ``result`` is of.
-        result: what the filter returned.
+        cloud: n points.
+        result: what is ground, as in :func:`jaxfilter.dtm`.
         path: a GeoPackage (.gpkg, layer ``breaklines``) or GeoJSON (.geojson) to write as well; it appears whole or not at all.
         overwrite: replace an existing file.
 
-    Returns: GeoDataFrame of polygons with the columns ``elevation``, the median of the surface, and ``area``, in the units and
-    with the CRS of the cloud. Raises: InputError for a result of another method or another cloud; OutputError (suffix, exists,
-    disk). Warns: if a file is written and the cloud has no CRS.
+    Returns: GeoDataFrame of polygons with Z, in the units and with the CRS of the cloud, and with the columns ``elevation``, the
+    median; ``fall``, how much higher the upper end is; and ``area``. Raises: InputError for labels that do not fit; OutputError
+    (suffix, exists, disk). Warns: if a file is written and the cloud has no CRS.
 
     >>> wet = jf.scenes.make(jf.scenes.SceneLayout(lake=30.0, water_echoes=0.8), size=(260, 320), density=1, seed=3)
     >>> lakes = jf.breaklines(wet.cloud, jf.OST.for_cloud(wet.cloud)(wet.cloud))
-    >>> set(lakes.geom_type), bool((lakes.area > 200).all())
-    ({'Polygon'}, True)
+    >>> set(lakes.geom_type), bool((lakes.area >= 100).all()), bool(lakes.has_z.all())
+    ({'Polygon'}, True, True)
     """
-    import geopandas
-    import rasterio.features
-    import shapely
-
-    from ..methods import OST  # imports JAX
-
-    cloud, run = as_cloud(cloud), result.run
-    if run is None or not isinstance(run.filter, OST) or run.cloud is not cloud:
-        raise InputError("breaklines(cloud, result): result must be what an OST filter returned for this very cloud")
+    cloud = as_cloud(cloud)
     target = None if path is None else place_of(path)
     if target is not None:
         check_suffix(target)
-    body, level, (x0, y0, cell) = run.filter.waters(cloud)
-    factor = cloud.units.xy
-    corner = cloud.origin[:2] + np.array([x0, y0]) / factor
-    transform = rasterio.Affine(cell / factor, 0, corner[0], 0, cell / factor, corner[1])
-    shapes = list(rasterio.features.shapes(body, mask=body > 0, connectivity=4, transform=transform))
-    rows: dict[str, list[Any]] = {"elevation": [], "geometry": []}
-    for shape, number in shapes:
-        median = float(np.median(level[body == int(number)]))
-        rows["elevation"].append(cloud.origin[2] + median / cloud.units.z)
-        rows["geometry"].append(shapely.geometry.shape(shape))
-    table = geopandas.GeoDataFrame(rows, geometry="geometry", crs=cloud.crs)
-    table.insert(1, "area", table.area)
+    table = table_of_water(levels_in(cloud, result, ground_of(cloud, result)), cloud.crs)
     if target is not None:
-        write_features(target, [table], "breaklines", overwrite=overwrite)
+        write_breaklines(target, table, overwrite)
     return table
+
+
+def table_of_water(levels: WaterRuns | None, crs: object) -> geopandas.GeoDataFrame:
+    """What :func:`breaklines` returns, of bodies with their levels."""
+    import geopandas
+
+    if levels is not None:
+        return levels.table(crs)
+    none = np.zeros(0)
+    return geopandas.GeoDataFrame({"elevation": none, "fall": none, "area": none}, geometry=[], crs=crs)
+
+
+def write_breaklines(target: Place, table: geopandas.GeoDataFrame, overwrite: bool) -> None:
+    """Write what :func:`breaklines` returns. Raises: OutputError."""
+    write_features(target, [table], "breaklines", overwrite=overwrite)

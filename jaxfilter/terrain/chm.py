@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
+from ..core.units import Units
 from .dsm import Dsm
-from .layer import Site
+from .layer import Layer, Site
 from .models import Dtm
+from .raster import RasterGrid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +27,16 @@ class Chm(Dsm):
 
     NAME, TITLE = "chm", "height above the ground"
 
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        """The surface and the terrain."""
+        return Dtm(), Dsm(self.levels, self.gap, self.radius)
+
+    def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
+        """Heights."""
+        terrain, surface = (known[part] for part in self.parts)
+        return np.maximum(surface - terrain, np.float32(0))
+
     def values(self, site: Site) -> np.ndarray:
         """Heights. Raises: InputError for too few ground points."""
-        surface = site.of(Dsm(self.levels, self.gap, self.radius))
-        return np.maximum(surface - site.of(Dtm()), np.float32(0))
+        return Layer.values(self, site)

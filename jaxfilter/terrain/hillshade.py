@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from ..core.errors import ParameterError
-from .layer import Layer, Site
+from ..core.units import Units
+from .layer import Layer
 from .models import Dtm
-from .raster import Raster
+from .raster import Raster, RasterGrid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,10 +30,14 @@ class Hillshade(Layer):
                 "to 90 from the horizon"
             )
 
-    def values(self, site: Site) -> np.ndarray:
-        """Whole numbers. Raises: InputError for too few ground points."""
-        units = site.cloud.units
-        return self.shade(site.of(Dtm()), site.grid.cell, units.z / units.xy)
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        """The terrain."""
+        return (Dtm(),)
+
+    def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
+        """Whole numbers."""
+        return self.shade(known[Dtm()], grid.cell, units.z / units.xy)
 
     def shade(self, z: np.ndarray, cell: float, z_factor: float) -> np.ndarray:
         """f32[rows, columns], of heights f32[rows, columns]."""

@@ -38,6 +38,7 @@ class Interpolation:
             what ``"idw"`` and ``"kriging"`` find there.
         neighbours: of ``"idw"`` and ``"kriging"``: how many of the nearest ground points decide a height.
         power: of ``"idw"``: weights are distance to the power of -``power``.
+        level_water: give water its level, where a filter has found it, or points of class 9 say where it is.
 
     Raises: ParameterError for values out of range.
 
@@ -50,6 +51,7 @@ class Interpolation:
     fill: bool = False
     neighbours: int = 12
     power: float = 2.0
+    level_water: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

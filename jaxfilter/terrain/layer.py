@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,8 +12,10 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError
 from ..core.points import check_extent
 from ..core.result import FilterResult
+from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
 from .interpolation import Heights, Interpolation
+from .levels import WaterRuns, levels_in
 from .raster import NODATA, Raster, RasterGrid
 
 
@@ -42,9 +44,18 @@ class Layer:
         """The layer whose cells are needed: itself, or what it is made of in the end."""
         return self
 
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        """The layers that :meth:`made_of` needs, for those that are made of others alone."""
+        return ()
+
+    def made_of(self, known: Mapping[Layer, np.ndarray], grid: RasterGrid, units: Units) -> np.ndarray:
+        """f32[rows, columns]: the values, out of those of ``parts``."""
+        return known[self]
+
     def values(self, site: Site) -> np.ndarray:
         """f32[rows, columns], from north; NaN where there is none. Raises: InputError."""
-        raise NotImplementedError
+        return self.made_of({part: site.of(part) for part in self.parts}, site.grid, site.cloud.units)
 
     def replace(self, **settings: Any) -> Self:
         """With other settings. Raises: ParameterError."""
@@ -62,7 +73,8 @@ class Layer:
         cloud = as_cloud(cloud)
         noise = result.low_noise if isinstance(result, FilterResult) else None
         grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
-        site = Site(cloud, ground_of(cloud, result), grid, noise=noise)
+        ground = ground_of(cloud, result)
+        site = Site(cloud, ground, grid, noise=noise, levels=levels_in(cloud, result, ground) if self.SURFACE else None)
         return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
 
 
@@ -77,6 +89,7 @@ class Site:
         workers: threads; by default one per core.
         look: as of :func:`jaxfilter.terrain.models.interpolated`.
         strict: too few ground points for a surface are an error; else there are no heights.
+        levels: of water, which the terrain model has.
     """
 
     cloud: PointCloud
@@ -87,6 +100,7 @@ class Site:
     workers: int | None = None
     look: Callable[[np.ndarray, Heights], None] | None = None
     strict: bool = True
+    levels: WaterRuns | None = None
 
     def __post_init__(self) -> None:
         self._known: dict[Layer, np.ndarray] = {}

@@ -15,6 +15,7 @@ from ..files.disk import check_bounds
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
 from .layer import Layer, Site, extent_of, ground_of
+from .levels import levels_in
 from .outline import SNAP
 from .raster import Raster, RasterGrid
 
@@ -33,6 +34,7 @@ def dtm(
     bounds: Iterable[float] | None = None,
     neighbours: int = 12,
     power: float = 2.0,
+    level_water: bool = True,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Raster:
@@ -41,14 +43,15 @@ def dtm(
     Everything is in the units of the cloud's own coordinate system, feet included: ``cell``, ``max_gap``, ``bounds`` and
     the heights. The edges of the cells are whole multiples of ``cell`` in that system, so rasters of neighbouring tiles
     and of different filters lie cell on cell. The raster covers all points of the cloud, ground or not. Of ground points
-    with the same x and y the lowest counts.
+    with the same x and y the lowest counts. Water is level: the bodies that the filter found (OST), and those of points of class
+    9. One whose ends differ by less than 0.1 m has one height; others fall along their course (docs/dtm.md).
 
     Args:
         cloud: n points, a PointCloud or a ``laspy.LasData``.
         result: what is ground: a FilterResult, or bool[n]; by default the cloud's own reference (class 2 of a classified
             file, less withheld points).
         cell: side of a cell.
-        method, max_gap, fill, neighbours, power: how heights between ground points are found, see :class:`Interpolation`.
+        method, max_gap, fill, neighbours, power, level_water: how heights are found, see :class:`Interpolation`.
         bounds: (xmin, ymin, xmax, ymax) to cover instead of the extent of the cloud, widened to whole cells.
         workers: threads; by default one per core.
         progress: called with the fraction done and the name of the step.
@@ -65,11 +68,13 @@ def dtm(
     >>> bool(np.nanmedian(np.abs(model.values - terrain)) < 0.1)
     True
     """
-    interpolation = Interpolation(method, max_gap, fill, neighbours, power)
+    interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
     ground = ground_of(cloud, result)
     grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
     raster = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
+    if level_water and (levels := levels_in(cloud, result, ground)) is not None:
+        raster = dataclasses.replace(raster, values=levels.put(raster.values, grid))
     if bounds is not None and len(cloud) and np.isnan(raster.values).all():
         ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
         low, high = dataclasses.replace(cloud, xyz=ends).coordinates()
@@ -86,16 +91,22 @@ class Dtm(Layer):
 
     NAME, TITLE = "dtm", "height of the ground"
 
+    @property
+    def parts(self) -> tuple[Layer, ...]:
+        """Itself: the level of water is put into it."""
+        return (self,)
+
     def reach(self, side: float) -> float:
         """No farther than the ground under it."""
         return 0.0
 
     def values(self, site: Site) -> np.ndarray:
         """Heights. Raises: InputError for too few ground points."""
-        return interpolated(
+        values = interpolated(
             site.cloud, site.ground, site.grid, site.interpolation,
             workers=site.workers, look=site.look, strict=site.strict,
         ).values  # fmt: skip
+        return values if site.levels is None else site.levels.put(values, site.grid)
 
 
 def interpolated(

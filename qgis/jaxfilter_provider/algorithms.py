@@ -11,10 +11,8 @@ from typing import Any, NamedTuple
 
 
 class Parameter(NamedTuple):
-    """A parameter: its name in scripts, its kind (see ``provider.py``), its label, and the words of the command for it.
-
-    In ``words``, {} stands for the value. ``default`` is that of the command, so it is not passed on; None: it may be left out.
-    """
+    """A parameter: its name in scripts, its kind (see ``provider.py``), its label, and the words of the command, in which {} is
+    the value. ``default`` is that of the command, so it is not passed on; None: it may be left out."""
 
     name: str
     kind: str
@@ -79,11 +77,11 @@ CLASSES = [
     advanced("OTHER_CLASS", "class", "Class for points that are no ground any more", "--other-class {}", 1),
 ]
 CLASSIFIED = advanced("GROUND_CLASS", "class", "Class of ground points", "--classified {}", 2)
-MORE = advanced("MORE", "words", "Further options of the command, as on the command line", tip="See jaxfilter COMMAND --help.")
+OUTLINES = Parameter("BREAKLINES", "new places", "Outlines of water bodies, with their level", "--breaklines {}")
 LIMITS = [
     advanced("WORKERS", "count", "Number of processes", "--workers {}"),
     advanced("MEMORY", "text", "Memory for all processes, such as 4GB", "--memory {}"),
-    MORE,
+    advanced("MORE", "words", "Further options of the command, as on the command line", tip="See jaxfilter COMMAND --help."),
 ]
 RUN = [
     Parameter("OVERWRITE", "switch", "Replace what exists", "--overwrite", False),
@@ -98,23 +96,26 @@ ALGORITHMS = [
     Algorithm("ground", "Classify ground points", "ground METHOD INPUT FOLDER OUTPUT_FILE OUTPUT", [
         *CLOUDS, method(words="{} --for-cloud"),
         advanced("EXTRA", "choices", "Quantities to write as extra dimensions", "--extra {}", tip=DOUBT, choices=EXTRAS),
-        *CLASSES, advanced("NOISE_CLASS", "class", "Class for low outliers (ASPRS: 7)", "--noise-class {}"), *SURVEY,
+        *CLASSES, advanced("NOISE_CLASS", "class", "Class for low outliers (ASPRS: 7)", "--noise-class {}"),
+        advanced("WATER_CLASS", "class", "Class for points of water (ASPRS: 9)", "--water-class {}"),
+        advanced("BRIDGE_CLASS", "class", "Class for points of bridge decks (ASPRS: 17)", "--bridge-class {}"), *SURVEY,
         needed("OUTPUT", "new folder", "Folder for the classified files", "{}"),
         Parameter("OUTPUT_FILE", "new points", "Or one classified file, of one input", "{}", tip=ONE_FILE),
-        Parameter("REVIEW", "new places", "List of places to check", "--review {}"),
-    ], [Result("OUTPUT", "*.la[sz]", "classes"), Result("OUTPUT_FILE", "", "classes"), Result("REVIEW", "", "places")]),
+        Parameter("REVIEW", "new places", "List of places to check", "--review {}"), OUTLINES,
+    ], [Result("OUTPUT", "*.la[sz]", "classes"), Result("OUTPUT_FILE", "", "classes"), Result("REVIEW", "", "places"),
+        Result("BREAKLINES")]),
     Algorithm("products", "Make terrain products", "products INPUT FOLDER OUTPUT", [
         *CLOUDS, method(words="--filter {} --for-cloud"),
         Parameter("CLASSIFIED", "switch", "Class 2 of the points is their ground: classify nothing", "--classified 2", False),
         Parameter("ONLY", "list", "Products (none chosen: all)", "--only {}", choices=LAYERS),
         Parameter("CELL", "number", "Side of a cell", "--cell {}", 1.0),
         advanced("CELL_UNITS", "choice", "Units of the side of a cell", "--cell-units {}", "file", choices=["file", "m"]),
-        *SURVEY, needed("OUTPUT", "new folder", "Folder for the products", "{}"),
+        *SURVEY, needed("OUTPUT", "new folder", "Folder for the products", "{}"), OUTLINES,
     ], [
         Result("OUTPUT", "classified/*.la[sz]", "classes"),
         Result("OUTPUT", "dtm.tif", "", "DTM"),
         Result("OUTPUT", "hillshade.tif", "hillshade", "HILLSHADE"),
-        Result("OUTPUT", "survey.html", "", "PAGE"),
+        Result("OUTPUT", "survey.html", "", "PAGE"), Result("BREAKLINES"),
     ]),
     Algorithm("review", "List places to check", "review INPUT FOLDER OUTPUT", [
         *CLOUDS, CLASSIFIED, *STATED, *RUN,
@@ -140,9 +141,8 @@ def words(parameter: Parameter, value: Any) -> list[str]:
         return shlex.split(value or "", posix=os.name != "nt")
     if value is False or value in (None, "", []) or (value == parameter.default and parameter.words != "{}"):
         return []
-    values = [
-        one for one in (value if isinstance(value, (list, tuple)) else [value]) if one != ""
-    ]  # '' of empty widgets
+    values = value if isinstance(value, (list, tuple)) else [value]
+    values = [one for one in values if one != ""]  # '' of empty widgets
     if parameter.kind == "list":
         values = [",".join(values)] * bool(values)
     return [word.replace("{}", str(one)) for one in values for word in parameter.words.split()]

@@ -214,6 +214,18 @@ def faces(segment, count, z, high, seen, whole, step, smooth, drop):
     return found
 
 
+@compiled
+def _nearer(here, first, second, drop, step, behind, out):
+    """``out``, f32[3, columns]: cells to the nearest edge on one side, its elevation, and how far it falls. A row without
+    branches, so that the processor takes several cells at a time. ``behind``: the same of the cells one step further out."""
+    for c in range(len(here)):
+        fall = here[c] - first[c]
+        edge = (fall > drop) & (first[c] - second[c] < fall / np.float32(3))
+        out[0, c] = np.float32(0) if edge else behind[0, c] + step
+        out[1, c] = here[c] if edge else behind[1, c]
+        out[2, c] = fall if edge else behind[2, c]
+
+
 @compiled(allocates=True)
 def flanks(z, back, reach, drop):
     """i32[rows, columns], f32[rows, columns] twice: along which of 8 lines, counted from 1 on, the surface falls upright on both
@@ -228,40 +240,43 @@ def flanks(z, back, reach, drop):
     """
     rows, columns = z.shape
     across, width = np.zeros(z.shape, np.int32), np.full(z.shape, np.float32(reach))
-    fall = np.zeros(z.shape, np.float32)
-    away, top, down = np.empty((3, 2, rows, columns), np.float32)
+    fall, pad = np.zeros(z.shape, np.float32), 2 * back + 2
+    wide = np.full((rows + 2 * pad, columns + 2 * pad), np.float32(np.inf))
+    wide[pad : pad + rows, pad : pad + columns] = z
+    half = np.float32(drop / 2)
+    edges = np.zeros((2, rows + 4, 3, columns + 4), np.float32)  # of both sides, with two cells around
+    edges[:, :, 0] = np.inf
     for turn in range(8):
         dy = (0, 1, 1, 2, 1, 2, 1, 1)[turn]
         dx = (1, 2, 1, 1, 0, -1, -1, -2)[turn]
-        length = np.float32(np.sqrt(dy * dy + dx * dx))
-        far = max(1, int(np.rint(back / length)))
+        step = np.float32(np.sqrt(dy * dy + dx * dx))
+        far = max(1, int(np.rint(back / step)))
         for side in range(2):
             sign = 2 * side - 1  # of the way out
+            fy, fx = sign * far * dy, pad + sign * far * dx
+            gx, c = 2 * fx - pad, 2 + sign * dx
             for i in range(rows):
                 row = rows - 1 - i if side else i
-                for j in range(columns):
-                    column = columns - 1 - j if (side == 1) == (dx >= 0) else j
-                    r, c = row + sign * dy, column + sign * dx
-                    away[side, row, column] = np.inf
-                    if not (0 <= r < rows and 0 <= c < columns):
-                        continue
-                    fr, fc = row + sign * far * dy, column + sign * far * dx
-                    if 0 <= fr < rows and 0 <= fc < columns and z[row, column] - z[fr, fc] > drop:
-                        first = z[row, column] - z[fr, fc]
-                        gr, gc = fr + sign * far * dy, fc + sign * far * dx
-                        more = z[fr, fc] - z[gr, gc] if 0 <= gr < rows and 0 <= gc < columns else np.float32(0)
-                        if more < first / 3:
-                            away[side, row, column], top[side, row, column] = 0, z[row, column]
-                            down[side, row, column] = first
-                            continue
-                    away[side, row, column] = away[side, r, c] + length
-                    top[side, row, column], down[side, row, column] = top[side, r, c], down[side, r, c]
-        for row in range(rows):
-            for column in range(columns):
-                total = away[0, row, column] + away[1, row, column] + 1
-                if total < width[row, column] and (
-                    max(abs(top[0, row, column] - z[row, column]), abs(top[1, row, column] - z[row, column])) < drop / 2
-                ):
-                    across[row, column], width[row, column] = turn + 1, total
-                    fall[row, column] = min(down[0, row, column], down[1, row, column])
+                here, out = wide[row + pad, pad : pad + columns], edges[side, row + 2, :, 2 : 2 + columns]
+                first = wide[row + pad + fy, fx : fx + columns]
+                second = wide[row + pad + 2 * fy, gx : gx + columns]
+                behind = edges[side, row + 2 + sign * dy, :, c : c + columns]
+                if dy:
+                    _nearer(here, first, second, drop, step, behind, out)
+                else:  # one cell of the row after the other
+                    for j in range(columns):
+                        k = columns - 1 - j if side else j
+                        lower = here[k] - first[k]
+                        edge = lower > drop and first[k] - second[k] < lower / np.float32(3)
+                        out[0, k] = np.float32(0) if edge else behind[0, k] + step
+                        out[1, k] = here[k] if edge else behind[1, k]
+                        out[2, k] = lower if edge else behind[2, k]
+                if side:
+                    other = edges[0, row + 2, :, 2 : 2 + columns]
+                    for k in range(columns):
+                        total = other[0, k] + out[0, k] + 1
+                        apart = max(abs(other[1, k] - here[k]), abs(out[1, k] - here[k]))
+                        if total < width[row, k] and apart < half:
+                            across[row, k], width[row, k] = turn + 1, total
+                            fall[row, k] = min(other[2, k], out[2, k])
     return across, width, fall

@@ -1,0 +1,312 @@
+"""The level of water: bodies are joined out of cells, and each has one height, or heights that fall along its course."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from ..core.cloud import QUANTUM, PointCloud
+from ..core.errors import warn
+from ..core.result import FilterResult
+from ..core.water import WaterCells
+from ..engines.neighbours import groups
+from ..files.disk import Bounds
+from .raster import RasterGrid
+
+if TYPE_CHECKING:
+    import geopandas
+
+WATER = 9
+"""ASPRS class of water."""
+REACH = 18.0
+"""Metres from a point of water up to which water may be where nothing was returned."""
+LEAST = 100.0
+"""Square metres of a body."""
+FALL = 0.1
+"""Metres between the two ends of a body, from which on it falls."""
+_BLOCK, _PIECE = 8, 24.0
+"""Cells along the side of a block, in which one mean is taken, and metres along a river in which one level is found."""
+_WIDE, _MOST = 1 << 32, 100_000_000
+"""More than there are columns, and cells that are looked at together."""
+
+
+def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterCells | None:
+    """The water of points of class 9: cells whose nearest point of ground or water, within :data:`REACH`, is water, without
+    those that reach further out than the water does. ``ground``: bool[n]; ``side``: of cells, metres. Warns: of stray points."""
+    if cloud.classification is None:
+        return None
+    wet = cloud.classification == WATER
+    for left_out in (cloud.withheld, None if cloud.valid is None else ~cloud.valid):
+        wet &= True if left_out is None else ~left_out
+    if not wet.any():
+        return None
+    from scipy import ndimage
+
+    lag, pad = (cloud.origin[:2] - cloud.anchor) * cloud.units.xy / side, 2 * math.ceil(REACH / side) + 2
+    place = np.floor(cloud.xyz[:, 1::-1].astype(np.float64) / side + lag[::-1] + 0.5).astype(np.int64)
+    low, high = place[wet].min(axis=0) - pad, place[wet].max(axis=0) + pad + 1
+    shape = tuple((high - low).tolist())
+    if shape[0] * shape[1] > _MOST:
+        warn(
+            f"points of class {WATER} are {max(shape) * side:,.0f} m apart: no water is made of them; cut stray points off"
+        )
+        return None
+
+    def cells(points: np.ndarray) -> np.ndarray:
+        at = place[points] - low
+        return at[((at >= 0) & (at < shape)).all(axis=1)] @ [shape[1], 1]
+
+    at, size = cells(wet), shape[0] * shape[1]
+    count = np.bincount(at, minlength=size).reshape(shape)
+    z = np.bincount(at, cloud.xyz[wet, 2], size).reshape(shape) / np.maximum(count, 1)
+    known = count > 0
+    known.reshape(-1)[cells(ground & ~wet)] = True
+    away, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+    within = ndimage.distance_transform_edt(count == 0) * side <= REACH
+    within = ndimage.distance_transform_edt(within) * side > REACH
+    row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= REACH))
+    source = tuple(one[row, column] for one in nearest)
+    return WaterCells(
+        side,
+        np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32),
+        cloud.origin[2] * cloud.units.z + z[source],
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WaterRuns:
+    """Cells of water side by side: what is kept of the water of a tile, and, of all tiles, the bodies with their levels.
+
+    Attributes:
+        frame: f64[5]: side of a cell, metres; x and y of the anchor, file units; metres per unit of X and Y, and of Z.
+        run: i32[k, 3]: row, first column, and the column after the last one, in order; none goes over the edge of a block.
+        z: f64[k], metres: the level; as long as bodies are not joined, the sum of elevations of the cells, which is exact.
+        body: i64[k], which body a run is in; empty as long as bodies are not joined.
+    """
+
+    frame: np.ndarray
+    run: np.ndarray
+    z: np.ndarray
+    body: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @classmethod
+    def of(cls, cells: WaterCells | None, cloud: PointCloud, core: Bounds | None = None) -> Self | None:
+        """The cells of a cloud whose middle is in ``core``; None if there are none."""
+        if cells is None:
+            return None
+        at, z = cells.at, cells.z
+        if core is not None:
+            middle = cloud.anchor[::-1] + at * (cells.side / cloud.units.xy)
+            inside = ((middle >= [core[1], core[0]]) & (middle < [core[3], core[2]])).all(axis=1)
+            at, z = at[inside], z[inside]
+        new = np.append(True, (np.diff(at[:, 0]) != 0) | (np.diff(at[:, 1]) != 1) | (at[1:, 1] % _BLOCK == 0))
+        first = np.flatnonzero(new[: len(at)])
+        if not len(first):
+            return None
+        length = np.diff(np.append(first, len(at)))
+        run = np.column_stack([at[first], at[first, 1] + length]).astype(np.int32)
+        frame = np.array([cells.side, *cloud.anchor, cloud.units.xy, cloud.units.z])
+        return cls(frame, run, np.add.reduceat(np.rint(z / QUANTUM) * QUANTUM, first))
+
+    @classmethod
+    def joined(cls, parts: Iterable[Self | None]) -> Self | None:
+        """The bodies of parts of a survey, joined where their cells touch, with one level each, or with levels that fall. None
+        without any."""
+        some = [part for part in parts if part is not None]
+        if not some:
+            return None
+        run, z = np.concatenate([part.run for part in some]), np.concatenate([part.z for part in some])
+        order = np.lexsort((run[:, 1], run[:, 0]))
+        run, z, side = run[order], z[order], some[0].frame[0]
+        cut = (run[1:, :2] == run[:-1, ::2]).all(axis=1) & (run[1:, 1] % _BLOCK != 0)  # by the edge of a tile
+        start = np.flatnonzero(np.append(True, ~cut))
+        run, z = (
+            np.column_stack([run[start, :2], run[np.append(start[1:], len(run)) - 1, 2]]),
+            np.add.reduceat(z, start),
+        )
+        first, stop = _keys(run[:, 0], run[:, 1]), _keys(run[:, 0], run[:, 2])
+        beside = np.flatnonzero(stop[:-1] == first[1:])
+        above = np.searchsorted(stop, first + _WIDE, "right"), np.searchsorted(first, stop + _WIDE, "left")
+        number = np.maximum(above[1] - above[0], 0)
+        lower = np.repeat(np.arange(len(run)), number)
+        upper = np.arange(len(lower)) + np.repeat(above[0] - np.cumsum(number) + number, number)
+        body = groups(np.append(beside, lower), np.append(beside + 1, upper), len(run))
+        large = np.bincount(body, run[:, 2] - run[:, 1]) * side**2 >= LEAST
+        kept = large[body]
+        if not kept.any():
+            return None
+        run, z, body = run[kept], z[kept], (np.cumsum(large) - 1)[body[kept]]
+        return cls(some[0].frame, run, _levels(run, z, body, side), body)
+
+    def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
+        found, run = self._runs_at(x, y)
+        return np.where(found, self.z[run] / self.frame[4], np.nan)
+
+    def _runs_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """bool[...], whether water is at places, and i64[...], in which run."""
+        side, x0, y0, metre, _ = self.frame
+        row, column = (np.floor((v - v0) * (metre / side) + 0.5).astype(np.int64) for v, v0 in ((y, y0), (x, x0)))
+        key = _keys(row, column)
+        run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
+        return (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2]), run
+
+    def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
+        """f32[rows, columns]: the values of a terrain model, level where the middle of a cell is in water."""
+        x, y = (v.ravel() for v in grid.centres())
+        side, x0, y0, metre, _ = self.frame
+        low, high = self.run.min(axis=0) - 1, self.run.max(axis=0) + 1
+        near = [
+            (v >= v0 + a * side / metre) & (v <= v0 + b * side / metre)
+            for v, v0, a, b in ((y, y0, low[0], high[0]), (x, x0, low[1], high[2]))
+        ]
+        if not (near[0].any() and near[1].any()):
+            return values
+        out, box = values.copy(), np.ix_(*near)
+        level = self.at(*np.meshgrid(x[near[1]], y[near[0]]))
+        out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
+        return out
+
+    def table(self, crs: Any) -> geopandas.GeoDataFrame:
+        """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`."""
+        import geopandas
+        import shapely
+
+        side, x0, y0, metre, factor = self.frame
+        step, z = side / metre, self.z / factor
+        west, east = (x0 + (self.run[:, k] - 0.5) * step for k in (1, 2))
+        south = y0 + (self.run[:, 0] - 0.5) * step
+        order = np.argsort(self.body, kind="stable")
+        shapes, heights = [], []
+        for rows in np.split(order, np.flatnonzero(np.diff(self.body[order])) + 1):
+            shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
+            low, high = z[rows].min(), z[rows].max()
+            if low == high:
+                shape = shapely.simplify(shape, 0)
+            heights.append((float(np.median(z[rows])), high - low))
+            shapes.append(shape)
+        corners = shapely.get_coordinates(shapes)
+        # a corner is at the middle of four cells, of which one at least is water: the lowest counts
+        around = [self.at(*(corners + step * np.array(way)).T) for way in itertools.product((-0.25, 0.25), repeat=2)]
+        corners = np.column_stack([corners, np.fmin.reduce(around)])
+        shapes = shapely.set_coordinates(shapely.force_3d(shapes), corners)
+        level, fall = np.array(heights).reshape(-1, 2).T
+        found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
+        found.insert(2, "area", found.area)
+        return found
+
+
+def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
+    """The water of a cloud: what the filter found, and what points of class 9 say. ``ground``: bool[n]. None if there is none."""
+    found = result.water_cells if isinstance(result, FilterResult) else None
+    labelled = labelled_water(cloud, ground, 1.0 if found is None else found.side)
+    return found if labelled is None else labelled if found is None else labelled.with_others(found)
+
+
+def levels_in(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterRuns | None:
+    """The bodies of water of a cloud in memory; ``ground``: bool[n]."""
+    return WaterRuns.joined([WaterRuns.of(water_of(cloud, result, ground), cloud)])
+
+
+def _keys(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    return row.astype(np.int64) * _WIDE + column
+
+
+def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np.ndarray:
+    """f64[k]: the level of every run, whose cells have the sum ``z``.
+
+    Blocks of cells are nodes of a graph. The way through it from the lower end of a body is cut into pieces, and each has the
+    median of its blocks; where that falls, the mean of the highest so far and of the lowest from there on."""
+    order: np.ndarray = np.lexsort((run[:, 1] // _BLOCK, run[:, 0] // _BLOCK, body))
+    place = np.column_stack([body, run[:, 0] // _BLOCK, run[:, 1] // _BLOCK])[order]
+    start = np.flatnonzero(np.append(True, (np.diff(place, axis=0) != 0).any(axis=1)))
+    block: np.ndarray = np.empty(len(run), np.int64)
+    block[order] = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(run))))
+    place, weight = place[start], (run[:, 2] - run[:, 1]).astype(np.float64)
+    cells = np.bincount(block, weight)
+    middle: np.ndarray = np.column_stack(
+        [np.bincount(block, weight * at) for at in (run[:, 0], run[:, 1:].sum(axis=1) / 2 - 0.5)]
+    )
+    middle, level = side * middle / cells[:, None], np.bincount(block, z) / cells
+    of = place[:, 0]
+    low, most, high = (_share(level, of, share) for share in (0.05, 0.5, 0.95))
+    out, falls = most[of], (high - low > FALL)[of]
+    if falls.any():
+        rows = np.flatnonzero(falls)
+        links, length = _links(place[rows], middle[rows])
+        out[rows] = _falling(level[rows], of[rows], links, length, out[rows])
+    return out[block]
+
+
+def _share(z: np.ndarray, group: np.ndarray, share: float) -> np.ndarray:
+    """f64[g]: a quantile of each group, i64[n]; all numbers from 0 on are groups."""
+    order, count = np.lexsort((z, group)), np.bincount(group)
+    return z[order][np.cumsum(count) - count + (share * (count - 1)).astype(np.int64)]
+
+
+def _links(place: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[l, 2]: blocks of one body that touch, at a corner too; and f64[l], metres between their middles."""
+    low = place.min(axis=0) - 1
+    wide = (np.ptp(place, axis=0) + 3).astype(np.int64)
+    key = ((place[:, 0] - low[0]) * wide[1] + place[:, 1] - low[1]) * wide[2] + place[:, 2] - low[2]  # ascending
+    found = []
+    for step in (1, wide[2] - 1, wide[2], wide[2] + 1):
+        other = np.searchsorted(key, key + step).clip(max=len(key) - 1)
+        rows = np.flatnonzero(key[other] == key + step)
+        found.append(np.column_stack([rows, other[rows]]))
+    links = np.concatenate(found)
+    return links, np.hypot(*(middle[links[:, 0]] - middle[links[:, 1]]).T)
+
+
+def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """f64[b]: levels of blocks that fall along their course; ``flat``: f64[b], those of bodies whose two ends are level."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import dijkstra
+
+    count = len(level)
+    graph = sparse.csr_array((length, (links[:, 0], links[:, 1])), (count, count))
+    bodies, of = np.unique(of, return_inverse=True)
+
+    def farthest(starts: np.ndarray) -> np.ndarray:
+        away = dijkstra(graph, directed=False, indices=starts, min_only=True)
+        return np.lexsort((away, of))[np.cumsum(np.bincount(of)) - 1]
+
+    def near(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = dijkstra(graph, directed=False, indices=ends, min_only=True)
+        at_end = away <= _PIECE
+        return away, np.bincount(of[at_end], level[at_end]) / np.bincount(of[at_end])
+
+    one = farthest(np.searchsorted(of, np.arange(len(bodies))))
+    other = farthest(one)
+    (way, here), (back, there) = near(one), near(other)
+    way = np.where((here <= there)[of], way, back)
+    band = (way / _PIECE).astype(np.int64)
+    same = band[links[:, 0]] == band[links[:, 1]]
+    piece = groups(links[same, 0], links[same, 1], count)
+    own = _share(level, piece, 0.5)
+    in_band = np.empty(len(own), np.int64)
+    in_band[piece] = band
+    pairs = links[~same]
+    pairs = piece[
+        np.where((band[pairs[:, 0]] < band[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
+    ]  # the lower one first
+    pairs = pairs[np.argsort(in_band[pairs[:, 1]], kind="stable")]
+    least, most = own.copy(), own.copy()
+    steps = np.split(pairs, np.flatnonzero(np.diff(in_band[pairs[:, 1]])) + 1) if len(pairs) else []
+    for some in steps:
+        np.maximum.at(most, some[:, 1], most[some[:, 0]])
+    for some in reversed(steps):
+        np.minimum.at(least, some[:, 0], least[some[:, 1]])
+    own = (least + most) / 2
+    below, above = np.full((2, len(own)), np.inf)
+    np.minimum.at(below, pairs[:, 1], -own[pairs[:, 0]])  # the highest
+    np.minimum.at(above, pairs[:, 0], own[pairs[:, 1]])
+    below, above = np.where(np.isinf(below), own, -below), np.where(np.isinf(above), own, above)
+    share = way / _PIECE - band - 0.5
+    slope = np.where(share < 0, (own - below)[piece], (above - own)[piece])
+    return np.where((np.abs(here - there) > FALL)[of], own[piece] + share * slope, flat)
