@@ -129,7 +129,7 @@ def test_fine_places_keep_their_labels_in_the_rim_of_others(scene, wrong):
     places.geometry = [box(x0, y0, x1 - 5, y1), box(x1 - 5, y0, x1, y1)]
     made = jf.apply(labelled(xyz, wrong), places)
     rest = inside(xyz, x1 - 4.9, y0, x1, y1)
-    assert made.ground[rest].all() and not made.ground[inside(xyz, x0, y0, x1 - 5, y1)].any()
+    assert made.ground[rest].all() and not made.ground[inside(xyz, x0, y0, x1 - 5 - RIM, y1)].any()
 
 
 def test_order_of_points_and_of_places_does_not_count(scene, wrong):
