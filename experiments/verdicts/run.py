@@ -219,10 +219,7 @@ def main(arguments: list[str] | None = None) -> None:
         print("places", name, len(tables[name]), file=sys.stderr, flush=True)
     every = pd.concat([table.assign(cloud=name) for name, table in tables.items()], ignore_index=True)
     every["hard"] = every["cloud"].isin([path.stem for path in (folder / "tiles_hard").glob("*.la[sz]")])
-    first = {
-        (hard, order): own.sort_values(["key", "cloud"], ascending=False)
-        for (hard, order), own in every.groupby(["hard", "order"])
-    }
+    every = every.sort_values(["key", "cloud"], ascending=False)
     area = {hard: float(own.groupby("cloud")["km2"].first().sum()) for hard, own in every.groupby("hard")}
     kept = {name: options.work / f"{name.replace(' ', '_')}.csv" for name in names}
     for name in (n for n in names if not kept[n].exists()):
@@ -231,7 +228,7 @@ def main(arguments: list[str] | None = None) -> None:
         rows: list[Row] = []
         hard = bool(every["hard"][every["cloud"] == name].iloc[0])
         for order in ORDERS:
-            pooled = first[hard, "list" if order == "edited" else order]
+            pooled = every[(every["hard"] == hard) & (every["order"] == ("list" if order == "edited" else order))]
             most = pooled.head(round(max(RATES) * area[hard]))
             most = most[most["cloud"] == name]
             if order != "edited":
