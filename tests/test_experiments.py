@@ -32,6 +32,7 @@ from experiments.papers import agptd2024, li2021, paper, ppdf2023, spf2023, stin
 from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
+from experiments.verdicts import run as verdicts  # noqa: E402
 from jaxfilter.sweeps.ranges import RANGES, SEARCHED, Range, search_ranges  # noqa: E402
 
 
@@ -507,6 +508,30 @@ def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkey
     monkeypatch.setattr(jf.SMRF, "__call__", None)
     failures.main(given)
     assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
+
+
+def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(two_samples, tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(failures, "SIZES", {2.0: (150.0, 110.0)})
+    monkeypatch.setattr(verdicts, "RATES", (100, 400))
+    places = ["--data", str(two_samples), "--out", str(tmp_path), "--work", str(tmp_path / "work")]
+    given = [*places, "--clouds", "coast"]
+    verdicts.main(given)
+    table = report.read_csv(tmp_path / "verdicts.csv")
+    of = {(row["order"], row["rate"]): row for row in table}
+    assert len(of) == len(table) == 12 and of["list", 400]["places"] >= of["list", 100]["places"] > 0
+    known = failures.load(two_samples, "coast 2")
+    result = jf.default_filter(known.cloud)(known.cloud)
+    before, after, edited = of["list", 0], of["list", 400], of["edited", 400]
+    total = jf.evaluate(result, known.ground, ignore=~known.scored).total
+    assert 100 * before["wrong"] / before["points"] == pytest.approx(total)
+    assert edited["wrong"] < before["wrong"] and after["off"] < before["off"]
+    assert sum(after[f"said_{word}"] for word in ("fine", "ground", "object")) == after["places"]
+    assert f"{after['off'] / before['off']:.2f}" in (tmp_path / "results.md").read_text()
+    assert (tmp_path / "verdicts.png").stat().st_size > 10_000
+    monkeypatch.setattr(jf, "default_filter", None)
+    verdicts.main(given)
+    assert report.read_csv(tmp_path / "verdicts.csv") == table
 
 
 def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):

@@ -218,25 +218,18 @@ def test_the_command_is_found_by_its_setting_or_path_and_else_pip_is_named(tmp_p
         command.run([str(tmp_path / "none")], Feedback())
 
 
-def test_the_plugin_has_what_the_repository_of_qgis_asks_for(tmp_path):
+def test_the_plugin_says_of_itself_what_is_true(tmp_path):
     parser = configparser.ConfigParser()
     parser.read(FOLDER / "metadata.txt", encoding="utf-8")
     about = dict(parser["general"])
-    asked = (
-        "name qgisMinimumVersion description about version author email repository tracker homepage license icon tags"
-    )
+    asked = "name qgisMinimumVersion description about version author license icon tags"
     assert all(about.get(name.lower()) for name in asked.split())
     assert about["version"] == jf.__version__ and about["qgisminimumversion"] == "3.22"
     assert about["hasprocessingprovider"] == "yes"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert about["author"] == project["authors"][0]["name"] and about["license"] == project["license"]
-    links = {about[name] for name in ("homepage", "repository", "tracker")}
-    if "urls" in project:
-        assert links <= set(project["urls"].values())
-    else:  # example.org belongs to nobody (RFC 2606); the project has no address yet
-        assert all(link.startswith("https://example.org/") for link in links) and about["email"].endswith(
-            "@example.org"
-        )
+    links = {about[name] for name in ("homepage", "repository", "tracker") if name in about}
+    assert links <= set(project.get("urls", {}).values()), "addresses are those of the project"
     assert (FOLDER / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
     for drawing in [FOLDER / about["icon"], *FOLDER.glob("styles/*.qml")]:
         ET.parse(drawing)

@@ -104,6 +104,30 @@ def test_false_ground_beside_an_object_goes_with_it(scene, wrong):
     assert not made.ground[house].any() and made.ground[~house & wrong].all()
 
 
+def test_an_object_takes_off_what_sticks_out_and_no_terrain(scene, wrong):
+    """A roof at the edge of the data goes, though no point lies beyond it; a smooth hill does not, whatever is said."""
+    xyz, _ = scene
+    everywhere = np.ones(len(xyz), bool)
+    cut = inside(xyz, 110, 80, WIDE, HIGH)  # the house is at the western edge of this part
+    part, roof = xyz[cut], inside(xyz[cut], 110, 80, HOUSE[2], HOUSE[3])
+    places = table(house="object", hill="object")
+    places.geometry = [box(110, 78, 122, 102), box(*HILL)]
+    made = jf.apply(labelled(part, everywhere[cut]), places[:1])
+    assert not made.ground[roof].any() and made.ground[~roof].all()
+    assert jf.apply(labelled(xyz, everywhere), places[1:]).ground.all()
+
+
+def test_ground_keeps_off_what_rises_more_steeply_than_terrain(scene, wrong):
+    """The place holds a shed: its ground is what lies around it."""
+    xyz, _ = scene
+    shed, place = inside(xyz, 140, 20, 148, 28), inside(xyz, 134, 14, 154, 34)
+    xyz = xyz + np.outer(shed, [0, 0, 5])
+    places = table(house="ground")
+    places.geometry = [box(134, 14, 154, 34)]
+    made = jf.apply(labelled(xyz, wrong & ~place), places)
+    np.testing.assert_array_equal(made.ground[place], ~shed[place])
+
+
 def test_ground_grows_from_the_lowest_points_of_a_place(scene, wrong):
     xyz, _ = scene
     hill = inside(xyz, *HILL)
@@ -125,7 +149,7 @@ def test_what_stands_in_water_is_no_ground(scene, wrong):
 def test_fine_places_keep_their_labels_in_the_rim_of_others(scene, wrong):
     xyz, _ = scene
     x0, y0, x1, y1 = HOUSE
-    places = table(house="object", fine="fine")
+    places = table(house="bridge", fine="fine")
     places.geometry = [box(x0, y0, x1 - 5, y1), box(x1 - 5, y0, x1, y1)]
     made = jf.apply(labelled(xyz, wrong), places)
     rest = inside(xyz, x1 - 4.9, y0, x1, y1)

@@ -28,20 +28,23 @@ from experiments.failures.run import FILLED, SEED, SIZES, SWATH, load
 from experiments.isprs import samples
 from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
-from jaxfilter.reports.places import SIDE, places_of, suspects
+from jaxfilter.reports.places import OFF, SIDE, places_of, suspects
+from jaxfilter.reports.verdicts import RIM
 from jaxfilter.terrain.layer import extent_of
 from jaxfilter.terrain.models import interpolated
 from jaxfilter.terrain.raster import RasterGrid
 
 HERE = Path(__file__).parent
-MOST, RATES, OFF, NEAR, LEVEL = 2500.0, (5, 10, 20, 50), 0.5, 3.0, 0.3
-"""Square metres of a place, at most; places per square kilometre; metres from which on a cell is off, to reference ground, and
-from its terrain within which a point is ground."""
+MOST, RATES, NEAR, ENOUGH = 2500.0, (5, 10, 20, 50), 3.0, 50
+"""Square metres of a place, at most; places per square kilometre; metres to reference ground within which cells count; cells
+that are off in a cloud whose share counts in the mean of clouds."""
 ORDERS = {
     "list": "in the order of the list",
     "random": "places of the list at random",
     "points": "around isolated points",
+    "edited": "of the list, every point there as in the reference",
 }
+WORDS = ("ground", "object", "fine")
 GROUPS, TOGETHER = ("tiles", "scenes", "hard tiles"), "tiles and scenes"
 
 
@@ -61,12 +64,15 @@ class Site:
         near = dataclasses.replace(FILLED, max_gap=NEAR / cloud.units.xy)
         return cls(known, jf.default_filter(cloud)(cloud), grid, interpolated(cloud, known.ground, grid, near).values)
 
-    def errors(self, result: jf.FilterResult) -> Row:
-        """Wrong points and cells of a result, with how many count."""
-        known = self.known
-        model = interpolated(known.cloud, result.ground, self.grid, FILLED).values
-        off = np.abs(model.astype(float) - self.truth) * known.cloud.units.z > OFF
-        wrong = (result.ground != known.ground) & known.scored
+    def off(self, ground: np.ndarray) -> np.ndarray:
+        """bool[rows, columns]: cells whose terrain is off by these labels, bool[n]."""
+        model = interpolated(self.known.cloud, ground, self.grid, FILLED).values
+        return np.abs(model.astype(float) - self.truth) * self.known.cloud.units.z > OFF
+
+    def errors(self, ground: np.ndarray) -> Row:
+        """Wrong points and cells by these labels, with how many count."""
+        known, off = self.known, self.off(ground)
+        wrong = (ground != known.ground) & known.scored
         counted = int(np.isfinite(self.truth).sum())
         return {"wrong": int(wrong.sum()), "points": int(known.scored.sum()), "off": int(off.sum()), "cells": counted}
 
@@ -108,39 +114,34 @@ def around_points(site: Site, count: int, radius: float) -> geopandas.GeoDataFra
     return geopandas.GeoDataFrame({"key": doubt[chosen].astype(float)}, geometry=shapes)
 
 
-def verdict(site: Site, shape: shapely.Geometry) -> str:
-    """What the reference says of a place, by its cells of 2 m.
+def verdicts(site: Site, places: geopandas.GeoDataFrame) -> list[str]:
+    """What the reference says of each place: that with which the fewest cells are off, in it and in its rim.
 
-    ``fine`` if less than a tenth of them is wrong: most points that are labelled ground are none, or there is no such point
-    and the lowest one is ground. Else ``ground`` if most of it lies within :data:`NEAR` of ground, and ``object`` if not. Points
-    within :data:`LEVEL` of the terrain of the reference are ground, since references label some of their ground points only.
+    ``fine`` is the terrain as it is, ``object`` and ``ground`` that which follows if the same is said of all places. If two are
+    equal, it is the first of these.
     """
-    known, cloud, grid = site.known, site.known.cloud, site.grid
-    x0, y0, x1, y1 = shape.bounds
-    xyz = cloud.origin + cloud.xyz / np.array([cloud.units.xy, cloud.units.xy, cloud.units.z])
-    near = (
-        known.scored & cloud.candidate & (xyz[:, 0] >= x0) & (xyz[:, 0] <= x1) & (xyz[:, 1] >= y0) & (xyz[:, 1] <= y1)
-    )
-    rows = np.flatnonzero(near)
-    rows = rows[shapely.intersects_xy(shape, xyz[rows, 0], xyz[rows, 1])]
-    if not len(rows):
-        return "fine"
-    column, row = (np.floor(xyz[rows, :2] / grid.cell).astype(int) - (grid.left, grid.bottom)).T
-    terrain = site.truth[np.clip(grid.rows - 1 - row, 0, grid.rows - 1), np.clip(column, 0, grid.columns - 1)]
-    truth = known.ground[rows] | (np.abs(xyz[rows, 2] - terrain) * cloud.units.z <= LEVEL)
-    label = site.result.ground[rows]
-    cell = np.unique(np.floor(xyz[rows, :2] * cloud.units.xy / SIDE), axis=0, return_inverse=True)[1].ravel()
-    order = np.lexsort((xyz[rows, 2], cell))
-    lowest = truth[order[np.diff(cell[order], prepend=-1) > 0]]
-    labelled, right = np.bincount(cell, label), np.bincount(cell, label & truth)
-    wrong = np.where(labelled > 0, 2 * right < labelled, lowest)
-    if wrong.mean() < 0.1:
-        return "fine"
-    x, y = grid.centres()
-    columns, lines = (np.flatnonzero((at > low) & (at < high)) for at, low, high in ((x, x0, x1), (y, y0, y1)))
-    box = site.truth[np.ix_(lines, columns)]
-    held = shapely.intersects_xy(shape, *np.meshgrid(x[columns], y[lines]))
-    return "ground" if np.isfinite(box[held]).mean() > 0.5 else "object"
+    x, y = site.grid.centres()
+    words, counts = ("fine", "object", "ground"), []
+    for word in words:
+        ground = site.result.ground
+        if word != "fine":
+            ground = jf.apply(site.result, places.assign(verdict=word)).ground
+        row, column = np.nonzero(site.off(ground))
+        points = shapely.points(x[column], y[row])
+        held = shapely.STRtree(points).query(places.buffer(RIM / site.known.cloud.units.xy), predicate="contains")
+        counts.append(np.bincount(held[0], minlength=len(places)))
+    return [words[k] for k in np.argmin(counts, axis=0)]
+
+
+def edited(site: Site, places: geopandas.GeoDataFrame) -> np.ndarray:
+    """bool[n]: the labels, but those of the reference in places."""
+    known, cloud = site.known, site.known.cloud
+    xy = cloud.coordinates()[:, :2]
+    inside = np.unique(shapely.STRtree(shapely.points(xy)).query(places.geometry, predicate="intersects")[1])
+    ground = site.result.ground.copy()
+    inside = inside[known.scored[inside]]
+    ground[inside] = known.ground[inside]
+    return ground
 
 
 def prepared(site: Site, path: Path) -> geopandas.GeoDataFrame:
@@ -203,7 +204,7 @@ def main(arguments: list[str] | None = None) -> None:
     names = [n for n in cloud_names(folder) if not options.clouds or any(n.startswith(c) for c in options.clouds)]
     names = [n for n in names if not any(n.startswith(c) for c in options.without)]
     sites: dict[str, Site] = {}
-    known: dict[tuple[str, tuple[str, ...]], Row] = {}  # what was found with the same places
+    known: dict[tuple[str, bool, tuple[str, ...]], Row] = {}  # what was found with the same places
 
     def site(name: str) -> Site:
         if name not in sites:
@@ -216,32 +217,35 @@ def main(arguments: list[str] | None = None) -> None:
         path = options.work / f"{name.replace(' ', '_')}.gpkg"
         tables[name] = prepared(site(name), path) if not path.exists() else read_places(path)
         print("places", name, len(tables[name]), file=sys.stderr, flush=True)
-    every = pd.concat([table.assign(cloud=name) for name, table in tables.items()])
+    every = pd.concat([table.assign(cloud=name) for name, table in tables.items()], ignore_index=True)
     every["hard"] = every["cloud"].isin([path.stem for path in (folder / "tiles_hard").glob("*.la[sz]")])
-    first = {
-        (hard, order): own.sort_values(["key", "cloud"], ascending=False)
-        for (hard, order), own in every.groupby(["hard", "order"])
-    }
+    every = every.sort_values(["key", "cloud"], ascending=False)
     area = {hard: float(own.groupby("cloud")["km2"].first().sum()) for hard, own in every.groupby("hard")}
     kept = {name: options.work / f"{name.replace(' ', '_')}.csv" for name in names}
     for name in (n for n in names if not kept[n].exists()):
         if options.only and not any(name.startswith(one) for one in options.only):
             continue
         rows: list[Row] = []
+        hard = bool(every["hard"][every["cloud"] == name].iloc[0])
         for order in ORDERS:
+            pooled = every[(every["hard"] == hard) & (every["order"] == ("list" if order == "edited" else order))]
+            most = pooled.head(round(max(RATES) * area[hard]))
+            most = most[most["cloud"] == name]
+            if order != "edited":
+                most = most.assign(verdict=verdicts(site(name), most) if len(most) else [])
             for rate in (0, *RATES):
-                hard = bool(every["hard"][every["cloud"] == name].iloc[0])
-                chosen = first[hard, order].head(round(rate * area[hard]))
-                own = chosen[chosen["cloud"] == name]
-                own = own.assign(verdict=[verdict(site(name), shape) for shape in own.geometry])
-                key = name, tuple(sorted(own.geometry.to_wkb(hex=True)))
+                own = most.loc[most.index.isin(pooled.index[: round(rate * area[hard])])]
+                key = name, order == "edited", tuple(sorted(own.geometry.to_wkb(hex=True)))
                 if key not in known:
-                    before = site(name).result
-                    after = jf.apply(before, own[["verdict", "geometry"]]) if len(own) else before
-                    known[key] = site(name).errors(after)
+                    ground = site(name).result.ground
+                    if len(own):
+                        ground = (
+                            edited(site(name), own) if order == "edited" else jf.apply(site(name).result, own).ground
+                        )
+                    known[key] = site(name).errors(ground)
                 row = {"cloud": name, "group": site(name).known.group, "order": order, "rate": rate, "places": len(own)}
-                said = {f"said_{word}": int((own["verdict"] == word).sum()) for word in ("ground", "object", "fine")}
-                rows.append(row | known[key] | said)
+                said = own["verdict"] if order != "edited" else pd.Series([], dtype=str)
+                rows.append(row | known[key] | {f"said_{word}": int((said == word).sum()) for word in WORDS})
         write_csv(kept[name], rows)
         print("done", name, file=sys.stderr, flush=True)
     if not all(path.exists() for path in kept.values()):
@@ -256,9 +260,13 @@ def main(arguments: list[str] | None = None) -> None:
 def summed(rows: list[Row]) -> pd.DataFrame:
     """Errors by group, order and rate, all clouds of a group together, and all groups."""
     table = pd.DataFrame(rows)
-    columns = ["wrong", "points", "off", "cells", "places", "said_ground", "said_object", "said_fine"]
+    columns = ["wrong", "points", "off", "cells", "places", *(f"said_{word}" for word in WORDS)]
+    begin = table[table["rate"] == 0].set_index(["cloud", "order"])["off"]
+    before = np.array([begin[row.cloud, row.order] for row in table.itertuples()])
+    table["mean"] = np.where(before >= ENOUGH, table["off"] / np.maximum(before, 1), np.nan)
     parts = [table, table[table["group"] != "hard tiles"].assign(group=TOGETHER)]
-    sums = pd.concat(parts).groupby(["group", "order", "rate"])[columns].sum().reset_index()
+    grouped = pd.concat(parts).groupby(["group", "order", "rate"])
+    sums = grouped[columns].sum().assign(mean=grouped["mean"].mean()).reset_index()
     sums["error"], sums["share"] = 100 * sums["wrong"] / sums["points"], 100 * sums["off"] / sums["cells"]
     start = sums[sums["rate"] == 0].set_index(["group", "order"])["off"]
     sums["left"] = [row.off / start[row.group, row.order] for row in sums.itertuples()]
@@ -271,7 +279,7 @@ def page(rows: list[Row], area: float) -> str:
     columns: list[Column] = [
         ("how", "places", ""), ("rate", "per km2", "d"), ("places", "places", "d"), ("said_ground", "ground", "d"),
         ("said_object", "object", "d"), ("said_fine", "fine", "d"), ("error", "total error, %", ".2f"),
-        ("share", "cells off by > 0.5 m, %", ".2f"), ("left", "of the start", ".2f"),
+        ("share", "cells off by > 0.5 m, %", ".2f"), ("left", "of the start", ".2f"), ("mean", "mean of clouds", ".2f"),
     ]  # fmt: skip
     text = [f"# Errors left after verdicts\n\n{len({r['cloud'] for r in rows})} clouds, {area:.2f} km2 in all.\n\n"
             "![Share of cells that are off, by places per km2](verdicts.png)"]  # fmt: skip
@@ -296,7 +304,7 @@ def figure(sums: pd.DataFrame, path: Path) -> None:
     drawn = Figure(figsize=(3.2 * len(groups), 3.0), layout="constrained")
     FigureCanvasAgg(drawn)
     for ax, group in zip(drawn.subplots(1, len(groups), sharey=True, squeeze=False)[0], groups, strict=True):
-        for (order, words), style in zip(ORDERS.items(), ("o-", "s--", "^:"), strict=True):
+        for (order, words), style in zip(ORDERS.items(), ("o-", "s--", "^:", "x-."), strict=True):
             own = sums[(sums["group"] == group) & (sums["order"] == order)]
             ax.plot(own["rate"], own["left"], style, label=words, markersize=4)
         ax.axhline(0.5, color="grey", linewidth=0.8)

@@ -257,7 +257,8 @@ def open_files(
     reading, run = take(Reading, options), take_run(options, session)
     inputs, out = (list(names), None) if run.in_place else (list(names[:-1]), names[-1])
     if not inputs:
-        raise BadUsage("OUT is missing: name a file or a folder to write, or pass --in-place")
+        what = f"a {' or '.join(suffixes)} to write" if suffixes else "a file or a folder to write, or pass --in-place"
+        raise BadUsage(f"OUT is missing: name {what}")
     check_inputs(inputs, bare)
     output = out or ", ".join(inputs)
     if out == "-":

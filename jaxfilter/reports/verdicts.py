@@ -6,10 +6,11 @@ import dataclasses
 import hashlib
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
+from scipy.spatial import KDTree
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, warn
@@ -18,25 +19,22 @@ from ..engines.ground import grow
 from ..engines.neighbours import groups
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Outliers, Vertices
-from ..engines.tin.network import one_network
+from ..engines.tin.network import corner_positions, one_network, with_elevation
+from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
 from ..methods.ost import OST
-from ..steps.pruning import Scatter, prune
-from .places import SIDE
-
-if TYPE_CHECKING:
-    pass
+from .places import OFF, SIDE, STEEPEST
 
 GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
 """What may be said of a place."""
 RIM = 2 * SIDE
 """Metres around a place in which points are tested again: two of the cells that places are made of."""
-CELL = 2 * SIDE
-"""Metres: the lowest points of such cells are seeds."""
+BESIDE = 3 * SIDE
+"""Metres: the lowest point of a cell of :data:`SIDE` is a seed if it rises from none so near by more than terrain does."""
 HALO = 40.0
 """Metres around that whose ground takes part, as around the tiles of terrain models."""
 LEVEL = 0.3
-"""Metres above and below the plane through the lowest points of a body of water that are its surface."""
+"""Metres above and below the plane through the lowest points of a body of water that are its surface; and above a slope."""
 _OVERLAP = 1.0
 """Square units of the file that two places with different verdicts may share."""
 _BLOCK = 5.0
@@ -172,32 +170,30 @@ class Repaired:
 def repaired(cloud: PointCloud, ground: np.ndarray, site: Repair, filter_: OST) -> Repaired:
     """Carry out the verdicts of a site on the points of its window.
 
-    Points in an object or a bridge are no ground. In water those near the plane of its lowest points are. In ground the lowest
-    points of cells are seeds, and no others. From these, and from the ground around, the ground grows by the
-    rules of ``filter_`` through the places that are ground and the rims of all places. Ground in the rim of an object or a bridge
-    must pass again. Points elsewhere, and those of places that are fine, keep their labels.
+    In an object and its rim, ground that sticks out of the plane of its neighbours by more than :data:`OFF` goes, from the
+    outside inwards, until none does. Points of a bridge are no ground. In water those near the plane of its lowest points are.
+    In ground the lowest points of cells are seeds as well. Then the ground grows by the rules of ``filter_`` through objects,
+    ground, and the rims of all places. In the rim of a bridge it must pass again. Points elsewhere, and those of places that
+    are fine, keep their labels.
 
     Args:
         cloud: n points, of the window. ground: bool[n]. filter_: with a ``spacing``, metres.
     """
     points = filter_.points_of(cloud)
-    word, rim, cleared = _zones(points, site)
+    word, rim = _zones(points, site)
     was = points.gather(ground)
-    now, grows = was & (word == ""), (word == GROUND) | rim
-    now &= ~cleared
-    now |= was & (word == FINE)
+    seeds = was & ~np.isin(word, (BRIDGE, WATER)) & (rim != BRIDGE)
     for one in site.verdicts:
         if one.word == WATER:
             inside = np.flatnonzero(_inside(points, one.shape) & (word == WATER))
-            now[inside[_level(points.xyz[inside])]] = True
-    water = now & (word == WATER)
-    seeds = now.copy()
+            seeds[inside[_level(points.xyz[inside])]] = True
+    water = seeds & (word == WATER)
     if (places := word == GROUND).any():
-        seeds[_lowest(points, places & ~filter_.low(points))] = True
-    if (grows & ~seeds).any() and has_area(points.xyz[seeds]):
-        now = _grown(points, seeds, grows, places, filter_)
-    else:
-        now |= seeds
+        seeds[_lowest(points, places & ~filter_.low(points), seeds)] = True
+    barred = _sticking_out(points, seeds, (word == OBJECT) | (rim == OBJECT))
+    seeds &= ~barred
+    grows = (np.isin(word, (GROUND, OBJECT)) | (rim != "")) & ~barred
+    now = _grown(points, seeds, grows, filter_) if grows.any() and has_area(points.xyz[seeds]) else seeds
     changed = points.spread(now != was, False)
     after = np.where(changed, points.spread(now, False), ground)
     deck = points.spread((word == BRIDGE) & was, False) & ground
@@ -212,28 +208,34 @@ def _inside(points: Points, shape: shapely.Geometry) -> np.ndarray:
     return np.asarray(shapely.intersects_xy(shape, x, y))
 
 
-def _zones(points: Points, site: Repair) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is said of each point, U[m], "" = nothing; bool[m]: those in rims; and of these, those beside what is no ground."""
-    word = np.full(len(points), "", "U6")
-    near, beside, rim = (np.zeros(len(points), bool) for _ in range(3))
-    for one in site.verdicts:
-        word[_inside(points, one.shape)] = one.word
-        if one.word != FINE:
-            near = _inside(points, one.shape.buffer(RIM / points.cloud.units.xy))
-            rim |= near
-            beside |= near & (one.word in (OBJECT, BRIDGE))
-    rim &= word == ""
-    return word, rim, beside & rim
+def _zones(points: Points, site: Repair) -> tuple[np.ndarray, np.ndarray]:
+    """What is said of each point, U[m], "" = nothing; and of a place in whose rim it lies, U[m]."""
+    word, rim = (np.full(len(points), "", "U6") for _ in range(2))
+    for said in (WATER, GROUND, BRIDGE, OBJECT, FINE):  # in a rim the last one counts
+        for one in site.verdicts:
+            if one.word == said:
+                word[_inside(points, one.shape)] = said
+                if said != FINE:
+                    rim[_inside(points, one.shape.buffer(RIM / points.cloud.units.xy))] = said
+    rim[word != ""] = ""
+    return word, rim
 
 
-def _lowest(points: Points, counted: np.ndarray) -> np.ndarray:
-    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`CELL` metres from the anchor."""
+def _lowest(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """i64: rows of the lowest of the points ``counted``, bool[m], in each cell of :data:`SIDE` metres from the anchor, but for
+    those that rise from another, or from one of ``seeds``, bool[m], more steeply than :data:`STEEPEST`."""
     rows = np.flatnonzero(counted)
-    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / CELL).astype(np.int64)
+    cell = np.floor((points.xyz[rows, :2] + points.anchored()) / SIDE).astype(np.int64)
     order = np.lexsort((rows, points.xyz[rows, 2], cell[:, 0], cell[:, 1]))
     first = np.ones(len(rows), bool)
     first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
-    return np.sort(rows[order[first]])
+    low = np.sort(rows[order[first]])
+    xyz = points.xyz.astype(np.float64)
+    others = xyz[np.union1d(low, np.flatnonzero(seeds))]
+    pairs = KDTree(xyz[low, :2]).sparse_distance_matrix(KDTree(others[:, :2]), BESIDE, output_type="ndarray")
+    most = np.full(len(low), np.inf)
+    np.minimum.at(most, pairs["i"], others[pairs["j"], 2] + STEEPEST * pairs["v"] + LEVEL)
+    return low[xyz[low, 2] <= most]
 
 
 def _level(xyz: np.ndarray) -> np.ndarray:
@@ -266,19 +268,55 @@ def _slope(xyz: np.ndarray, anchored: np.ndarray) -> float:
     return float(known.mean()) if len(known) else 0.0
 
 
-def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, places: np.ndarray, filter_: OST) -> np.ndarray:
-    """bool[m]: ground from ``seeds`` on, among the points that it ``grows`` over; seeds in ``places`` may be dropped again."""
+def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """bool[m]: points of the ``ground``, bool[m], that stick out of the plane of their neighbours.
+
+    They do so by more than :data:`OFF` and what terrain rises by between two points. Of points ``among``, bool[m], half of those
+    that do are dropped at a time, the worst first, until none does. What is then cut off from all others, such as the middle of a
+    roof, is dropped as well if it is higher. With corners around the points, those at the edge of the data have neighbours on
+    all sides.
+    """
+    from ..engines.tin.rings import residuals  # imports Numba
+
+    rows, out = np.flatnonzero(ground), np.zeros(len(points), bool)
+    if not (ground & among).any() or not has_area(points.xyz[rows]):
+        return out
+    _, first, of = np.unique(
+        points.xyz[rows, :2], axis=0, return_index=True, return_inverse=True
+    )  # the first is the lowest
+    xyz = points.xyz[rows[first]]
+    corners = corner_positions(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), HALO)
+    tin = triangulated(np.concatenate([xyz, with_elevation(corners, xyz)]), workers=1)
+    over, dropped = np.zeros(len(tin.xyz), np.float32), np.zeros(len(first), bool)
+    most, among = OFF + points.spacing() * _slope(xyz, points.anchored()), among[rows[first]]
+    facets = tin.triangles[((tin.triangles >= 0) & (tin.triangles < len(first))).all(axis=1)].copy()
+    while len(nodes := np.flatnonzero(among & ~dropped)):
+        residuals(tin.xyz, tin.triangles, tin.neighbours, tin.where, nodes, over)
+        high = nodes[over[nodes] > most]
+        if not len(high):
+            break
+        high = high[over[high] >= np.median(over[high])]
+        tin.remove(high)
+        dropped[high] = True
+    one, other = facets.ravel(), np.roll(facets, 1, axis=1).ravel()
+    both = ~dropped[one] & ~dropped[other]
+    island = groups(one[both], other[both], len(first))
+    rest = np.bincount(island, ~among & ~dropped) > 0
+    dropped |= ~rest[island] & (np.bincount(island, over[: len(first)])[island] > 0)
+    out[rows] = dropped[of.ravel()]
+    return out
+
+
+def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, filter_: OST) -> np.ndarray:
+    """bool[m]: ground from ``seeds`` on, among the points that it ``grows`` over."""
     rows = np.flatnonzero(seeds | grows)
     some = dataclasses.replace(points, xyz=points.xyz[rows], weight=points.weight[rows])
-    seed, within = seeds[rows], places[rows]
+    seed, none = seeds[rows], np.zeros(len(rows), bool)
     around = np.full(len(rows), _slope(some.xyz[seed], points.anchored()), np.float32)
-    limits = filter_.limits(
-        points.spacing() if filter_.spacing is None else filter_.spacing, around, within * np.float32(1)
-    )
-    growth = Growth(
-        limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=("margin", "height", "slope")
-    )
-    none = np.zeros(len(rows), bool)
+    spacing = points.spacing() if filter_.spacing is None else filter_.spacing
+    limits = filter_.limits(spacing, around, np.float32(0))
+    kept = ("margin", "height", "slope")
+    growth = Growth(limits.first, vertices=Vertices(sinks=False), beyond=limits.beyond, kept=kept)
     network = one_network(some, np.flatnonzero(seed), np.zeros((0, 2)), Outliers(none, none))
     network = dataclasses.replace(network, open=grows[rows])
     with GroundTin.start(network, growth, workers=1) as ground:
@@ -286,9 +324,6 @@ def _grown(points: Points, seeds: np.ndarray, grows: np.ndarray, places: np.ndar
         ground.step()
         ground.change(limits.then)
         grow(ground, filter_.rounds)
-        scatter = Scatter.of(ground.tin)
-        spread = float(filter_.scene_spread) * scatter.of_scene(ground.tin)
-        prune(ground, scatter, spread, float(filter_.local_spread), limits.distance, within)
         now = np.zeros(len(points), bool)
         now[rows] = ground.ground
     return now

@@ -56,15 +56,15 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     ============  ========================================================================================================
     verdict       what is done
     ============  ========================================================================================================
-    ``ground``    the lowest points of cells of 4 m are seeds, and the ground grows from them alone
-    ``object``    no point is ground
-    ``bridge``    the same; points that were ground are marked as ``deck``
+    ``ground``    the lowest points of cells of 2 m are ground as well, unless they stand on something steeper than terrain
+    ``object``    ground that sticks out of the plane of its neighbours by more than 0.5 m goes, from the outside inwards
+    ``bridge``    no point is ground; points that were are marked as ``deck``
     ``water``     ground are the points within 0.3 m of the plane of its lowest points, which are marked as ``water``
     ``fine``      nothing changes, here and where the rim of another place meets it
     ============  ========================================================================================================
 
-    The ground around the place is known. From it and the seeds the ground grows again through the place and the 4 m around it,
-    by the rules of OST. Ground in these 4 m must pass again around objects and bridges. All other labels stay as they are.
+    The ground around the place is known. From it and from what is left or new, the ground grows again through the place and the
+    4 m around it, by the rules of OST. Around a bridge, ground in these 4 m must pass again. All other labels stay as they are.
     Places whose rims meet are done together, and each sees the ground up to 40 m away.
 
     Args:
