@@ -27,7 +27,7 @@ from .collection import open as open_collection
 from .executors import check_main
 from .measures import Recipe, Sampler, whole_of
 from .options import RunOptions, check_memory
-from .plan import WHOLE, BoxPlan, Plan, plan_tiles
+from .plan import WHOLE, Plan, plan_boxes, plan_tiles
 from .product import Product
 from .report import RunReport
 from .run import Run
@@ -47,7 +47,7 @@ _TOO_OFTEN = 3.0
 class Cut:
     """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
     ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
-    themselves, f64[t, 2, 4], see :class:`BoxPlan`."""
+    themselves, f64[t, 2, 4], see :func:`plan_boxes`."""
 
     halo: float
     lattice: float
@@ -167,7 +167,7 @@ class Survey:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
         if cut.boxes is not None:
-            return BoxPlan.over(files.footprints, files.counts, cut.boxes)
+            return plan_boxes(files.footprints, files.counts, cut.boxes)
         plan = plan_tiles(
             files.footprints,
             files.counts,
@@ -180,7 +180,7 @@ class Survey:
         if self.reading.aoi is not None:
             from .area import meeting
 
-            plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores())))
+            plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
         check_memory(options, plan)
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
