@@ -55,6 +55,10 @@ class Cut:
     boxes: np.ndarray | None = None
 
 
+CutFor = Callable[[Filter | None, float | None], Cut]
+ProductFor = Callable[[TileReader, Filter | None], Product]
+
+
 def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
     """The collection of a run, before that touches anything; with ``bounds`` those of its files that meet them.
 
@@ -102,11 +106,7 @@ class Survey:
     reading: Reading
     options: RunOptions
 
-    def run(
-        self,
-        cut_for: Callable[[Filter | None, float | None], Cut],
-        product_for: Callable[[TileReader, Filter | None], Product],
-    ) -> Any:
+    def run(self, cut_for: CutFor, product_for: ProductFor) -> Any:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
 
         ``cut_for`` is given the filter and the halo of the options, ``product_for`` the reader and the filter.
@@ -126,12 +126,7 @@ class Survey:
             return self._forecast(cut_for, product_for)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
-            filter_, whole = self._filter()
-            plan = self._plan(cut_for(filter_, self.options.halo))
-            if whole is not None and any(plan.many):
-                width, height = (side * self.collection.metre for side in plan.largest())
-                whole = dataclasses.replace(whole, width=width, height=height)
-            product = product_for(TileReader(self.reading, whole, store.index), filter_)
+            product, plan = self._planned(cut_for, product_for)
             run = Run(product, plan, self.collection, targets, self.options)
             self._record(product, plan)
             try:
@@ -145,23 +140,25 @@ class Survey:
             self._leave(run.report)
         return run.report
 
-    def _forecast(
-        self,
-        cut_for: Callable[[Filter | None, float | None], Cut],
-        product_for: Callable[[TileReader, Filter | None], Product],
-    ) -> RunReport:
+    def _forecast(self, cut_for: CutFor, product_for: ProductFor) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         from .forecast import forecast
 
         self.targets.check(self.options)
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            survey = dataclasses.replace(self, targets=targets)
-            filter_, whole = survey._filter()
-            plan = survey._plan(cut_for(filter_, self.options.halo))
-            product = product_for(TileReader(self.reading, whole, targets.store.index), filter_)
+            product, plan = dataclasses.replace(self, targets=targets)._planned(cut_for, product_for)
             files = [str(place) for place in targets.places]
             return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
+
+    def _planned(self, cut_for: CutFor, product_for: ProductFor) -> tuple[Product, Plan]:
+        """What is to be made, and of which tiles."""
+        filter_, whole = self._filter()
+        plan = self._plan(cut_for(filter_, self.options.halo))
+        if whole is not None and any(plan.many):
+            width, height = (side * self.collection.metre for side in plan.largest())
+            whole = dataclasses.replace(whole, width=width, height=height)
+        return product_for(TileReader(self.reading, whole, self.targets.store.index), filter_), plan
 
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
@@ -223,21 +220,10 @@ class Survey:
         store, files = self.targets.store, self.collection
         area = self.reading.aoi and self.reading.aoi.wkt
         reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z], "aoi": area}
-        tiles = {
-            "width": plan.width,
-            "height": plan.height,
-            "halo": plan.halo,
-            "number": len(plan),
-            "digest": plan.digest(),
-        }
-        facts = {
-            "version": __version__,
-            "inputs": self._digest(),
-            "units": reading.pop("units"),
-            "filter": facts_of(self.recipe),
-            "reading": reading,
-            "tiles": tiles,
-        }
+        tiles = {name: getattr(plan, name) for name in ("width", "height", "halo")}
+        tiles |= {"number": len(plan), "digest": plan.digest()}
+        facts = {"version": __version__, "inputs": self._digest(), "units": reading.pop("units")}
+        facts |= {"filter": facts_of(self.recipe), "reading": reading, "tiles": tiles}
         store.begin(facts | product.facts())
         if "parameters" not in store.facts and product.filter is not None:
             fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
