@@ -102,6 +102,8 @@ class FilterResult:
         water, deck: bool[n] or None; points of the surface of a body of water, which are ground, and of bridge decks, which are
             not; None if nobody has looked for them.
         settled: bool[n] or None; points that are ground before the thresholds are applied that a method applies last.
+        water: bool[n] or None; points of the surface of a water body, which stay ground. None = the method looks for none.
+        deck: bool[n] or None; points of a bridge deck, which are no ground. None = the method looks for none.
         low_noise: bool[n]; low outliers: barred from the seeds, not ground in the end, and below the final surface, unless they
             are given. Methods that bar no points, such as SMRF, which bars cells, have none.
         run: the filter and the cloud; None for a result that was put together by hand.

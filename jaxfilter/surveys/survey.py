@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,27 +16,29 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import ParameterError, warn
+from ..core.errors import InputError, ParameterError, warn
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Seal
+from ..files.disk import Bounds, Seal
 from ..methods import FILTERS
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
 from .measures import Recipe, Sampler, whole_of
-from .options import RunOptions, check_memory
+from .options import RunOptions, check_memory, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
 from .product import Product
-from .report import RunReport
-from .run import Run
+from .report import Forecast, RunReport, collected_warnings
+from .run import Run, tile_of
 from .store import Store
 from .targets import MAP, REPORT, Targets, check_out
 from .tiles import Tile, TileReader
 
+TRIED = 300_000
+"""Points of the piece that a forecast tries, about."""
 FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
 """What to do where no point is ground."""
 
@@ -142,8 +146,6 @@ class Survey:
 
     def _forecast(self, cut_for: CutFor, product_for: ProductFor) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
-        from .forecast import forecast
-
         self.targets.check(self.options)
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
@@ -258,3 +260,41 @@ def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
         return None
     method = None if recipe.method is None else recipe.method.__name__
     return {**{field.name: getattr(recipe, field.name) for field in dataclasses.fields(recipe)}, "method": method}
+
+
+def forecast(product: Product, plan: Plan, collection: Collection, files: list[str], options: RunOptions) -> Forecast:
+    """Try ``product`` on a piece, and tell what the run would be. Nothing is written but what the reader's index keeps."""
+    metre, many = collection.metre, any(plan.many)
+    times, workers = plan.times_read(collection.count), workers_for(options, plan)
+    each = _seconds_per_point(product, plan, collection) * collection.count * times
+    side, halo = (plan.width * metre, plan.halo * metre) if many else (math.nan, math.nan)
+    memory = need(plan) * (workers if many else 1)
+    seconds = each / min(workers, len(plan))
+    return Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+
+
+def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
+    """Of the tile in the middle of all by their points, without compilation: of two trials the faster counts."""
+    if not collection.count:
+        return 0.0
+    number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
+    tile = tile_of(plan, collection, number, patient=True)
+    box, held = (collection.bounds if tile.window is None else tile.window), float(plan.points[number])
+    part = _middle(box, min(1.0, math.sqrt(TRIED / max(held, 1.0))))
+    tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
+    for _ in range(2):
+        start = time.perf_counter()
+        try:
+            with collected_warnings():
+                _, summary = product.tile(tile)
+        except InputError:  # a piece in which nothing can be made, such as a lake
+            return math.nan
+        best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
+    return best
+
+
+def _middle(box: Bounds, share: float) -> Bounds:
+    """The part of a box around its middle, with this share of each side, whose upper edges are inside."""
+    x0, y0, x1, y1 = box
+    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) * share / 2, (y1 - y0) * share / 2
+    return x - width, y - height, np.nextafter(x + width, math.inf), np.nextafter(y + height, math.inf)
