@@ -10,9 +10,8 @@ import pytest
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.steps.adaptive_grid import lowest_per_adaptive_cell
+from jaxfilter.steps.adaptive_grid import MAX_SLOPE, cell_slopes, lowest_per_adaptive_cell
 from jaxfilter.steps.outliers import bar_outliers
-from jaxfilter.steps.refinement import MAX_SLOPE, cell_slopes
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "experiments" / "isprs" / "published"

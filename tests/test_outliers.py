@@ -12,7 +12,7 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core.points import canonical_points
 from jaxfilter.engines import neighbours
-from jaxfilter.engines.grid.depressions import Basins, _ascending
+from jaxfilter.engines.grid.depressions import Basins
 from jaxfilter.engines.grid.sparse import CellSet
 from jaxfilter.scenes import Kind
 from jaxfilter.steps.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
@@ -149,12 +149,6 @@ def test_depressions_equal_flooding(seed):
     assert len(drained) > 3
     assert drained == flooded(z, 60.0, 15)
     assert pits.points.tolist() == [len(c) for c in cells]
-
-
-def test_order_of_levels_equals_a_stable_sort(rng):
-    level = np.concatenate([rng.integers(-9, 9, 500) / 4, rng.normal(0, 1e-30, 50), [0.0, -0.0, np.inf]])
-    level = level.astype(np.float32)
-    np.testing.assert_array_equal(_ascending(level), np.argsort(level, kind="stable"))
 
 
 def test_three_pits_that_meet_at_one_level_stay_apart():

@@ -586,7 +586,7 @@ def test_bad_arguments_are_named(options, message):
         ({"relief": -1}, "relief=-1"),
         ({"forest": 1.2}, "forest=1.2"),
         ({"pit": "deep"}, "pit='deep'"),
-        ({"bridges": 1}, "bridges=1"),
+        ({"bridges": 2}, "bridges=2"),
         ({"settlement": 0.5, "houses": 0, "rows": 0, "halls": 0, "parks": 0}, "settlement"),
     ],
 )

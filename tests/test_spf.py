@@ -6,7 +6,6 @@ from scipy import ndimage
 
 import jaxfilter as jf
 from jaxfilter.core.points import canonical_points
-from jaxfilter.engines.grid import spread
 from jaxfilter.engines.grid.spread import fill_from_neighbours
 from jaxfilter.steps.seed_clusters import clustered_seeds
 
@@ -50,11 +49,8 @@ def test_a_window_of_too_many_cells_is_an_error():
 # Grid
 
 
-@pytest.mark.parametrize("few", [0, 30, 4096])
-def test_filling_from_neighbours(rng, monkeypatch, few):
-    """Whether rounds look at the whole grid, at the cells that they fill, or at one after the other."""
-    monkeypatch.setattr(spread, "_FEW", few)
-    shape = (30, 40 + few % 7)  # another program
+def test_filling_from_neighbours(rng):
+    shape = (30, 40)
     z = rng.normal(0, 3, shape).astype(np.float32)
     seen = rng.random(shape) < 0.3
     seen[8:16, 10:22] = False

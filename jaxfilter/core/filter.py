@@ -414,14 +414,9 @@ def expand(cloud: PointCloud, points: Points, labels: Labels) -> FilterResult:
         {**step, "ground": spread(step["ground"], False, bool)} if "ground" in step else step for step in labels.trace
     ]
     known: dict[str, Any] = {name: spread(getattr(labels, name), np.nan, np.float32) for name in QUANTITIES}
-    for name, empty, kind in (
-        ("settled", False, bool),
-        ("doubt", np.nan, np.float32),
-        ("water", False, bool),
-        ("deck", False, bool),
-    ):
+    for name in ("settled", "doubt", "water", "deck"):
         values = getattr(labels, name)
-        known[name] = None if values is None else points.spread(values, empty, kind)
+        known[name] = None if values is None else points.spread(values, np.nan if name == "doubt" else False)
     return FilterResult(
         ground=spread(labels.ground, False, bool),
         decision=spread(decision, Decision.SET_ASIDE, np.uint8),

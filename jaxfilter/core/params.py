@@ -18,7 +18,7 @@ import textwrap
 from collections import UserDict
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, TypeGuard, TypeVar, dataclass_transform
 
 import jax
 import numpy as np
@@ -126,7 +126,8 @@ FILTERS = _Registry()
 """Every filter class by name, for example ``FILTERS["fptd"]``."""
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether this is a real number; True and False are none."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
@@ -184,7 +185,7 @@ def check_fields(params: Any) -> None:
         if value is None and meta.get("optional"):
             continue
         limits = meta.get("limits", {})
-        if not _is_number(value):
+        if not is_number(value):
             if limits or meta.get("static") is False:
                 raise ParameterError(f"{name}({f.name}={value!r}): a number is needed")
             continue

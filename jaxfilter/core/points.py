@@ -262,7 +262,7 @@ def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     """``xyz``, ``index``, ``member`` and ``weight`` of :func:`canonical_points`."""
     index, xyz = _candidates(cloud)
     east, north = (round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
-    order, repeated = _canonical_order(*_codes(xyz, (east, north)), xyz[:, 2])
+    order, repeated = _canonical_order(morton(xyz, (east, north)), xyz[:, 2])
     member = np.empty(len(order), np.int64)
     if len(repeated) == 0:
         for part in pieces(len(order)):
@@ -275,50 +275,15 @@ def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     return xyz[order[first]], index, member, np.bincount(group).astype(np.int32)
 
 
-def _codes(xyz: np.ndarray, moved: tuple[int, int]) -> tuple[np.ndarray, int]:
-    """u64[n] numbers in the order of :func:`morton`, and how many bits they have: few, however far the points are from zero.
-
-    Points whose extent is less than the side of a square block lie in four blocks at most, those of the corners of their
-    bounding box. So the digits that name a block give way to its place among these.
-    """
-    code = morton(xyz, moved)
-    if len(code) == 0:
-        return code, 0
-    low, high = ends(xyz[:, :2])
-    bits = 2 * (int(max(high - low) / QUANTUM) + 1).bit_length()
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(4, 2)
-    blocks = np.unique(morton(corners, moved) >> np.uint64(bits))
-    digits = np.uint64((1 << bits) - 1)
-    for part in pieces(len(code)):
-        place = np.searchsorted(blocks, code[part] >> np.uint64(bits)).astype(np.uint64)
-        code[part] = code[part] & digits | place << np.uint64(bits)
-    return code, bits + (len(blocks) - 1).bit_length()
-
-
-def _canonical_order(code: np.ndarray, bits: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """i64[n], the order of points by their codes u64[n] of so many bits, then by z, f32[n]; and which places in it, ascending,
-    hold a point that is equal to the one before.
-
-    Whole numbers made of the code and the place are sorted, since argsort takes twice as long. They have room for nearly all
-    digits of the codes: those that share what is sorted by are few, and are ordered by the whole code and by z.
-    """
-    n = len(code)
-    if n == 0:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    places = (n - 1).bit_length()
-    key = code >> np.uint64(max(0, bits + places - 64))
-    key <<= np.uint64(places)
-    for part in pieces(n):
-        key[part] |= np.arange(part.start, part.stop, dtype=np.uint64)
-    key.sort()
-    alike = [np.zeros(0, np.int64)]
-    for part in pieces(n - 1):
-        differ = key[part] ^ key[part.start + 1 : part.stop + 1]
-        alike.append(part.start + np.flatnonzero(differ < np.uint64(1 << places)))
+def _canonical_order(code: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[n], the order of points by their codes u64[n], then by z, f32[n]; and which places in it, ascending, hold a point that
+    is equal to the one before."""
+    order, alike = np.argsort(code, kind="stable"), [np.zeros(0, np.int64)]
+    for part in pieces(len(code) - 1):
+        same = code[order[part]] == code[order[part.start + 1 : part.stop + 1]]
+        alike.append(part.start + np.flatnonzero(same))
     rows = np.concatenate(alike)
     rows = np.union1d(rows, rows + 1)
-    key &= np.uint64((1 << places) - 1)
-    order = key.view(np.int64)
     points = order[rows]
     points = points[np.lexsort((z[points], code[points]))]
     order[rows] = points

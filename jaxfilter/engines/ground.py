@@ -37,14 +37,9 @@ class GroundNodes(ABC):
     def take(self, accepted: np.ndarray) -> dict[str, Any]:
         """Test others over these from now on, and find out which: sets ``left`` and ``todo``. What the record also holds."""
 
-    def step(self, more: np.ndarray | None = None) -> None:
-        """Test all of ``todo`` at once, and make ground of those that pass: the order of nodes never matters.
-
-        ``more``: i64, nodes that are known to pass and are not in ``todo``.
-        """
+    def step(self) -> None:
+        """Test all of ``todo`` at once, and make ground of those that pass: the order of nodes never matters."""
         tested, accepted = len(self.todo), self.test()
-        if more is not None:
-            accepted = np.union1d(accepted, more)
         self.ground[accepted] = True
         self.trace.append({"tested": tested, "accepted": len(accepted), **self.take(accepted)})
 

@@ -26,7 +26,7 @@ from .storage import Remote, read_ranges
 RUN = 16384
 """Records of LAS in a run."""
 
-_ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
+ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
 """Level, x, y, z of a node; where its chunk is; number of points, -1: the entry is of another page."""
 
 
@@ -219,13 +219,13 @@ def _unknown(header: Header, found: Blocks) -> Blocks:
 
 def _entries(header: Header, file: BinaryIO, page: int, size: int) -> np.ndarray:
     """The entries of all pages that are of nodes with points."""
-    found, pages, seen = [np.zeros(0, _ENTRY)], [(page, size)], set()
+    found, pages, seen = [np.zeros(0, ENTRY)], [(page, size)], set()
     while pages:
         page, size = pages.pop()
-        if page in seen or size % _ENTRY.itemsize or page + size > header.file_size:
+        if page in seen or size % ENTRY.itemsize or page + size > header.file_size:
             raise InputError(f"{header.path}: page of the octree at byte {page}, {size} bytes long, is damaged")
         seen.add(page)
-        entries = read_ranges(header.path, file, np.array([page]), np.array([size])).view(_ENTRY)
+        entries = read_ranges(header.path, file, np.array([page]), np.array([size])).view(ENTRY)
         level, points, length = entries["key"][:, 0], entries["points"], entries["size"]
         end = entries["offset"].astype(np.float64) + length
         if not ((level >= 0) & (level < 64) & (length >= 0) & (points >= -1) & (end <= header.file_size)).all():

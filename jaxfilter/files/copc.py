@@ -12,6 +12,7 @@ import numpy as np
 from ..core.errors import OutputError, warn
 from ..core.process import need_threads
 from . import records
+from .blocks import ENTRY
 from .header import HEADER_LENGTHS, RECORD_LENGTHS, Header, laszip_record, read_header, vlr
 from .storage import Place
 
@@ -21,7 +22,6 @@ FORMATS = {0: 6, 1: 6, 2: 7, 3: 7, 6: 6, 7: 7, 8: 8}
 GRID, LEAF, DEEPEST = 128, 2048, 10
 """Cells along the side of a node, of which each gives it one point; number of points that stay together; last level."""
 _TOGETHER = 1 << 20  # points that are compressed at a time
-_ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
 
 
 def is_copc(path: Place) -> bool:
@@ -71,7 +71,7 @@ def write_octree(plain: Path, target: Path) -> None:
         coder.done()
         file.seek(len(front))
         sizes = np.array(lazrs.read_chunk_table(file, lazrs.LazVlr(compressor)), np.int64).reshape(-1, 2)[:, 1]
-        entries = np.zeros(max(len(keys), 1), _ENTRY)  # without points the root alone, which has none
+        entries = np.zeros(max(len(keys), 1), ENTRY)  # without points the root alone, which has none
         entries["key"][: len(keys)], entries["points"][: len(keys)], entries["size"][: len(keys)] = keys, counts, sizes
         entries["offset"][: len(keys)] = len(front) + 8 + np.cumsum(sizes) - sizes
         evlrs = file.seek(0, 2)

@@ -34,7 +34,7 @@ class Source:
         count: number of points.
         wkt: its CRS as WKT, or None; see ``crs``.
         units: metres per file unit.
-        point_format, scales, offsets: as in the header; None for text, and for a member of a ``.vpc`` whose header was not read.
+        point_format: as in the header; None for text, and for a member of a ``.vpc`` whose header was not read.
         date: day on which the file was made, ISO 8601, as the header states it, or None.
         identity: changes with the file (size, time of the last change or ETag, header), see ``Header.fingerprint``; ``""``
             where the header was not read.
@@ -48,8 +48,6 @@ class Source:
     wkt: str | None = None
     units: Units = UNITS["m"]
     point_format: int | None = None
-    scales: tuple[float, float, float] | None = None
-    offsets: tuple[float, float, float] | None = None
     date: str | None = None
     identity: str = ""
 
@@ -98,8 +96,6 @@ def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
         facts = {
             "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
             "point_format": header.point_format,
-            "scales": tuple(header.scales.tolist()),
-            "offsets": tuple(header.offsets.tolist()),
             "date": header.date,
             "identity": header.fingerprint,
         }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ParameterError
-from ..core.params import check_fields, param
+from ..core.params import check_fields, param, static
 
 
 class Kind(enum.IntEnum):
@@ -60,7 +60,7 @@ class SceneLayout:
     pit: float = param("depth of open pits, worked in benches", ">= 0 and <= 100 m", default=0.0)
     river: float = param("width of rivers and arms of the sea", ">= 0 and <= 490 m", default=0.0)
     lake: float = param("radius of lakes and ponds; from 40 m on an islet is in them", ">= 0 and <= 120 m", default=0.0)
-    quay: bool = dataclasses.field(default=False, metadata={"doc": "whether rivers have upright banks"})
+    quay: bool = static("whether rivers have upright banks", default=False)
     water_echoes: float = param(
         "share of the pulses straight down that water returns, fewer at an angle; 0 for none at all; not between rock faces",
         ">= 0 and <= 1",
@@ -68,7 +68,7 @@ class SceneLayout:
     )
     boats: float = param("share of 12 m cells on water with a boat", ">= 0 and <= 1", default=0.0)
     reeds: float = param("share of shallow water under reeds, 0.3 to 2 m high", ">= 0 and <= 1", default=0.0)
-    weir: bool = dataclasses.field(default=False, metadata={"doc": "whether weirs, 1 m high, cross the rivers"})
+    weir: bool = static("whether weirs, 1 m high, cross the rivers", default=False)
     cliff: float = param("height of rock faces on both sides of a valley floor", ">= 0 and <= 150 m", default=0.0)
     face: float = param("slope of rock faces", ">= 40 and <= 85 deg", default=72.0)
     floor: float = param(
@@ -81,18 +81,14 @@ class SceneLayout:
     embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
     cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
     road: float = param("width of roads on the level of the land that bridges cross", ">= 0 and <= 60 m", default=0.0)
-    bridges: bool = dataclasses.field(
-        default=True, metadata={"doc": "whether bridges cross the cuttings, roads and rivers"}
-    )
+    bridges: bool = static("whether bridges cross the cuttings, roads and rivers", default=True)
     bridge_width: float = param("width of decks", ">= 1 and <= 60 m", default=10.0)
     bridge_skew: float = param(
         "angle between decks and what is square to the course", ">= 0 and <= 60 deg", default=0.0
     )
     bridge_rise: float = param("height of the ends of decks above the land, on ramps", ">= 0 and <= 12 m", default=0.0)
     jetty: float = param("length of jetties from the banks of rivers", ">= 0 and <= 100 m", default=0.0)
-    causeway: bool = dataclasses.field(
-        default=False, metadata={"doc": "whether low dams, which are ground, cross the rivers instead of decks"}
-    )
+    causeway: bool = static("whether low dams, which are ground, cross the rivers instead of decks", default=False)
     settlement: float = param("share of the area that is built up", ">= 0 and <= 1", default=0.0)
     houses: float = param("weight of quarters with detached houses, 7 to 15 m", ">= 0", default=1.0)
     rows: float = param("weight of quarters with rows of houses, 25 to 42 m", ">= 0", default=1.0)
@@ -121,9 +117,6 @@ class SceneLayout:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("bridges", "quay", "weir", "causeway"):
-            if not isinstance(value := getattr(self, name), bool):
-                raise ParameterError(f"SceneLayout({name}={value!r}): must be True or False")
         if self.settlement > 0 and not sum(self.quarters()) > 0:
             raise ParameterError(
                 f"SceneLayout(settlement={self.settlement!r}): one of houses, rows, blocks, towers, halls, parks must be > 0"

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
 from ..core.grid import Grid, grid_over
+from ..core.params import is_number
 from .lattice import box_of
 from .layouts import ASPRS, LAYOUTS, Kind, SceneLayout
 from .objects import open_deck
@@ -158,7 +159,7 @@ class Scene:
         >>> z.shape == (grid.ny, grid.nx)
         True
         """
-        if not (_is_number(cell) and cell > 0):
+        if not (is_number(cell) and cell > 0):
             raise ParameterError(f"terrain_grid(cell={cell!r}): must be > 0 m")
         cloud = self.cloud
         grid = grid_over(cloud.xyz, cell, cloud.grid_offset(cell))
@@ -221,7 +222,7 @@ def make(
         getattr(usual, name) if value is None else value
         for name, value in (("density", density), ("noise", noise), ("swath", swath))
     )
-    width, height = (size, size) if _is_number(size) else _numbers("size", size, 2)
+    width, height = (size, size) if is_number(size) else _numbers("size", size, 2)
     for name, value, low, high, unit in (
         ("size", width, 1, 100_000, " m"),
         ("size", height, 1, 100_000, " m"),
@@ -230,7 +231,7 @@ def make(
         ("swath", swath, 50, 5000, " m"),
         ("overlap", overlap, 0, 0.6, ""),
     ):
-        if not (_is_number(value) and low <= value <= high):
+        if not (is_number(value) and low <= value <= high):
             raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g}{unit}")
     if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
         raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
@@ -256,12 +257,8 @@ def make(
     return Scene(layout, int(seed), (float(width), float(height)), corner, *columns)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
-
-
 def _numbers(name: str, values: Any, length: int) -> tuple[Any, ...]:
     several = isinstance(values, (tuple, list, np.ndarray)) and len(values) == length
-    if not several or not all(_is_number(v) and math.isfinite(v) for v in values):
+    if not several or not all(is_number(v) and math.isfinite(v) for v in values):
         raise ParameterError(f"make({name}={values!r}): must be {length} finite numbers")
     return tuple(values)

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from ..core.compilation import jit
 from ..core.grid import Grid, grid_over
@@ -29,7 +28,6 @@ from .quadrants import Buckets, nearest_in_quadrants, rings
 _BLOCK = 1 << 15  # queries per call
 _NEAR = 6  # cells that a near search reaches
 _FAR = 32  # cells that a search reaches at most
-_COARSE = 8  # cells of a near search along the side of one that tells which queries to search for
 
 
 class NearestReferences:
@@ -105,15 +103,6 @@ class QuadrantReferences(NearestReferences):
             return grid, grid.flat(self._xy)
 
         self._searches = [(*cells(size), rings(radius)) for size, radius in sides]
-        self._coarse = cells(_COARSE * side)
-
-    def _concerned(self, references: np.ndarray) -> np.ndarray:
-        """i64: the queries that a reference may be nearer to than the farthest that they have; a few others too."""
-        grid, cell = self._coarse
-        empty = np.ones(grid.shape, bool)
-        empty.ravel()[cell[references]] = False
-        least = grid.cell * np.maximum(distance_transform_edt(empty).ravel() - 1.5, 0)  # at most a diagonal too far
-        return np.flatnonzero(self.square.max(axis=1, initial=0) >= least[cell[self.query]] ** 2)
 
     def add(self, references: np.ndarray, workers: int | None = None) -> np.ndarray:
         """Take in more references, ascending i64[r]. Returns bool[q]: whose nearest have changed.
@@ -124,7 +113,7 @@ class QuadrantReferences(NearestReferences):
         changed = np.zeros(len(self.query), bool)
         if len(references) == 0:
             return changed
-        todo, query = self._concerned(references), self._xy[self.query]
+        todo, query = np.arange(len(self.query)), self._xy[self.query]
         with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
             for grid, cell, steps in self._searches:
                 buckets = Buckets.of(self._xy[references], references, cell[references], grid.shape)

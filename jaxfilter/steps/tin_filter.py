@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Iterator, Sequence
-from itertools import zip_longest
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,7 +22,6 @@ from ..engines.tin.facets import Rule
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Growth, Mirror, Network, Outliers, Vertices
 from ..engines.tin.network import border_positions, one_network
-from ..engines.tin.trail import Foothold, Trail
 from ..engines.tin.triangulation import Tin
 from .outlier_filter import OutlierFilter
 
@@ -33,8 +31,6 @@ _BYTES = 250
 """About so many of memory per point and growth."""
 _NODES = 524288
 """Sets of a sweep grow together up to so many nodes."""
-_FOLLOWED, _FEW = 2, 3
-"""Rounds that sets of a sweep make on a trail, and with fewer of them in a thread none."""
 
 
 def facet_reach(cell: float) -> float:
@@ -174,105 +170,46 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
 def _ground_each(
     filter_: TinFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds. Each thread takes a stretch of sets in
-    an order in which neighbours are alike, and several at a time, as sheets of one network, that cost little more than one."""
-    threads, order = workers or os.cpu_count() or 1, _in_likeness(sets, filter_.LIMITS)
-    first = _Stretch(sets[order[0]], points, threads)
-    nodes, growth = len(first.network.xyz), first.growth
+    """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds. Several of them grow at a time, as sheets
+    of one network, that cost little more than one."""
+    threads, groups = workers or os.cpu_count() or 1, alike(values_but(filter_.LIMITS, sets))
+
+    @functools.lru_cache(threads)
+    def start(group: int) -> tuple[Network, Tin]:
+        one: TinFilter = sets[groups[group][0]]
+        network = one.start(points, threads, silent)
+        with GroundTin.start(network, one.growth(network), workers=threads) as seeds:
+            return network, seeds.tin
+
+    def grown(job: tuple[int, list[int]]) -> np.ndarray:
+        return _grown([sets[number] for number in job[1]], points, *start(job[0]), threads // at_once)
+
+    network, _ = start(0)
+    nodes, growth = len(network.xyz), sets[0].growth(network)
     most = max(1, int(memory // (_BYTES * nodes)))
-    at_once = min(threads, len(sets), max(1, most // (1 + _FOLLOWED)))
-    size = max(1, min(_NODES // nodes, most // at_once - _FOLLOWED))
+    at_once = min(threads, len(sets), most)
+    size = max(1, min(_NODES // nodes, most // at_once, -(-len(sets) // at_once)))
     if growth.adaptive is not None or growth.vertices.grids:  # what a round decides depends on the whole network
         size = 1
-    parts = np.array_split(order, at_once)
-    alone = not first.can_follow or len(parts[0]) < _FEW
-    jobs = []
-    for part in parts:
-        stretch = first.again(not alone, threads // at_once)
-        groups = [part[np.array(rows)] for rows in alike(values_but(filter_.LIMITS, [sets[i] for i in part]))]
-        runs = groups if alone else [part]
-        jobs.append([(stretch, run[i : i + size]) for run in runs for i in range(0, len(run), size)])
-    in_order = [job for row in zip_longest(*jobs) for job in row if job]
-    for (_, batch), found in in_turn(lambda job: job[0].grown([sets[i] for i in job[1]]), in_order, at_once):
-        yield from zip(batch.tolist(), found, strict=True)
+    jobs = [(number, group[i : i + size]) for number, group in enumerate(groups) for i in range(0, len(group), size)]
+    for (_, batch), found in in_turn(grown, jobs, at_once):
+        yield from zip(batch, found, strict=True)
 
 
-def _in_likeness(sets: Sequence[TinFilter], limits: Sequence[str]) -> np.ndarray:
-    """i64: the numbers of sets, each followed by the one that is most like it, by ranks, of those that are left; sets with
-    networks of their own count as far apart if others share one."""
-    names = [field.name for field in declared(sets[0]) if not field.metadata["static"]]
-    far = 100 if len(set(values_but(limits, sets))) < len(sets) else 1
-    ranks = np.array([np.unique([getattr(one, name) for one in sets], return_inverse=True)[1] for name in names]).T
-    ranks = ranks * np.array([1 if name in limits else far for name in names]) / np.maximum(1, ranks.max(axis=0))
-    ranks = ranks[:, ranks.any(axis=0)]
-    order, left = [int(ranks.sum(axis=1).argmin())], np.ones(len(sets), bool)
-    for _ in sets[1:]:
-        left[order[-1]] = False
-        order.append(int(np.where(left, ((ranks - ranks[order[-1]]) ** 2).sum(axis=1), np.inf).argmin()))
-    return np.array(order)
-
-
-class _Stretch:
-    """Sets of a sweep that grow after each other, and what the next of them may begin with.
-
-    Attributes:
-        network: of the last set, before it grew; growth: of the first one.
-        can_follow: whether growths of this kind can begin with what others have left.
-    """
-
-    def __init__(self, one: TinFilter, points: Points, workers: int) -> None:
-        self.points, self.workers, self._key = points, workers, values_but(one.LIMITS, [one])
-        self.network = one.start(points, workers, silent)
-        self.growth = one.growth(self.network)
-        self._tin: Tin | None = self._triangulated()
-        self._trail: Trail | None = None
-        vertices = self.growth.vertices
-        plain = vertices.sinks and not (vertices.spacing or vertices.grids or self.growth.one_per_facet)
-        one_sheet = self.network.sheet[-1] == 0 and len(self.network.virtual) > 0
-        self.can_follow = plain and one_sheet and self.growth.adaptive is None and self.network.before is None
-
-    def again(self, follow: bool, workers: int) -> _Stretch:
-        """Another that begins in the same way, and whose sets may follow a trail."""
-        assert self._tin is not None
-        out = copy.copy(self)
-        out.workers, out._trail = workers, Trail(self._tin, _FOLLOWED) if follow else None
-        return out
-
-    def _triangulated(self) -> Tin:
-        with GroundTin.start(self.network, self.growth, workers=self.workers) as seeds:
-            return seeds.tin
-
-    def _foothold(self, one: TinFilter, trail: Trail | None) -> Foothold:
-        key = values_but(one.LIMITS, [one])
-        if key != self._key:
-            self._key, self.network, self._tin = key, one.start(self.points, self.workers, silent), None
-        if trail is not None:
-            return trail.follow(self.network, one.growth(self.network))
-        self._tin = self._tin or self._triangulated()
-        return Foothold(self.network, self._tin)
-
-    def grown(self, sets: Sequence[TinFilter], alone: bool = False) -> np.ndarray:
-        """bool[sets, m], ground."""
-        trail = None if alone or sets[0].max_rounds < _FOLLOWED else self._trail
-        footholds = [self._foothold(one, trail) for one in sets]
-        many, nodes = Network.joined([foot.network for foot in footholds]), len(self.network.xyz)
-        limits = np.array([one.growth(many).rule for one in sets], np.float32).T
-        rule: Any = [np.repeat(v, nodes) if (v != v[0]).any() else v[0] for v in limits]
-        growth, rounds = dataclasses.replace(sets[0].growth(many), rule=Rule(*rule), kept=()), sets[0].max_rounds
-        with GroundTin.start(many, growth, Tin.joined([foot.tin for foot in footholds]), self.workers) as out:
-            if trail is not None:
-                passing = [i * nodes + foot.passing for i, foot in enumerate(footholds)]
-                out.todo = np.concatenate([i * nodes + foot.todo for i, foot in enumerate(footholds)])
-                out.step(np.concatenate(passing))
-                rounds -= _FOLLOWED
-            status = grow(out, rounds)
-        if status is not Status.CONVERGED and not alone and (trail or len(sets) > 1):
-            # together, and on a trail, a set may need more rounds than alone
-            return np.concatenate([self.grown([one], True) for one in sets])
-        ground = np.zeros((len(sets), len(self.points)), bool)
-        node = np.flatnonzero(out.ground & many.real)
-        ground[node // nodes, many.row[node]] = True
-        return ground
+def _grown(sets: Sequence[TinFilter], points: Points, network: Network, tin: Tin, workers: int) -> np.ndarray:
+    """bool[sets, m], ground, grown from one network and the triangulation of its seeds."""
+    many, nodes = Network.joined([network] * len(sets)), len(network.xyz)
+    limits = np.array([one.growth(many).rule for one in sets], np.float32).T
+    rule: Any = [np.repeat(v, nodes) if (v != v[0]).any() else v[0] for v in limits]
+    growth = dataclasses.replace(sets[0].growth(many), rule=Rule(*rule), kept=())
+    with GroundTin.start(many, growth, Tin.joined([tin] * len(sets)), workers) as out:
+        status = grow(out, sets[0].max_rounds)
+    if status is not Status.CONVERGED and len(sets) > 1:  # together a set may need more rounds than alone
+        return np.concatenate([_grown([one], points, network, tin, workers) for one in sets])
+    ground = np.zeros((len(sets), len(points)), bool)
+    node = np.flatnonzero(out.ground & many.real)
+    ground[node // nodes, many.row[node]] = True
+    return ground
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

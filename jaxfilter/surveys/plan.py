@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from typing import Any
 
 import numpy as np
 
@@ -64,25 +65,25 @@ class Lists:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """Tiles, numbered from the south-west, row by row.
+    """Tiles: those of :func:`plan_tiles` are numbered from the south-west, row by row.
 
     Attributes:
-        origin: x and y, file units; a multiple of ``lattice``. width, height: of the cores, file units. The core with the
-            whole numbers i and j is [x + i width, x + (i + 1) width) by [y + j height, y + (j + 1) height).
-        halo: file units around a core that are read as well. lattice: file units; windows end at multiples of it.
-        cell: i64[t, 2], the numbers i and j of every tile.
+        width, height: of the cores, file units; halo: file units around a core that are read as well; lattice: file units;
+            windows end at multiples of it.
+        cores, windows: f64[t, 4], xmin, ymin, xmax, ymax of the tiles, file units, without and with the halo. Cores that adjoin
+            have the same number for their common edge.
         points: f64[t], expected in core and halo, by the densities of the files.
         near: per tile, the files that core and halo may meet; home: those that the core may meet.
         tiles_of: per file, the tiles that label it.
         many: whether cores lie side by side in x, and in y; if in neither, the tile is all there is.
     """
 
-    origin: tuple[float, float]
     width: float
     height: float
     halo: float
     lattice: float
-    cell: np.ndarray
+    cores: np.ndarray
+    windows: np.ndarray
     points: np.ndarray
     near: Lists
     home: Lists
@@ -90,22 +91,15 @@ class Plan:
     many: tuple[bool, bool]
 
     def __len__(self) -> int:
-        return len(self.cell)
+        return len(self.cores)
 
     def core(self, number: int) -> Bounds:
-        """(xmin, ymin, xmax, ymax) of a tile, file units. Cores that adjoin have the same number for their common edge."""
-        i, j = (int(v) for v in self.cell[number])
-        (x, y), w, h = self.origin, self.width, self.height
-        return x + i * w, y + j * h, x + (i + 1) * w, y + (j + 1) * h
+        """(xmin, ymin, xmax, ymax) of a tile, file units."""
+        return tuple(self.cores[number].tolist())  # type: ignore[return-value]
 
     def window(self, number: int) -> Bounds:
         """The core and the halo around it, as far as the lattice."""
-        return window_around(self.core(number), self.halo, self.lattice)
-
-    def cores(self) -> np.ndarray:
-        """f64[t, 4]: all cores."""
-        low = np.array(self.origin) + self.cell * [self.width, self.height]
-        return np.concatenate([low, np.array(self.origin) + (self.cell + 1) * [self.width, self.height]], axis=1)
+        return tuple(self.windows[number].tolist())  # type: ignore[return-value]
 
     def largest(self) -> tuple[float, float]:
         """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
@@ -116,11 +110,9 @@ class Plan:
 
     def part(self, rows: np.ndarray) -> Plan:
         """With some of the tiles only, i64[k], ascending."""
-        home = self.home.part(rows)
-        return dataclasses.replace(
-            self, cell=self.cell[rows], points=self.points[rows], near=self.near.part(rows), home=home,
-            tiles_of=home.turned(len(self.tiles_of)),
-        )  # fmt: skip
+        parts: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("cores", "windows", "points")}
+        parts |= {name: getattr(self, name).part(rows) for name in ("near", "home")}
+        return dataclasses.replace(self, **parts, tiles_of=parts["home"].turned(len(self.tiles_of)))
 
     def times_read(self, count: int) -> float:
         """How many times each of ``count`` points is read, halos included; 1 without any."""
@@ -128,63 +120,40 @@ class Plan:
 
     def digest(self) -> str:
         """Tells this plan from others."""
-        numbers = (self.origin, self.width, self.height, self.halo, self.lattice, len(self))
-        found = hashlib.sha256(repr(numbers).encode())
-        for array in (self.cell, self.home.start, self.home.member, self.near.start, self.near.member):
+        found = hashlib.sha256()
+        for array in (self.cores, self.windows, self.home.start, self.home.member, self.near.start, self.near.member):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class BoxPlan(Plan):
-    """Tiles that lie anywhere. ``boxes``: f64[t, 2, 4], core and window of each, file units."""
-
-    boxes: np.ndarray
-
-    @classmethod
-    def over(cls, bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> BoxPlan:
-        """``bounds``, ``counts``: of files, as in :func:`plan_tiles`."""
-        points, files = np.zeros(len(boxes)), bounds + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
-        pairs: list[list[np.ndarray]] = [[], []]  # of a tile, and a file that its core, or its window, meets
-        for number, box in enumerate(boxes):
-            for kind, one in zip(pairs, box, strict=True):
-                near = np.flatnonzero(
-                    (files[:, :2] <= one[2:]).all(1) & (files[:, 2:] >= one[:2]).all(1) & (counts > 0)
-                )
-                kind.append(np.stack([np.full(len(near), number), near]))
-            low, high = np.maximum(bounds[near, :2], box[1, :2]), np.minimum(bounds[near, 2:], box[1, 2:])
-            share = (high - low).clip(0).prod(axis=1) / (bounds[near, 2:] - bounds[near, :2]).clip(1e-12).prod(axis=1)
-            points[number] = share @ counts[near]
-        (own, file), (tile, near) = (np.concatenate(kind, axis=1) for kind in pairs)
-        home, near_by = Lists.of(own, file, len(boxes)), Lists.of(tile, near, len(boxes))
-        width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
-        nowhere = np.zeros((len(boxes), 2), np.int64)
-        return cls(
-            (0.0, 0.0), width, height, 0.0, 1.0, nowhere, points, near_by, home, home.turned(len(bounds)), (True, True), boxes,
-        )  # fmt: skip
-
-    def core(self, number: int) -> Bounds:
-        return tuple(self.boxes[number, 0].tolist())  # type: ignore[return-value]
-
-    def window(self, number: int) -> Bounds:
-        return tuple(self.boxes[number, 1].tolist())  # type: ignore[return-value]
-
-    def cores(self) -> np.ndarray:
-        return self.boxes[:, 0]
-
-    def largest(self) -> tuple[float, float]:
-        return self.width, self.height
-
-    def digest(self) -> str:
-        return hashlib.sha256(super().digest().encode() + self.boxes.tobytes()).hexdigest()
+def plan_boxes(bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> Plan:
+    """Tiles that lie anywhere. ``boxes``: f64[t, 2, 4], core and window of each, file units; ``bounds``, ``counts``: of files, as
+    in :func:`plan_tiles`."""
+    points, files = np.zeros(len(boxes)), bounds + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
+    pairs: list[list[np.ndarray]] = [[], []]  # of a tile, and a file that its core, or its window, meets
+    for number, box in enumerate(boxes):
+        for kind, one in zip(pairs, box, strict=True):
+            near = np.flatnonzero((files[:, :2] <= one[2:]).all(1) & (files[:, 2:] >= one[:2]).all(1) & (counts > 0))
+            kind.append(np.stack([np.full(len(near), number), near]))
+        low, high = np.maximum(bounds[near, :2], box[1, :2]), np.minimum(bounds[near, 2:], box[1, 2:])
+        share = (high - low).clip(0).prod(axis=1) / (bounds[near, 2:] - bounds[near, :2]).clip(1e-12).prod(axis=1)
+        points[number] = share @ counts[near]
+    (own, file), (tile, near) = (np.concatenate(kind, axis=1) for kind in pairs)
+    home, near_by = Lists.of(own, file, len(boxes)), Lists.of(tile, near, len(boxes))
+    width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
+    turned, many = home.turned(len(bounds)), (True, True)
+    return Plan(width, height, 0.0, 0.0, boxes[:, 0], boxes[:, 1], points, near_by, home, turned, many)
 
 
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
     """A box, ``halo`` around it, and further to multiples of ``lattice``; all in file units."""
-    x0, y0, x1, y1 = core
-    low = (math.floor((edge - halo) / lattice + 1e-6) * lattice for edge in (x0, y0))
-    high = (math.ceil((edge + halo) / lattice - 1e-6) * lattice for edge in (x1, y1))
-    return (*low, *high)  # type: ignore[return-value]
+    return tuple(_windows(np.array(core), halo, lattice).tolist())  # type: ignore[return-value]
+
+
+def _windows(cores: np.ndarray, halo: float, lattice: float) -> np.ndarray:
+    """f64[..., 4]: :func:`window_around` of each box."""
+    low = np.floor((cores[..., :2] - halo) / lattice + 1e-6)
+    return np.concatenate([low, np.ceil((cores[..., 2:] + halo) / lattice - 1e-6)], axis=-1) * lattice
 
 
 def plan_tiles(
@@ -275,12 +244,11 @@ def _tiles(
         overlap = np.minimum(high, west + size[axis] + 2 * halo) - np.maximum(low, west)
         shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12)
     points = np.bincount(tile, np.minimum(shares, 1.0) * counts[near.member], minlength=len(tiles))
-    plain = tuple(float(v) for v in origin)
-    spread = np.ptp(cell, axis=0) > 0 if len(cell) else (False, False)
-    return Plan(
-        (plain[0], plain[1]), float(size[0]), float(size[1]), halo, lattice, cell, points, near, home,
-        home.turned(len(bounds)), (bool(spread[0]), bool(spread[1])),
-    )  # fmt: skip
+    cores = start + np.concatenate([cell, cell + 1], axis=1) * np.tile(size, 2)
+    (width, height), turned = size.tolist(), home.turned(len(bounds))
+    many = tuple((np.ptp(cell, axis=0) > 0).tolist()) if len(cell) else (False, False)
+    windows = _windows(cores, halo, lattice)
+    return Plan(width, height, halo, lattice, cores, windows, points, near, home, turned, many)
 
 
 @dataclasses.dataclass(frozen=True)

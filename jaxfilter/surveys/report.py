@@ -73,27 +73,23 @@ class Summary:
                 self.heights = others if mine is None else (min(mine[0], others[0]), max(mine[1], others[1]))
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; keys that are no texts become pairs of a list."""
+        """Plain values; counts become pairs of a list, since their keys may be no texts."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(Summary)}
-        pairs = {name: [[key, value] for key, value in found[name].items()] for name in _PAIRS}
+        pairs = {name: list(found[name].items()) for name in _PAIRS}
         return json.loads(json.dumps(found | pairs, default=_plain))
 
     @classmethod
     def of_json(cls, facts: dict[str, Any]) -> Self:
         """From what :meth:`as_json` returned."""
-        kinds = {field.name: type(getattr(cls(), field.name)) for field in dataclasses.fields(Summary)}
-        keys = {"classes": tuple}
+        known = cls(**facts)
         for name in _PAIRS:
-            facts[name] = {keys.get(name, lambda key: key)(key): value for key, value in facts[name]}
-        for name, kind in kinds.items():
-            if kind is collections.Counter:
-                facts[name] = collections.Counter(facts[name])
-        if facts["heights"] is not None:
-            facts["heights"] = tuple(facts["heights"])
-        return cls(**facts)
+            pairs = ((tuple(key) if isinstance(key, list) else key, value) for key, value in facts[name])
+            setattr(known, name, type(getattr(cls(), name))(dict(pairs)))
+        known.heights = None if known.heights is None else (known.heights[0], known.heights[1])
+        return known
 
 
-_PAIRS = ("classes", "halos", "unread")
+_PAIRS = ("seconds", "classes", "overlap", "statuses", "remarks", "halos", "unread")
 
 
 def _plain(value: Any) -> Any:

@@ -59,7 +59,7 @@ class Run:
         files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
         files *= product.writes_files
         self._standing = Standing("tiles", len(plan), 0, files, times_read=times)
-        self.report = product.REPORT(tiles=len(plan), cores=plan.cores(), state=np.full(len(plan), np.nan))
+        self.report = product.REPORT(tiles=len(plan), cores=plan.cores, state=np.full(len(plan), np.nan))
 
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""

@@ -2,7 +2,7 @@
 
 A tile is done when its file lies here: what was found of its points, and a summary. A file is done when its output lies
 where it belongs, and its seal (length and checksum) here. ``run.json`` holds what decides on the outcome. Every file
-appears whole or not at all, and ends with its checksum, so that a kill, a full disk or a damage repeats work and mixes nothing.
+appears whole or not at all, and holds checksums, so that a kill, a full disk or a damage repeats work and mixes nothing.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import io
 import json
 import os
 import shutil
-import struct
 import uuid
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -25,9 +25,7 @@ from ..core.errors import InputError, OutputError
 from ..files.disk import output_errors, remove, try_lock
 
 RUN, LOCK = "run.json", "lock"
-_END = struct.Struct("<QI4s")
-"""At the end of the file of a tile: bytes of the summary before it, CRC-32 of all before this, and a mark."""
-_MARK, _PER_FOLDER = b"tile", 1000
+_SUMMARY, _PER_FOLDER = "summary", 1000
 KEPT = "kept_"
 """What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
@@ -137,53 +135,34 @@ class Store:
         return self.path / "tiles" / str(number // _PER_FOLDER) / f"{number}.tile"
 
     def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
-        """Write the file of a tile. Raises: OutputError."""
-        body = io.BytesIO()
-        np.savez(body, **arrays)  # type: ignore[arg-type]
-        end = json.dumps(summary).encode()
-        checksum = zlib.crc32(end, zlib.crc32(body.getbuffer()))
-        self._write(self.tile(number), body.getbuffer(), end, _END.pack(len(end), checksum, _MARK))
+        """Write the file of a tile, an .npz with a CRC-32 of each array. Raises: OutputError."""
+        body, told = io.BytesIO(), np.frombuffer(json.dumps(summary).encode(), np.uint8)
+        np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
+        self._write(self.tile(number), body.getbuffer())
 
     def summary(self, number: int, with_arrays: bool = False) -> dict[str, Any] | None:
         """The summary of a tile; None if it is not done, damaged, or without the arrays that are asked for."""
-        found = self._read(number)
-        summary = {} if found is None else json.loads(found[1])
-        stripped = summary.pop("stripped", False)
-        return summary if summary and not (with_arrays and stripped) else None
+        try:
+            summary: dict[str, Any] = json.loads(self.arrays(number)[_SUMMARY].tobytes())
+        except InputError:
+            return None
+        return None if summary.pop("stripped", False) and with_arrays else summary
 
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
         damaged."""
-        found = self._read(number)
-        if found is None:
-            raise InputError(f"{self.tile(number)}: is gone or damaged; pass resume=True, which makes it again")
-        return self._arrays(found[0], names)
-
-    @staticmethod
-    def _arrays(body: memoryview, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        with np.load(io.BytesIO(body)) as stored:
-            return {name: stored[name] for name in (stored if names is None else names) if name in stored}
+        path = self.tile(number)
+        try:
+            with np.load(path) as stored:
+                return {name: stored[name] for name in (stored if names is None else names) if name in stored}
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again") from error
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""
-        found = self._read(number)
-        if found is not None:
-            arrays = {name: array for name, array in self._arrays(found[0]).items() if name.startswith(KEPT)}
-            self.put(number, arrays, json.loads(found[1]) | {"stripped": True})
-
-    def _read(self, number: int) -> tuple[memoryview, bytes] | None:
-        """Arrays and summary, as bytes."""
-        try:
-            data = memoryview(self.tile(number).read_bytes())
-        except OSError:
-            return None
-        if len(data) < _END.size:
-            return None
-        size, checksum, mark = _END.unpack(data[-_END.size :])
-        rest = data[: -_END.size]
-        if mark != _MARK or size > len(rest) or zlib.crc32(rest) != checksum:
-            return None
-        return rest[: len(rest) - size], bytes(rest[len(rest) - size :])
+        if (summary := self.summary(number)) is not None:
+            arrays = {name: array for name, array in self.arrays(number).items() if name.startswith(KEPT)}
+            self.put(number, arrays, summary | {"stripped": True})
 
     # files
 
@@ -211,13 +190,12 @@ class Store:
         text = json.dumps(value, indent=1)
         self._write(path, json.dumps({"checksum": zlib.crc32(text.encode()), "holds": value}, indent=1).encode())
 
-    def _write(self, path: Path, *parts: bytes | memoryview) -> None:
+    def _write(self, path: Path, content: bytes | memoryview) -> None:
         with output_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             part = path.with_name(f"{uuid.uuid4().hex}.part")
             try:
-                with open(part, "xb") as stream:
-                    stream.writelines(parts)
+                part.write_bytes(content)
                 os.replace(part, path)
             finally:
                 part.unlink(missing_ok=True)

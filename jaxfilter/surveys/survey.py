@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,27 +16,29 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import ParameterError, warn
+from ..core.errors import InputError, ParameterError, warn
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Seal
+from ..files.disk import Bounds, Seal
 from ..methods import FILTERS
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
 from .measures import Recipe, Sampler, whole_of
-from .options import RunOptions, check_memory
-from .plan import WHOLE, BoxPlan, Plan, plan_tiles
+from .options import RunOptions, check_memory, need, workers_for
+from .plan import WHOLE, Plan, plan_boxes, plan_tiles
 from .product import Product
-from .report import RunReport
-from .run import Run
+from .report import Forecast, RunReport, collected_warnings
+from .run import Run, tile_of
 from .store import Store
 from .targets import MAP, REPORT, Targets, check_out
 from .tiles import Tile, TileReader
 
+TRIED = 300_000
+"""Points of the piece that a forecast tries, about."""
 FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
 """What to do where no point is ground."""
 
@@ -47,12 +51,16 @@ _TOO_OFTEN = 3.0
 class Cut:
     """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
     ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
-    themselves, f64[t, 2, 4], see :class:`BoxPlan`."""
+    themselves, f64[t, 2, 4], see :func:`plan_boxes`."""
 
     halo: float
     lattice: float
     reach: float | None = None
     boxes: np.ndarray | None = None
+
+
+CutFor = Callable[[Filter | None, float | None], Cut]
+ProductFor = Callable[[TileReader, Filter | None], Product]
 
 
 def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
@@ -102,11 +110,7 @@ class Survey:
     reading: Reading
     options: RunOptions
 
-    def run(
-        self,
-        cut_for: Callable[[Filter | None, float | None], Cut],
-        product_for: Callable[[TileReader, Filter | None], Product],
-    ) -> Any:
+    def run(self, cut_for: CutFor, product_for: ProductFor) -> Any:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
 
         ``cut_for`` is given the filter and the halo of the options, ``product_for`` the reader and the filter.
@@ -126,12 +130,7 @@ class Survey:
             return self._forecast(cut_for, product_for)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
-            filter_, whole = self._filter()
-            plan = self._plan(cut_for(filter_, self.options.halo))
-            if whole is not None and any(plan.many):
-                width, height = (side * self.collection.metre for side in plan.largest())
-                whole = dataclasses.replace(whole, width=width, height=height)
-            product = product_for(TileReader(self.reading, whole, store.index), filter_)
+            product, plan = self._planned(cut_for, product_for)
             run = Run(product, plan, self.collection, targets, self.options)
             self._record(product, plan)
             try:
@@ -145,29 +144,29 @@ class Survey:
             self._leave(run.report)
         return run.report
 
-    def _forecast(
-        self,
-        cut_for: Callable[[Filter | None, float | None], Cut],
-        product_for: Callable[[TileReader, Filter | None], Product],
-    ) -> RunReport:
+    def _forecast(self, cut_for: CutFor, product_for: ProductFor) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
-        from .forecast import forecast
-
         self.targets.check(self.options)
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            survey = dataclasses.replace(self, targets=targets)
-            filter_, whole = survey._filter()
-            plan = survey._plan(cut_for(filter_, self.options.halo))
-            product = product_for(TileReader(self.reading, whole, targets.store.index), filter_)
+            product, plan = dataclasses.replace(self, targets=targets)._planned(cut_for, product_for)
             files = [str(place) for place in targets.places]
             return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
+
+    def _planned(self, cut_for: CutFor, product_for: ProductFor) -> tuple[Product, Plan]:
+        """What is to be made, and of which tiles."""
+        filter_, whole = self._filter()
+        plan = self._plan(cut_for(filter_, self.options.halo))
+        if whole is not None and any(plan.many):
+            width, height = (side * self.collection.metre for side in plan.largest())
+            whole = dataclasses.replace(whole, width=width, height=height)
+        return product_for(TileReader(self.reading, whole, self.targets.store.index), filter_), plan
 
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
         options, files = self.options, self.collection
         if cut.boxes is not None:
-            return BoxPlan.over(files.footprints, files.counts, cut.boxes)
+            return plan_boxes(files.footprints, files.counts, cut.boxes)
         plan = plan_tiles(
             files.footprints,
             files.counts,
@@ -180,7 +179,7 @@ class Survey:
         if self.reading.aoi is not None:
             from .area import meeting
 
-            plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores())))
+            plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
         check_memory(options, plan)
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
@@ -223,21 +222,10 @@ class Survey:
         store, files = self.targets.store, self.collection
         area = self.reading.aoi and self.reading.aoi.wkt
         reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z], "aoi": area}
-        tiles = {
-            "width": plan.width,
-            "height": plan.height,
-            "halo": plan.halo,
-            "number": len(plan),
-            "digest": plan.digest(),
-        }
-        facts = {
-            "version": __version__,
-            "inputs": self._digest(),
-            "units": reading.pop("units"),
-            "filter": facts_of(self.recipe),
-            "reading": reading,
-            "tiles": tiles,
-        }
+        tiles = {name: getattr(plan, name) for name in ("width", "height", "halo")}
+        tiles |= {"number": len(plan), "digest": plan.digest()}
+        facts = {"version": __version__, "inputs": self._digest(), "units": reading.pop("units")}
+        facts |= {"filter": facts_of(self.recipe), "reading": reading, "tiles": tiles}
         store.begin(facts | product.facts())
         if "parameters" not in store.facts and product.filter is not None:
             fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
@@ -272,3 +260,41 @@ def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
         return None
     method = None if recipe.method is None else recipe.method.__name__
     return {**{field.name: getattr(recipe, field.name) for field in dataclasses.fields(recipe)}, "method": method}
+
+
+def forecast(product: Product, plan: Plan, collection: Collection, files: list[str], options: RunOptions) -> Forecast:
+    """Try ``product`` on a piece, and tell what the run would be. Nothing is written but what the reader's index keeps."""
+    metre, many = collection.metre, any(plan.many)
+    times, workers = plan.times_read(collection.count), workers_for(options, plan)
+    each = _seconds_per_point(product, plan, collection) * collection.count * times
+    side, halo = (plan.width * metre, plan.halo * metre) if many else (math.nan, math.nan)
+    memory = need(plan) * (workers if many else 1)
+    seconds = each / min(workers, len(plan))
+    return Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+
+
+def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
+    """Of the tile in the middle of all by their points, without compilation: of two trials the faster counts."""
+    if not collection.count:
+        return 0.0
+    number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
+    tile = tile_of(plan, collection, number, patient=True)
+    box, held = (collection.bounds if tile.window is None else tile.window), float(plan.points[number])
+    part = _middle(box, min(1.0, math.sqrt(TRIED / max(held, 1.0))))
+    tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
+    for _ in range(2):
+        start = time.perf_counter()
+        try:
+            with collected_warnings():
+                _, summary = product.tile(tile)
+        except InputError:  # a piece in which nothing can be made, such as a lake
+            return math.nan
+        best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
+    return best
+
+
+def _middle(box: Bounds, share: float) -> Bounds:
+    """The part of a box around its middle, with this share of each side, whose upper edges are inside."""
+    x0, y0, x1, y1 = box
+    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) * share / 2, (y1 - y0) * share / 2
+    return x - width, y - height, np.nextafter(x + width, math.inf), np.nextafter(y + height, math.inf)

@@ -20,7 +20,6 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
-from .plan import window_around
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,12 +39,6 @@ class Tile:
     files: tuple[int, ...]
     sources: tuple[Source, ...]
     patient: bool = False
-
-    def widened(self, halo: float, lattice: float) -> Tile:
-        """With another window: ``halo`` around the core, and further to multiples of ``lattice``; file units."""
-        if self.core is None:
-            return self
-        return dataclasses.replace(self, window=window_around(self.core, halo, lattice))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -18,13 +18,13 @@ from scipy.stats import qmc
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.filter import Filter, alike
-from ..core.params import declared
+from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import word
 from .design import make_design
 from .inference import Sample
-from .ranges import Range, around, check_filter, fields_of, is_number, search_ranges
+from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
 
 if TYPE_CHECKING:

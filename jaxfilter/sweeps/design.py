@@ -13,7 +13,8 @@ import numpy as np
 
 from ..core.errors import ParameterError
 from ..core.filter import Filter, alike
-from .ranges import check_filter, fields_of, is_number
+from ..core.params import is_number
+from .ranges import check_filter, fields_of
 
 DESIGNS = ("grid", "random", "sobol", "list")
 """All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import numbers
 from collections.abc import Iterable
-from typing import Any, TypeGuard
+from typing import Any
 
 from ..core.errors import ParameterError
 from ..core.filter import Filter
-from ..core.params import declared
+from ..core.params import declared, is_number
 
 SCALES = ("linear", "log", "whole")
 """Drawn evenly, evenly in the logarithm, or from the whole numbers."""
@@ -106,11 +105,6 @@ def fields_of(filter_: Filter, names: Iterable[str]) -> dict[str, dataclasses.Fi
         if name not in fields:
             raise ParameterError(f"axes: {type(filter_).__name__} has no field {name!r}; it has {', '.join(fields)}")
     return fields
-
-
-def is_number(value: Any) -> TypeGuard[float]:
-    """Whether this is a real number; True and False are none."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def search_ranges(filter_: Filter | type[Filter]) -> dict[str, Range]:

@@ -18,7 +18,6 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate, ground_each
 from ..core.params import declared
-from ..core.points import Points
 from ..core.result import Progress, silent
 from ..core.version import __version__
 from ..files.disk import existing, new_file
@@ -209,9 +208,7 @@ class _State:
         self.done = np.zeros(shape, bool)
         self.confusion = np.zeros((*shape, 2, 2), np.int64)
         self.ground = np.zeros(shape, np.int64)
-        self.clouds = list(named.values())
-        self.votes = [np.zeros(len(cloud), np.uint32) for cloud in self.clouds] if votes else None
-        self.rows: dict[int, tuple[Points, np.ndarray]] = {}  # votes per row of points, not yet spread over the cloud
+        self.votes = [np.zeros(len(cloud), np.uint32) for cloud in named.values()] if votes else None
         self.path, self.saved, self.dirty = path, time.monotonic(), False
         if path is None:
             return
@@ -250,25 +247,13 @@ class _State:
         self.confusion[cloud, number] = scene.confusion(ground)
         self.ground[cloud, number] = int(scene.points.weight @ ground)
         if self.votes is not None:
-            if cloud not in self.rows:
-                self._spread()
-                self.rows = {cloud: (scene.points, np.zeros(len(ground), np.uint32))}
-            self.rows[cloud][1][...] += ground
+            self.votes[cloud] += scene.points.spread(ground)
         self.done[cloud, number] = self.dirty = True
         if self.path is not None and time.monotonic() - self.saved > _SAVE_EVERY:
             self.save()
 
-    def _spread(self) -> None:
-        """Bring the votes that were counted per row to the points of their clouds."""
-        assert self.votes is not None
-        for cloud, (points, counts) in self.rows.items():
-            self.votes[cloud][points.index] += counts[points.member]
-            counts[...] = 0
-
     def save(self) -> None:
         """Write the checkpoint. Raises OutputError."""
-        if self.votes is not None:
-            self._spread()
         if self.path is None or not self.dirty:
             return
         data: dict[str, Any] = {"done": self.done, "confusion": self.confusion, "ground": self.ground}

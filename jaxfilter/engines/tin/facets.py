@@ -188,19 +188,6 @@ def judge(
 
 
 @jit
-def passing(rules: Any, score: FacetScore) -> list[jax.Array]:
-    """bool[n] for each of several rules, whose limits are f32 scalars: the points with a score, f32[n] each, that it accepts.
-
-    >>> from jaxfilter.engines.tin import facets
-    >>> score = facets.FacetScore(*jnp.ones((7, 1)))
-    >>> [accepted.tolist() for accepted in facets.passing([facets.Rule(), facets.Rule(max_distance=0.5)], score)]
-    [[True], [False]]
-    """
-    score = score._replace(planar=score.planar > 0)
-    return [rule.verdict(score, jnp.bool_(False)).accepted for rule in rules]
-
-
-@jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 

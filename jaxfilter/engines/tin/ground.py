@@ -20,7 +20,7 @@ import numpy as np
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
-from .facets import FacetScore, judge, mirrored
+from .facets import judge, mirrored
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
@@ -102,26 +102,6 @@ class GroundTin(GroundNodes):
     def locate_outside(self) -> None:
         """Locate nodes outside the hull anew: a nearer edge of it may be new, though their own has not changed."""
         self.tin.locate(self._outside)
-
-    def move(self, tin: Tin) -> np.ndarray:
-        """Stand on another triangulation of these nodes, which moves to the seeds; bool[k], nodes whose facet that changes.
-
-        Its vertices are those of such a growth, and of equal positions the lowest.
-        """
-        self.tin, virtual, z = tin, self.net.virtual, tin.xyz[:, 2]
-        tin.now += 1
-        tin.become(np.concatenate([self.choice.seeds, virtual]))
-        if not self.growth.border_follows:
-            tin.touch(virtual[z[virtual] != self.net.xyz[virtual, 2]])
-            z[virtual] = self.net.xyz[virtual, 2]
-        self._border_follows()
-        changed: np.ndarray = tin.stamp[tin.where] == tin.now
-        tin.locate(np.flatnonzero(changed & ~tin.vertex))
-        return changed
-
-    def measured(self, nodes: np.ndarray) -> dict[str, np.ndarray]:
-        """What :class:`jaxfilter.engines.tin.facets.FacetScore` says of located nodes, i64[n], over their facets; [n] each."""
-        return self._judge(nodes, self.tin.where[nodes], FacetScore._fields)
 
     def test(self) -> np.ndarray:
         self.locate_outside()
