@@ -387,6 +387,23 @@ def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
         assert tin.nearest(vertices, counts).tolist() == expected
 
 
+def test_of_vertices_far_away_that_are_equally_near_the_first_is_taken(pool, rng):
+    row, column = np.mgrid[:25, :25]
+    tin = Tin(
+        nodes(rng, np.column_stack([column.ravel(), row.ravel()]), twins=False),
+        np.zeros(625, np.int32),
+        np.arange(625),
+        pool,
+    )
+    middle, *around = (
+        int(np.flatnonzero((tin.xy == at).all(axis=1))[0]) for at in ([12, 12], [20, 12], [12, 4], [4, 12], [12, 20])
+    )
+    for first in (around[2], around[1], around[3], around[0]):  # in order of x, then y
+        counts = np.isin(np.arange(625), around)
+        assert tin.nearest(np.array([middle]), counts).tolist() == [first]
+        around.remove(first)
+
+
 def test_a_network_that_moves_to_other_vertices_is_the_one_made_of_them(pool, rng):
     xyz = nodes(rng, random(rng, 3000), twins=False)
     frame = np.flatnonzero(np.abs(xyz[:, :2] - 64).max(axis=1) > 58)  # the hull is among them
