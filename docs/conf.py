@@ -11,6 +11,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(HERE / "made" / "cache"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+os.environ["JAXFILTER_DATA"] = str(HERE / "made" / "no data")  # so that the site is the same wherever it is built
 
 from jaxfilter import __version__  # noqa: E402
 

@@ -19,7 +19,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 SMRF = jf.SMRF(window=8.0)
-HOW = {"tile": 40.0, "wide_halos": True, "workers": 1}
+HOW = {"tile": 60.0, "wide_halos": True, "workers": 1}
 
 
 @pytest.fixture(scope="module")

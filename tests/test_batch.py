@@ -11,7 +11,7 @@ import jaxfilter as jf
 from jaxfilter.engines.grid.cells import padded_length
 from jaxfilter.steps import batch as module
 
-SMRF = jf.SMRF(window=6.0)
+SMRF, MSF = jf.SMRF(window=6.0), jf.MSF(window=4.0)
 SETS = {"slope": [0.2, 0.05, 0.2, 0.4], "threshold": [0.5, 0.2, 0.9, 0.9], "scaling": [1.25, 0.0, 2.0, 2.0]}
 
 
@@ -41,33 +41,37 @@ def test_labels_are_those_of_single_calls(scenes, smrf):
 
 @pytest.mark.parametrize("filter_, sets", [
     (jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}),
-    (jf.MSF(window=4.0), {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
-    (jf.MSF(window=4.0, distance="points"), {"slope": [0.2, 0.6]}),
+    (MSF, {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
+    (MSF.replace(distance="points"), {"slope": [0.2, 0.6]}),
 ], ids=["pmf", "msf", "msf-points"])  # fmt: skip
 def test_other_methods_take_batches(scenes, filter_, sets):
     clouds = [scenes["a"].cloud, scenes["b"].cloud]
-    for cloud, labels in zip(clouds, (made := jf.batch(clouds, filter_)).unstack(made.ground(sets)), strict=True):
+    made = jf.batch(clouds, filter_, blocks=1)
+    for cloud, labels in zip(clouds, made.unstack(made.ground(sets)), strict=True):
         np.testing.assert_array_equal(labels, [one(cloud).ground for one in each(filter_, sets)])
 
 
-def test_counts_are_those_of_evaluate_and_of_the_labels(scenes, smrf):
-    counts, labels = smrf.confusion(SETS), smrf.unstack(smrf.ground(SETS))
+def test_counts_are_those_of_evaluate_and_of_the_labels(scenes):
+    clouds = {name: scene.cloud for name, scene in scenes.items()}
+    made, sets = jf.batch(clouds, MSF, {name: one.truth for name, one in scenes.items()}), {"slope": [0.2, 0.6]}
+    counts, labels = made.confusion(sets), made.unstack(made.ground(sets))
+    assert len(made.blocks) == 3 and not np.array_equal(*labels["c"])
     for c, (name, scene) in enumerate(scenes.items()):
-        for s in range(4):
+        for s in range(2):
             np.testing.assert_array_equal(counts[c, s], jf.evaluate(labels[name][s], scene.truth).confusion)
 
 
 def test_unlabelled_points_and_clouds_without_labels_do_not_count(scenes):
     cloud, truth = scenes["a"].cloud, scenes["a"].truth.astype(int)
     truth[::3] = -1
-    counts = jf.batch([cloud], SMRF, [truth]).confusion()
+    counts = jf.batch([cloud], MSF, [truth]).confusion()
     assert counts.shape == (1, 2, 2) and int(counts.sum()) == (truth >= 0).sum()
-    assert not jf.batch([dataclasses.replace(cloud, reference=None)], SMRF).confusion().any()
+    assert not jf.batch([dataclasses.replace(cloud, reference=None)], MSF).confusion().any()
 
 
 def test_one_program_under_jit_vmap_and_in_chunks(scenes, monkeypatch):
     clouds, truths = zip(*((scenes[name].cloud, scenes[name].truth) for name in "ab"), strict=True)
-    made = jf.batch(clouds, jf.MSF(window=4.0), truths)
+    made = jf.batch(clouds, MSF, truths, blocks=1)
     sets = {"slope": jnp.array([0.1, 0.3, 0.6]), "max_height": jnp.array([1.0, 3.0, 5.0])}
     expected = made.confusion(sets)
 

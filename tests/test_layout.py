@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import tomllib
 from pathlib import Path
@@ -25,6 +26,7 @@ PATHS = {
 MODULES = [name for name in PATHS if name != "jaxfilter"]
 
 
+@functools.cache
 def imported(module: str, typing: bool = True) -> set[str]:
     """Dotted names that a module imports, wherever in the file; ``typing``: also where only type checkers look."""
     path, found = PATHS[module], set()

@@ -16,7 +16,7 @@ from jaxfilter.steps.outliers import lowest_few, pits
 from jaxfilter.steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from jaxfilter.steps.surfaces import lowest_cells
 
-SIZES = {AIRBORNE: (90.0, 4.0), DRONE: (40.0, 100.0), MATCHING: (60.0, 30.0), MOBILE: (90.0, 20.0)}
+SIZES = {AIRBORNE: (90.0, 4.0), DRONE: (40.0, 100.0), MATCHING: (60.0, 30.0), MOBILE: (70.0, 20.0)}
 
 
 @functools.cache

@@ -65,9 +65,9 @@ def las_of(folder):
 )
 def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folder_of_tiles(survey, tmp_path, filter_):
     """Windows have 100 m of halo: OST needs more than the default."""
-    tiles = {"tile": 40.0, "halo": 100.0, "wide_halos": True}
+    tiles = {"tile": 70.0, "halo": 100.0, "wide_halos": True}
     folder = jf.ground(survey, tmp_path / "folder", filter_, run=jf.RunOptions(**tiles, executor=Here()))
-    assert folder.complete and folder.tiles >= 14 and folder.parameters == vars(filter_)
+    assert folder.complete and folder.tiles >= 4 and folder.parameters == vars(filter_)
     options = jf.RunOptions(measures=folder.measures)
     alone = jf.ground(survey / "west.las", tmp_path / "west.las", filter_, run=options)
     assert alone.complete and alone.tiles == 1 and alone.measures["spacing"] == folder.measures["spacing"]
@@ -90,7 +90,12 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.survey.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
-    ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}, "much": {"memory": 1e12}}
+    ways = {
+        "one": {"workers": 1},
+        "two": {"workers": 2},
+        "little": {"memory": 4e8},
+        "much": {"memory": 1e12, "workers": 1},
+    }
     for name, how in ways.items():
         report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
         assert report.complete and report.tiles > 1

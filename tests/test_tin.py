@@ -371,18 +371,37 @@ def test_changed_are_watched_nodes_in_a_stamped_triangle_until_they_are_watched_
 
 @pytest.mark.parametrize("kind", [random, grid, circles, clusters], ids=lambda kind: kind.__name__)
 def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
-    parts = [nodes(rng, kind(rng, 120), twins=False) for _ in range(2)]
+    """Also if more are nearer that do not count than are asked one by one."""
+    parts = [nodes(rng, kind(rng, 400), twins=False) for _ in range(2)]
     sheet = np.repeat(np.int32([0, 1]), [len(part) for part in parts])
     tin = Tin(np.concatenate(parts), sheet, np.arange(len(sheet)), pool)
     tin.remove(inner(tin)[::3])
     vertices, xy = np.flatnonzero(tin.vertex), tin.xy.astype(np.int64)
-    for share in (1.0, 0.2, 0.0):
+    for share in (1.0, 0.2, 0.01, 0.0):
         counts = rng.random(len(sheet)) < share
         expected = []
         for v in vertices:
-            others = [u for u in vertices if counts[u] and u != v and sheet[u] == sheet[v]]
-            expected.append(min(others, key=lambda u: (((xy[u] - xy[v]) ** 2).sum(), *xy[u]), default=-1))
+            others = vertices[counts[vertices] & (vertices != v) & (sheet[vertices] == sheet[v])]
+            square = ((xy[others] - xy[v]) ** 2).sum(axis=1)
+            expected.append(others[np.lexsort([*xy[others].T[::-1], square])[0]] if len(others) else -1)
         assert tin.nearest(vertices, counts).tolist() == expected
+
+
+def test_of_vertices_far_away_that_are_equally_near_the_first_is_taken(pool, rng):
+    row, column = np.mgrid[:25, :25]
+    tin = Tin(
+        nodes(rng, np.column_stack([column.ravel(), row.ravel()]), twins=False),
+        np.zeros(625, np.int32),
+        np.arange(625),
+        pool,
+    )
+    middle, *around = (
+        int(np.flatnonzero((tin.xy == at).all(axis=1))[0]) for at in ([12, 12], [20, 12], [12, 4], [4, 12], [12, 20])
+    )
+    for first in (around[2], around[1], around[3], around[0]):  # in order of x, then y
+        counts = np.isin(np.arange(625), around)
+        assert tin.nearest(np.array([middle]), counts).tolist() == [first]
+        around.remove(first)
 
 
 def test_a_network_that_moves_to_other_vertices_is_the_one_made_of_them(pool, rng):

@@ -65,8 +65,8 @@ def class_numbers(values: Iterable[int]) -> tuple[int, ...]:
     """``ignore_classes`` as numbers from 0 to 255. Raises: InputError."""
     try:
         given = list(values)
-        out = tuple(operator.index(value) for value in given)
-        if any(isinstance(value, bool | np.bool_) for value in given) or not all(0 <= value <= 255 for value in out):
+        out = tuple(map(operator.index, given))
+        if {bool, np.bool_} & set(map(type, given)) or not 0 <= min(out, default=0) <= max(out, default=0) <= 255:
             raise ValueError
     except (TypeError, ValueError) as error:
         raise InputError(

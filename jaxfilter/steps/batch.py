@@ -70,7 +70,7 @@ class Batch:
         blocks: the clouds.
         points: of every cloud. names: of the clouds, or None. order: of every cloud its block, and its place there.
 
-    >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.SMRF())
+    >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.MSF(), blocks=1)
     >>> [labels.shape for labels in batch.unstack(batch.ground())] == [(len(cloud),), (2000,)]
     True
     """
@@ -88,9 +88,9 @@ class Batch:
         """Labels of each block: bool[clouds, sets, n], or bool[clouds, n] without sets; False for rows that are no points.
         ``memory``: bytes; see the class.
 
-        >>> batch = jf.batch([cloud], jf.SMRF())
-        >>> [labels] = batch.unstack(batch.ground({"slope": [0.1, 0.3]}))
-        >>> bool((labels[1] == jf.SMRF(slope=0.3)(cloud).ground).all())
+        >>> batch = jf.batch([cloud], jf.MSF())
+        >>> [labels] = batch.unstack(batch.ground({"slope": [0.2, 0.4]}))
+        >>> bool((labels[1] == jf.MSF(slope=0.4)(cloud).ground).all())
         True
         """
         return self._of_blocks("ground", sets, 0.0, memory)
@@ -113,8 +113,8 @@ class Batch:
         of the clouds, or i32[clouds, 2, 2] without sets. Points that are no candidates are labelled object. A cloud without
         labels has zeros. ``memory``: bytes.
 
-        >>> batch = jf.batch([cloud], jf.SMRF(), [truth])
-        >>> counts = batch.confusion({"slope": [0.1, 0.3]})
+        >>> batch = jf.batch([cloud], jf.MSF(), [truth])
+        >>> counts = batch.confusion({"slope": [0.2, 0.4]})
         >>> counts.shape, int(counts[0, 1].sum()) == len(cloud)
         ((1, 2, 2, 2), True)
         """
@@ -127,8 +127,8 @@ class Batch:
 
         ``empty``: for points that are no candidates. Returns: a list, or a dict where the clouds have names.
 
-        >>> batch = jf.batch({"a": cloud}, jf.SMRF())
-        >>> bool((batch.unstack(batch.ground())["a"] == jf.SMRF()(cloud).ground).all())
+        >>> batch = jf.batch({"a": cloud}, jf.MSF())
+        >>> bool((batch.unstack(batch.ground())["a"] == jf.MSF()(cloud).ground).all())
         True
         """
         arrays, found = [np.asarray(part) for part in values], []

@@ -43,7 +43,7 @@ try:
     data = jf.datasets.folder("isprs")
 except jf.InputError:
     data = {
-        f"town {seed}": jf.scenes.make("town", size=80, density=1, seed=seed).cloud
+        f"town {seed}": jf.scenes.make("town", size=60, density=1, seed=seed).cloud
         for seed in range(15)
     }
 outcome = jf.compare({m.upper(): m for m in jf.FILTERS}, data, repeats=0, cell=None)

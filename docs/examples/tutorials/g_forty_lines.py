@@ -65,7 +65,7 @@ def densify(xyz, cell, max_angle, max_distance):
 # ``jf.PTD`` without what it adds to the plain method. ``points_of`` gives the rows that a method works on: distinct points
 # in local metres.
 
-scene = jf.scenes.make("town", size=(90, 80), density=1.3, seed=4)
+scene = jf.scenes.make("town", size=(75, 70), density=1.3, seed=4)
 plain = jf.PTD(seed_cell=30.0, low_clusters=False, refresh_border=False)
 points = plain.points_of(scene.cloud)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...core.cloud import QUANTUM
 from ...core.points import pieces
+from ..neighbours import tree_of
 
 CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
@@ -250,6 +251,28 @@ class Tin:
         """i64[n]: the vertex nearest to each vertex, i64[n], in the plane, among others that count, bool[k]; -1 = none."""
         out = np.empty(len(vertices), np.int64)
         self._walks.nearest(self.xy, self.triangles, self.neighbours, self.where, counts, vertices, out)
+        far = np.flatnonzero(out == self._walks.FAR)
+        sheets = self.sheet[vertices[far]]
+        for sheet in np.unique(sheets):
+            others = np.flatnonzero(self.vertex & counts & (self.sheet == sheet))
+            out[far[sheets == sheet]] = self._nearest_of_all(vertices[far[sheets == sheet]], others)
+        return out
+
+    def _nearest_of_all(self, vertices: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """As :meth:`nearest`, where many vertices lie nearer that do not count: by a KD-tree, ties by whole numbers."""
+        out = np.full(len(vertices), -1)
+        if len(others) == 0:
+            return out
+        at, centres = self.xy[others].astype(np.int64), self.xy[vertices].astype(np.int64)
+        tree = tree_of(at.astype(np.float64))
+        distance, index = tree.query(centres, k=[1, 2])
+        itself = np.append(others, -1)[index[:, 0]] == vertices
+        radius = np.where(itself, distance[:, 1], distance[:, 0])
+        for k in np.flatnonzero(np.isfinite(radius)):
+            near = np.array(tree.query_ball_point(centres[k], radius[k] * (1 + 1e-12)))
+            near = near[others[near] != vertices[k]]
+            x, y = at[near].T
+            out[k] = others[near[np.lexsort([y, x, ((at[near] - centres[k]) ** 2).sum(axis=1)])[0]]]
         return out
 
     def changed(self, nodes: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from .predicates import after, left_of, turn
 NOWHERE = -1
 DEAD = -2
 LOOSE = -2
+FAR = -2
 MANY = 2**31 - 1
 
 
@@ -258,11 +259,12 @@ def planes(xyz, triangles, neighbours, rows, out):
 
 @compiled(allocates=True)
 def nearest(xy, triangles, neighbours, at, counts, vertices, out):
-    """For vertices the nearest other vertex that counts, bool[k] (of equally near the first in order of x, then y), or -1.
+    """For vertices the nearest other vertex that counts, bool[k] (of equally near the first in order of x, then y), or -1;
+    :data:`FAR` where many are nearer that do not.
 
     The next nearest vertex has an edge to one of those that are nearer, or to the vertex itself.
     """
-    known, square = np.empty(64, np.int64), np.empty(64, np.int64)
+    known, square = np.empty(128, np.int64), np.empty(128, np.int64)
     for i in range(len(vertices)):
         centre = v = vertices[i]
         cx, cy = position(xy, centre)
@@ -275,15 +277,18 @@ def nearest(xy, triangles, neighbours, at, counts, vertices, out):
                 new = u >= 0 and u != centre
                 for m in range(size):
                     new = new and known[m] != u
+                if new and size == len(known):
+                    out[i] = FAR
+                    break
                 if new:
-                    if size == len(known):
-                        known, square = np.concatenate((known, known)), np.concatenate((square, square))
                     x, y = position(xy, u)
                     known[size], square[size] = u, (x - cx) ** 2 + (y - cy) ** 2
                     size += 1
                 t = neighbours[t, ahead(k)]
                 if t == first:
                     break
+            if out[i] == FAR:
+                break
             v = np.int64(-1)
             least = done
             for m in range(done, size):  # the first ``done`` have been asked
