@@ -390,6 +390,18 @@ def test_an_overhang_is_ground_and_so_is_what_is_beneath(rng, monkeypatch):
     assert (result.margin[result.ground] <= 0).all()
 
 
+def test_along_the_edge_of_the_data_decks_are_looked_for_between_points_only(rng, monkeypatch):
+    """A gap between two strips: at the border slim triangles join a street with a yard 7 m below, as if it fell there."""
+    xy = rng.uniform(0, (60, 90), (5000, 2))
+    xy = xy[abs(xy[:, 1] - 40 - 0.4 * xy[:, 0]) > 16]
+    south = xy[:, 1] < 40 + 0.4 * xy[:, 0]
+    given = []
+    monkeypatch.setattr(ost, "decks", lambda z, *_: given.append(z) or np.full(z.shape, np.nan, np.float32))
+    jf.OST()(np.column_stack([xy, np.where(south, -7.0, 0.0)]))
+    edge = np.concatenate([given[0][:, :3].ravel(), given[0][:, -3:].ravel()])
+    assert set(np.unique(edge.round(3))) == {0.0, 7.0}  # local metres
+
+
 def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the_largest_building():
     """A level 40 m above a beach, cut by the data on three sides: it falls along its whole inner border."""
     z = np.zeros((80, 80), np.float32)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ..core.cloud import PointCloud
 from ..core.filter import Filter, Labels, degenerate, of_scene, stage
@@ -45,6 +46,8 @@ LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
 RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
+EDGE = 3
+"""Cells along the edge of the data in which a surface is known only where there are points, when decks are looked for."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
 STEEPEST = 80.0
@@ -226,7 +229,8 @@ class OST(Filter):
         scene = self.scene(points, spacing, workers, progress)
         objects, drop, bare, landscape = self.objects(scene)
         inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
-        rough, rock = np.float32(0), None
+        rough: np.ndarray | np.float32 = np.float32(0)
+        rock = np.zeros(len(every), bool)
         if bare.any():
             reach = min(math.ceil(self.window / self.cell - 1e-6), sum(bare.shape))
             rough = look_up(points.xyz, scene.cells, dilation(bare.astype(np.float32), reach, reach))[0]
@@ -269,8 +273,8 @@ class OST(Filter):
                 in_object, steepness, around = in_object[own], steepness[own], around[own]
                 points, deck, level = crowd.every, deck[own], level[own]
                 scatter = Scatter(*(values[own] for values in scatter))
-        if rock is not None:
-            rock &= ~labels.ground & ~labels.barred & ~(points.xyz[:, 2] > deck - np.float32(self.roof_step))
+        if labels.margin is not None and labels.barred is not None and rock.any():
+            rock &= ~(labels.ground | labels.barred) & ~(points.xyz[:, 2] > deck - np.float32(self.roof_step))
             labels.ground[rock], labels.margin[rock] = True, 0
         labels.deck = ~labels.ground & (np.abs(points.xyz[:, 2] - deck) < np.float32(self.roof_step))
         labels.water = labels.ground & (np.abs(points.xyz[:, 2] - level) < SURFACE)
@@ -329,7 +333,10 @@ class OST(Filter):
         if self.sensor not in (AIRBORNE, DRONE):
             return Crossings(deck, level, level, np.zeros((rows, columns), np.int32))
         inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
-        z = sunk(segments.z, segments.seen | ~inside, self.cell, spacing)
+        edge = ~ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
+        near = ndimage.distance_transform_edt(~segments.seen, return_distances=False, return_indices=True)
+        z = np.where(edge & ~segments.seen, segments.z[tuple(near)], segments.z)
+        z = sunk(z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)
         others = objects[inner] & np.isnan(deck[inner])
