@@ -61,6 +61,7 @@ PAGES = {
     "default/results/results.md": Page("experiments/default/run.py --sets 21", "OST: its constants with sites and sources left "
                                        "out, what each step gives, other methods beside it", 60, keeps=True),
     "default/results/doubt.md": Page("-m experiments.default.doubt", "OST: what its doubts are worth", 15),
+    "default/results/flat.md": Page("experiments/default/flat.py", "OST: how flat its later constants are", 12, keeps=True),
     "defaults/results/results.md": Page("experiments/defaults/run.py", "alternatives to the defaults, on simulated scenes and "
                                         "tiles", 60, keeps=True),
     "ablations/results/results.md": Page("experiments/ablations/run.py", "the choices within the methods, one at a time", 25,

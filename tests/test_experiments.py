@@ -20,7 +20,7 @@ from experiments.bench import measure as bench_measure  # noqa: E402
 from experiments.bench import ops as bench_ops  # noqa: E402
 from experiments.bench import run as bench  # noqa: E402
 from experiments.benchmark import run as benchmark  # noqa: E402
-from experiments.default import doubt  # noqa: E402
+from experiments.default import doubt, flat  # noqa: E402
 from experiments.defaults import clouds  # noqa: E402
 from experiments.failures import cuts  # noqa: E402
 from experiments.failures import run as failures  # noqa: E402
@@ -33,6 +33,7 @@ from experiments.papers.li2021_figures import time_fit  # noqa: E402
 from experiments.sensitivity import calibration  # noqa: E402
 from experiments.sensitivity import speed as sweep_speed  # noqa: E402
 from experiments.verdicts import run as verdicts  # noqa: E402
+from jaxfilter.methods import ost  # noqa: E402
 from jaxfilter.sweeps.ranges import RANGES, SEARCHED, Range, search_ranges  # noqa: E402
 
 
@@ -813,6 +814,31 @@ def test_constants_are_replaced_by_clearly_better_ones_only():
     found = ((np.arange(100) >= 10) & truth) | (np.arange(100) >= 95)
     scores = jf.evaluate(found, truth)
     assert sure.loc[0, ["total", "kappa"]].tolist() == pytest.approx([scores.total, scores.kappa])
+
+
+def test_constants_are_varied_where_they_are_read_and_put_back():
+    assert len({constant.title for constant in flat.CONSTANTS}) == len(flat.CONSTANTS)
+    for constant in flat.CONSTANTS:
+        default, value = constant.default, constant.scaled(0.5)
+        assert value is not None and value < default and constant.subject in flat.TRIED
+        with constant.at(value) as fields:
+            assert fields == {constant.place: value} or constant.default == value
+        assert constant.default == default
+    shared = next(constant for constant in flat.CONSTANTS if constant.title == "water.AFLOAT")
+    with shared.at(9.0):
+        assert ost.AFLOAT == 9  # it is the one that OST has imported
+    share = next(constant for constant in flat.CONSTANTS if constant.title == "objects.KNOWN")
+    assert share.scaled(2.0) is None and share.scaled(0.71) == pytest.approx(0.568)
+
+
+def test_changes_of_means_are_those_of_a_constant_and_kind():
+    rows = [
+        {"constant": "void", "factor": f, "kind": kind, "cloud": kind, "total": total, "off": 2 * f, "decks": float("nan")}
+        for kind in ("samples", "scenes") for f, total in ((0.5, 3.0), (1.0, 4.0), (2.0, 4.5))
+    ]  # fmt: skip
+    found = flat.moved(rows, next(constant for constant in flat.CONSTANTS if constant.title == "void"))
+    assert list(found) == ["samples", "scenes"]
+    assert found["samples"] == {0.5: (-1.0, -1.0), 1.0: (0.0, 0.0), 2.0: (0.5, 2.0)}
 
 
 def test_labels_name_but_some_of_the_ground_if_most_points_on_it_have_others():

@@ -24,6 +24,7 @@ from jaxfilter.scenes import Kind
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
+from jaxfilter.steps.overhangs import overhangs
 from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.surfaces import lowest_cells
 from jaxfilter.steps.voids import filled_by
@@ -347,6 +348,58 @@ def test_near_steep_terrain_that_is_given_back_rough_rock_is_ground(rng, monkeyp
     near, far = bumps & (xy[:, 0] < 29), bumps & (xy[:, 0] > 31)  # the window lies around the first ten metres
     ground = filter_(points).ground
     assert ground[near].mean() > 0.9 and ground[far].mean() < 0.2
+
+
+def overhanging(rng):
+    """Rock that rises by 60 degrees from 20 m at x = 20 and overhangs the sea by 6 m; in the north a crown is in the place of the
+    overhang, in the south a boulder hangs without a joint. Points, and what they are: rock, overhang, crown,
+    boulder, sea, from 0 on."""
+    boxes = (((20, 0), (40, 30), 9000), ((14, 10), (20, 20), 900), ((14, 20), (20, 30), 900), ((14, 2), (18, 6), 300))
+    rock, hung, crown, boulder = (rng.uniform(*box[:2], (box[2], 2)) for box in boxes)
+    sea = rng.uniform((0, 0), (20, 30), (3000, 2))
+    z = [20 + 1.73 * (part[:, 0] - 20) + rng.normal(0, 0.1, len(part)) for part in (rock, hung, crown, boulder)]
+    z[2] += rng.uniform(-2.5, 2.5, len(crown))
+    z[3] += 12
+    xyz = np.column_stack([np.concatenate([rock, hung, crown, boulder, sea]), np.concatenate([*z, np.zeros(len(sea))])])
+    kind = np.repeat(np.arange(5), [len(part) for part in (rock, hung, crown, boulder, sea)])
+    return xyz, kind
+
+
+def test_rock_above_a_void_is_told_from_crowns_and_from_what_hangs_alone(rng):
+    xyz, kind = overhanging(rng)
+    xyz = xyz.astype(np.float32)
+    cells = cells_of(xyz)
+    rows, columns = cells.lowest.shape
+    bare = np.mgrid[:rows, :columns][1] >= 20
+    found = overhangs(xyz, cells, bare, 0.42, 25)
+    shares = [found[kind == number].mean() for number in range(5)]
+    assert shares[1] > 0.95 and max(shares[0], shares[3], shares[4]) == 0 and shares[2] < 0.1
+    near = overhangs(xyz, cells, bare, 0.42, 2)  # only two cells from the steep terrain
+    assert not near[xyz[:, 0] < 18].any() and near[(kind == 1) & (xyz[:, 0] >= 18)].mean() > 0.95
+    assert not overhangs(xyz, cells, np.zeros_like(bare), 0.42, 25).any()
+
+
+def test_an_overhang_is_ground_and_so_is_what_is_beneath(rng, monkeypatch):
+    xyz, kind = overhanging(rng)
+    steep = lambda self, *_: np.mgrid[: self.z.shape[0], : self.z.shape[1]][1] >= 20  # noqa: E731
+    before = jf.OST()(xyz).ground
+    monkeypatch.setattr(Segments, "terrain", steep)
+    result = jf.OST()(xyz)
+    assert before[kind == 1].mean() < 0.1 and result.ground[kind == 1].mean() > 0.9
+    assert result.ground[kind == 4].mean() > 0.95 and result.ground[kind == 2].mean() < 0.2
+    assert (result.margin[result.ground] <= 0).all()
+
+
+def test_along_the_edge_of_the_data_decks_are_looked_for_between_points_only(rng, monkeypatch):
+    """A gap between two strips: at the border slim triangles join a street with a yard 7 m below, as if it fell there."""
+    xy = rng.uniform(0, (60, 90), (5000, 2))
+    xy = xy[abs(xy[:, 1] - 40 - 0.4 * xy[:, 0]) > 16]
+    south = xy[:, 1] < 40 + 0.4 * xy[:, 0]
+    given = []
+    monkeypatch.setattr(ost, "decks", lambda z, *_: given.append(z) or np.full(z.shape, np.nan, np.float32))
+    jf.OST()(np.column_stack([xy, np.where(south, -7.0, 0.0)]))
+    edge = np.concatenate([given[0][:, :3].ravel(), given[0][:, -3:].ravel()])
+    assert set(np.unique(edge.round(3))) == {0.0, 7.0}  # local metres
 
 
 def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the_largest_building():

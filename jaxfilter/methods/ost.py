@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ..core.cloud import PointCloud
 from ..core.filter import Filter, Labels, of_scene, stage
@@ -28,6 +29,7 @@ from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
 from ..steps.outliers import lowest_few, pits
+from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
 from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
@@ -45,6 +47,8 @@ LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
 RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
+EDGE = 3
+"""Cells along the edge of the data in which a surface is known only where there are points, when decks are looked for."""
 MAX_TOLERANCE = 0.3
 """The tolerance does not grow beyond this, metres."""
 STEEPEST = 80.0
@@ -94,6 +98,9 @@ class OST(Filter):
        be within the angle of the nearest place on it, too.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
        neighbours, are dropped; sooner where plants hide the ground and most vertices scatter as they do.
+
+    Rock over a void beside steep terrain is ground as well, though the triangulation does not hold it
+    (:mod:`jaxfilter.steps.overhangs`).
 
     Of more than 30 points per m2 one for each square of 0.25 m goes through these steps, from the middle of the lowest sheet
     there. The others are tested once, over the final triangulation, by the limits of step 7.
@@ -218,19 +225,24 @@ class OST(Filter):
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
-        crowd = Crowd.of(points)
+        crowd, every = Crowd.of(points), points
         points = points if crowd is None else crowd.points
         scene = self.scene(points, spacing, workers, progress)
-        objects, drop, rock, landscape = self.objects(scene)
+        objects, drop, bare, landscape = self.objects(scene)
         inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
-        rough = look_up(points.xyz, scene.cells, rock.astype(np.float32))[0] if rock.any() else np.float32(0)
+        rough: np.ndarray | np.float32 = np.float32(0)
+        rock = np.zeros(len(every), bool)
+        if bare.any():
+            reach = min(math.ceil(self.window / self.cell - 1e-6), sum(bare.shape))
+            rough = look_up(points.xyz, scene.cells, dilation(bare.astype(np.float32), reach, reach))[0]
+            rock = overhangs(every.xyz, scene.cells, bare, float(self.roof_step), reach)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
         crossed = self.crossed(scene, objects, points, spacing)
         deck, level, clear = crossed.at(points.xyz, scene.cells)
         wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
-        del scene, objects, drop, rock, landscape, inside, crossed  # none is needed while the ground grows
+        del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
         if not has_area(points.xyz[seeds]):
             seeds = lowest
@@ -263,6 +275,9 @@ class OST(Filter):
                 in_object, steepness, around = in_object[own], steepness[own], around[own]
                 points, deck, level = crowd.every, deck[own], level[own]
                 scatter = Scatter(*(values[own] for values in scatter))
+        if labels.margin is not None and labels.barred is not None and rock.any():
+            rock &= ~(labels.ground | labels.barred) & ~(points.xyz[:, 2] > deck - np.float32(self.roof_step))
+            labels.ground[rock], labels.margin[rock] = True, 0
         labels.deck = ~labels.ground & (np.abs(points.xyz[:, 2] - deck) < np.float32(self.roof_step))
         labels.water_cells = wet
         labels.water = labels.ground & (np.abs(points.xyz[:, 2] - level) < SURFACE)
@@ -321,7 +336,10 @@ class OST(Filter):
         if self.sensor not in (AIRBORNE, DRONE):
             return Crossings(deck, level, level)
         inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
-        z = sunk(segments.z, segments.seen | ~inside, self.cell, spacing)
+        edge = ~ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
+        near = ndimage.distance_transform_edt(~segments.seen, return_distances=False, return_indices=True)
+        z = np.where(edge & ~segments.seen, segments.z[tuple(near)], segments.z)
+        z = sunk(z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)
         others = objects[inner] & np.isnan(deck[inner])
@@ -364,8 +382,8 @@ class OST(Filter):
 
     def objects(self, scene: Openings) -> tuple[np.ndarray, np.ndarray, np.ndarray, Landscape]:
         """bool[rows, columns]: cells that are objects; f32[rows, columns]: their steepest drops, in terms of the limit from which
-        on they are marked; bool[rows, columns]: cells within ``window`` of steep terrain that was given back; and the slope of
-        the landscape (steps 4 and 5)."""
+        on they are marked; bool[rows, columns]: steep terrain that was given back; and the slope of the landscape
+        (steps 4 and 5)."""
         _, _, cells, z, _, steepest, segments, landscape = scene
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
@@ -383,12 +401,9 @@ class OST(Filter):
             bare |= segments.terrain(marked & ~bare, whole, scene.high)
             objects = np.zeros(z.shape, bool)
             objects[inner] = marked & ~bare
-        rock = np.zeros(z.shape, bool)
-        rock[inner] = bare
-        if bare.any():
-            reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)
-            rock = np.asarray(dilation(rock.astype(np.float32), reach, reach)) > 0
-        return objects, steepest / np.maximum(limit, np.float32(1e-6)), rock, landscape
+        padded = np.zeros(z.shape, bool)
+        padded[inner] = bare
+        return objects, steepest / np.maximum(limit, np.float32(1e-6)), padded, landscape
 
 
 class Limits(NamedTuple):

@@ -84,14 +84,21 @@ def _groups(xyz: np.ndarray, side: float) -> np.ndarray:
 
 def _thickness(xyz: np.ndarray, cells: np.ndarray) -> float:
     """Lower quartile of standard deviations from the planes of cells, which are sorted, with at least six points."""
+    spread = spreads(xyz, cells)
+    spread = spread[np.isfinite(spread)]
+    return round(float(np.percentile(spread, 25)), 4) if len(spread) else 0.0
+
+
+def spreads(xyz: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """f64 of each cell: the standard deviation of its points from their plane of least squares; NaN of less than six points, or
+    of some in a line. ``cells``, i64[m], are sorted."""
     start = np.flatnonzero(np.diff(cells, prepend=-1))
     number = np.diff(np.append(start, len(xyz)))
     xyz = xyz - np.repeat(np.add.reduceat(xyz, start) / number[:, None], number, axis=0)
     x, y, z = xyz.T
     xx, xy, yy, xz, yz, zz = (np.add.reduceat(v, start) for v in (x * x, x * y, y * y, x * z, y * z, z * z))
     det = xx * yy - xy * xy
-    known = (number >= 6) & (det > 1e-3 * xx * yy)
-    xx, xy, yy, xz, yz, zz, det = (v[known] for v in (xx, xy, yy, xz, yz, zz, det))
-    rest = zz - (xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy)) / det
-    spread = np.sqrt(np.maximum(rest, 0) / (number[known] - 3))
-    return round(float(np.percentile(spread, 25)), 4) if len(spread) else 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rest = zz - (xz * (xz * yy - yz * xy) + yz * (yz * xx - xz * xy)) / det
+        spread = np.sqrt(np.maximum(rest, 0) / (number - 3))
+    return np.where((number >= 6) & (det > 1e-3 * xx * yy), spread, np.nan)
