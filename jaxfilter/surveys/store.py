@@ -17,7 +17,6 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from ..core.errors import InputError, OutputError
 from ..files.disk import output_errors, remove, try_lock
 
 RUN, LOCK = "run.json", "lock"
-_SUMMARY, _PER_FOLDER = "summary", 1000
+_SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
 KEPT = "kept_"
 """What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
@@ -135,9 +134,12 @@ class Store:
         return self.path / "tiles" / str(number // _PER_FOLDER) / f"{number}.tile"
 
     def put(self, number: int, arrays: Mapping[str, np.ndarray], summary: dict[str, Any]) -> None:
-        """Write the file of a tile, an .npz with a CRC-32 of each array. Raises: OutputError."""
+        """Write the file of a tile, an .npz with its CRC-32 behind it. Raises: OutputError."""
         body, told = io.BytesIO(), np.frombuffer(json.dumps(summary).encode(), np.uint8)
         np.savez(body, **arrays, **{_SUMMARY: told})  # type: ignore[arg-type]
+        checksum = zlib.crc32(body.getbuffer())
+        body.seek(0, io.SEEK_END)
+        body.write(checksum.to_bytes(_CHECKSUM))
         self._write(self.tile(number), body.getbuffer())
 
     def summary(self, number: int, with_arrays: bool = False) -> dict[str, Any] | None:
@@ -151,12 +153,14 @@ class Store:
     def arrays(self, number: int, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was found of the points of a tile; ``names``: those of them that are there. Raises: InputError if it is gone or
         damaged."""
-        path = self.tile(number)
-        try:
-            with np.load(path) as stored:
-                return {name: stored[name] for name in (stored if names is None else names) if name in stored}
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again") from error
+        path, data = self.tile(number), memoryview(b"")
+        with contextlib.suppress(OSError):
+            data = memoryview(path.read_bytes())
+        body, checksum = data[:-_CHECKSUM], data[-_CHECKSUM:]
+        if not len(body) or zlib.crc32(body) != int.from_bytes(checksum):
+            raise InputError(f"{path}: is gone or damaged; pass resume=True, which makes it again")
+        with np.load(io.BytesIO(body)) as stored:
+            return {name: stored[name] for name in (stored if names is None else names) if name in stored}
 
     def strip(self, number: int) -> None:
         """Keep of a tile whose files are written the summary, and what begins with :data:`KEPT`. Raises: OutputError."""
