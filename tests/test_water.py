@@ -26,6 +26,7 @@ def test_a_deck_across_a_valley_is_found(half: int) -> None:
     on = (abs(ROWS - 40) <= half) & (abs(COLUMNS - 50) < 15)
     deck = found(np.where(on, 0.0, VALLEY))
     assert deck[on].mean() > 0.9
+    assert deck[(abs(ROWS - 40) == half + 1) & (abs(COLUMNS - 50) < 13)].mean() > 0.9
     assert not deck[(abs(ROWS - 40) > half + 1) | (abs(COLUMNS - 50) > 16)].any()
 
 
@@ -51,7 +52,7 @@ def test_what_is_no_deck_is_not_found(z: np.ndarray) -> None:
     assert not found(z).any()
 
 
-def pool(level: np.ndarray | float, rim: float, density: int, cells: float = 24.0) -> np.ndarray:
+def pool(level: np.ndarray | float, rim: np.ndarray | float, density: int, cells: float = 24.0) -> np.ndarray:
     """bool: cells of water in a round pool with ``density`` points per cell, of 4 beside it, that is ``rim`` metres deep."""
     rng, away = np.random.default_rng(0), np.hypot(ROWS - 40, COLUMNS - 50) - cells
     z = np.where(away < 0, level, np.minimum(away, 1) * rim + 0.02 * away) + 0.02 * rng.standard_normal(SHAPE)
@@ -67,6 +68,7 @@ def test_water_is_level_and_lower_than_its_rim() -> None:
     assert not pool(0.0, -1.5, 1).any()  # a level terrace
     assert not pool(0.015 * COLUMNS, 1.5, 4).any()  # a floor that slopes as a car park does
     assert not pool(0.0, 6.0, 4, cells=12).any()  # a court
+    assert not pool(0.0, np.where(COLUMNS > 60, -1.5, 1.5), 1).any()  # land falls from a part of its edge
     assert pool(0.0, 1.5, 1, cells=12).any()  # a pond, from its points
 
 
