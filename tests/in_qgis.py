@@ -46,7 +46,7 @@ class Feedback(core.QgsProcessingFeedback):
 def cancel(folder, out):
     """Classify in many tiles, and cancel when they are being filtered."""
     feedback = Feedback("")
-    parameters = {"FOLDER": folder, "METHOD": "fptd", "OUTPUT": out, "TILE": 30.0, "MORE": "--wide-halos --workers 2"}
+    parameters = {"FOLDER": folder, "METHOD": "ost", "OUTPUT": out, "TILE": 20.0, "MORE": "--wide-halos --workers 1"}
     results = processing.run("jaxfilter:ground", parameters, feedback=feedback)
     return {"shown": feedback.shown, "canceled": feedback.isCanceled(), "results": results, "log": feedback.textLog()}
 

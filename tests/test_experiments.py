@@ -1063,6 +1063,7 @@ def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tm
     )
     assert f"{total:.2f}" in page and "Kappa, %" in page and (tmp_path / "totals.png").stat().st_size > 1000
     assert (tmp_path / "tables.tex").read_text().count(r"\toprule") == 5
+    monkeypatch.setenv("JAXFILTER_DATA", str(two_samples))
     with pytest.raises(SystemExit, match="holds no file"):
         benchmark.main([str(tmp_path / "cache"), "--out", str(tmp_path)])
 

@@ -488,7 +488,7 @@ def test_places_are_listed_carried_out_and_stated_in_qgis(qgis, survey, tmp_path
 
     box = shapely.Point(x[middle], y[middle]).buffer(8)
     row = {name: (frame[name].iloc[0] if len(frame) else None) for name in frame.columns if name != "geometry"}
-    decided = geopandas.GeoDataFrame([row | {"rank": 1, "verdict": "object"}], geometry=[box], crs="EPSG:25832")
+    decided = geopandas.GeoDataFrame([row | {"rank": 1, "verdict": "bridge"}], geometry=[box], crs="EPSG:25832")
     decided.to_file(tmp_path / "decided.gpkg", layer="review")
     before = (tmp_path / "known" / "b.laz").read_bytes()
     code, _, said = run_algorithm(qgis, "apply", PLACES=tmp_path / "decided.gpkg", FOLDER=tmp_path / "known")
