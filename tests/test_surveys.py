@@ -82,6 +82,22 @@ def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folde
     assert again.measures == folder.measures and las_of(tmp_path / "again") == las_of(tmp_path / "folder")
 
 
+def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
+    """Points lie four times as dense in the middle, where a sample would look."""
+    rng = np.random.default_rng(5)
+    x, y = np.concatenate([rng.uniform(0, 300, (24_000, 2)), rng.uniform(100, 200, (8_000, 2))]).round(2).T
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.scales = [0.01] * 3
+    las.x, las.y, las.z = x, y, np.sin(x / 20) + (rng.random(len(x)) < 0.2) * 4
+    las.return_number[:] = las.number_of_returns[:] = 1
+    las.write(tmp_path / "in.las")
+    cloud = jf.read(tmp_path / "in.las", units="m")
+    how = jf.RunOptions(tile=150.0, halo=20.0, workers=1)
+    found = jf.ground(tmp_path / "in.las", tmp_path / "out.las", PMF, reading=jf.Reading(units="m"), run=how)
+    assert found.tiles > 1
+    assert found.measures["spacing"] == pytest.approx(PMF.points_of(cloud).spacing(), rel=1e-4)  # a sample: 7 % less
+
+
 def facts_of(out):
     return json.loads((out / ".jaxfilter-run" / "run.json").read_text())["holds"]
 

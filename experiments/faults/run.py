@@ -218,7 +218,7 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
                 time.sleep(0.0005)
             _let_work(process, bench.rng.uniform(0.0, 0.01))
         else:
-            _let_work(process, bench.rng.uniform(0.0, 1.2 * _worked(process) + 2.0))
+            _let_work(process, bench.rng.uniform(0.0, 1.2 * min(_worked(process), 60.0) + 2.0))
         process.send_signal(number)
         sent = time.monotonic()
         _, messages = process.communicate()

@@ -22,8 +22,8 @@ from ..files.windows import read_window
 from .collection import Collection
 from .tiles import joined
 
-_WINDOWS, _POINTS = 9, 20_000
-"""Windows of a sample, and points expected in each."""
+_WINDOWS, _POINTS, _SMALL = 9, 20_000, 1_000_000
+"""Windows of a sample, points expected in each, and points of a scene that is measured as a whole, as in memory."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,9 +125,11 @@ class Sampler:
 
     @functools.cached_property
     def sample(self) -> tuple[list[PointCloud], Whole]:
-        """Windows, and the point spacing of all of them together."""
-        clouds = self.clouds()
+        """Windows, or all of a small scene, and the point spacing of all of them together."""
+        clouds = self.clouds(most=_SMALL)
         parts = [canonical_points(cloud) for cloud in clouds]
+        if len(parts) == 1:
+            return clouds, Whole(parts[0].spacing())
         area = sum(points.spacing() ** 2 * len(points) for points in parts)
         members = sum(len(points) for points in parts)
         return clouds, Whole(math.sqrt(area / members) if members else None)
