@@ -22,7 +22,7 @@ from ..files.windows import read_window
 from .collection import Collection
 from .tiles import joined
 
-_WINDOWS, _POINTS, _SMALL = 9, 20_000, 1_000_000
+_WINDOWS, _POINTS, _SMALL = 9, 20_000, 2_000_000
 """Windows of a sample, points expected in each, and points of a scene that is measured as a whole, as in memory."""
 
 
