@@ -218,7 +218,8 @@ def stopped_command(bench: Bench, number: signal.Signals) -> Row:
                 time.sleep(0.0005)
             _let_work(process, bench.rng.uniform(0.0, 0.01))
         else:
-            _let_work(process, bench.rng.uniform(0.0, 1.2 * min(_worked(process), 60.0) + 2.0))
+            worked = min(_worked(process), 60.0)  # infinite if it has ended
+            _let_work(process, bench.rng.uniform(0.0, 1.2 * worked + 2.0))
         process.send_signal(number)
         sent = time.monotonic()
         _, messages = process.communicate()

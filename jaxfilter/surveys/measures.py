@@ -95,7 +95,8 @@ class Sampler:
     def clouds(self, each: int = _POINTS, most: int = 0) -> list[PointCloud]:
         """Windows in the middle of files that are spread evenly over the points, with about ``each`` points, of at least two.
 
-        A collection of ``most`` points or fewer is its own sample, in one piece. Files that cannot be read are passed over.
+        A collection of ``most`` points or fewer is its own sample, in one piece, however few they are. Files that cannot be
+        read are passed over.
 
         Raises: InputError if points are not those that were read before.
         """
@@ -119,7 +120,7 @@ class Sampler:
                 raise
             except InputError:
                 continue  # the run names it
-            if len(canonical_points(window.cloud)) > 1:
+            if entire or len(canonical_points(window.cloud)) > 1:
                 clouds.append(dataclasses.replace(window.cloud, source=None))
         return [joined(clouds)] if entire and clouds else clouds
 
@@ -147,7 +148,8 @@ class Sampler:
         whole = self.sample[1]
 
         def some(points: int) -> list[PointCloud]:
-            clouds = self.clouds(points // _WINDOWS, points)
+            entire = self.collection.count <= min(points, _SMALL)
+            clouds = self.sample[0] if entire else self.clouds(points // _WINDOWS, points)
             return [dataclasses.replace(cloud, whole=whole) for cloud in clouds]
 
         return dataclasses.replace(whole, **of_scene(filter_, some))
