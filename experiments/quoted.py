@@ -167,6 +167,14 @@ def tile_labels() -> str:
     return markdown([*columns, *((name, f"{name}, {points:,}", ",d") for name, points in surveys.items())], lines)
 
 
+def halos() -> str:
+    """Labels of tiles that differ from those of the whole, by method and halo."""
+    rows = [row | {"method": row["method"].upper()} for row in _rows("tiling/halos.csv")]
+    halos = ("0", "15", "30", "60", "120")
+    columns: list[Column] = [("method", "method", ""), *((halo, f"{halo} m", ",d") for halo in halos)]
+    return markdown(columns, rows)
+
+
 def doubts() -> str:
     """What the doubts of OST are worth."""
     columns: list[Column] = [
@@ -219,7 +227,7 @@ def sensors() -> str:
 
 TABLES: dict[str, Callable[[], str]] = {
     "methods": methods, "country": country, "tiles": as_collection, "scale": scale, "tile_labels": tile_labels,
-    "doubts": doubts, "named": named, "sensors": sensors,
+    "halos": halos, "doubts": doubts, "named": named, "sensors": sensors,
 }  # fmt: skip
 
 
