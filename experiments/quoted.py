@@ -39,7 +39,7 @@ SHORT = {
     "tile": (["tiles/tiles.csv"], ["tile", "method"], "total"),
 }
 """Files with fixed conditions, the columns whose values are named, and the column that is shown where none is named."""
-_FORM = re.compile(r"[+,]*(\.\d)?[dfg]")
+_FORM = re.compile(r"[+,]*(\.\d)?[dfg%]")
 _FIGURE = re.compile(r"(<!-- = ((?:(?!-->).)+) -->)(.*?)(<!-- / -->)", re.DOTALL)
 
 

@@ -90,7 +90,6 @@ PAGES = {
     "tiling/results/kills.md": Page(_tiling("kills", " --small 300"), "runs that are killed and repeated", 20),
     "tiling/results/cluster.md": Page(_tiling("cluster"), "a Dask cluster whose worker is killed", 2),
     "tiling/results/tasks.md": Page(_tiling("tasks", " --tasks 1000 10000 100000"), "tasks through a scheduler", 16),
-    "tiling/results/planning.md": Page(_tiling("planning"), "the plan of a million files", 2),
     "tiling/results/country.md": Page(_tiling("country", " --densities 2 10 --millions 4 --costs ost smrf fptd"),
                                       "what a country costs", 20),
     "tiling/results/tiles.md": Page(_tiling("tiles"), "what tiles cost against single files", 15),
@@ -112,8 +111,6 @@ PAGES = {
     "bench/results/dense.md": Page("experiments/bench/dense.py --out experiments/bench/results", "OST at high density", 2),
     "bench/results/report.md": Page("experiments/bench/report.py --methods smrf fptd --out experiments/bench/results/report.md",
                                     "reports of five million points", 3),
-    "bench/results/compare.md": Page("experiments/bench/compare.py --before 2270d23 --large --out experiments/bench/results",
-                                     "the compiled engine of triangulation against SciPy's", 15),
     "faults/results/results.md": Page("experiments/faults/run.py --out experiments/faults/results", "kills, signals, races, "
                                       "inputs that change and full disks", 10),
     "faults/results/surveys.md": Page("experiments/faults/surveys.py", "surveys that are damaged", 5),

@@ -6,7 +6,6 @@ Each part runs in a process of its own, so that peaks of memory are its own; sec
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import multiprocessing
 import resource
@@ -25,12 +24,28 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # with a maker of COPC files and a web server
 
 import jaxfilter as jf
-from experiments.report import write_page
+from experiments.report import markdown, write_csv, write_page
 from jaxfilter.files import blocks
 from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import Source
 from jaxfilter.files.windows import blocks_of, read_window
 from jaxfilter.surveys.collection import Collection
+from jaxfilter.surveys.plan import plan_tiles
+
+TITLES = {
+    "bytes": "bytes of the .vpc", "open_s": "CPU seconds to open", "open_and_check_s": "and to check",
+    "thousand_questions_s": "CPU seconds for 1000 questions for the files of a box", "peak_gb": "peak memory, GB",
+    "plan_s": "CPU seconds to plan", "pass_s": "CPU seconds of the pass", "index_bytes": "bytes of the index",
+    "share_of_points": "share of the points in the corner", "share_of_bytes": "share of the bytes read for them",
+    "window_s": "CPU seconds to read them",
+}  # fmt: skip
+FORMS = (
+    dict.fromkeys(("files", "bytes", "tiles", "points", "index_bytes"), ",d")
+    | dict.fromkeys(("share_of_points", "share_of_bytes"), ".2%")
+    | dict.fromkeys(
+        ("open_s", "open_and_check_s", "thousand_questions_s", "peak_gb", "plan_s", "pass_s", "window_s"), ".2f"
+    )
+)
 
 
 def tiles(path: Path, count: int) -> dict[str, Any]:
@@ -46,7 +61,7 @@ def tiles(path: Path, count: int) -> dict[str, Any]:
 
 
 def plan(path: Path) -> dict[str, Any]:
-    """Open it, and ask what a planner asks."""
+    """Open it, ask for the files of boxes, and plan its tiles."""
     found, start = {}, time.process_time()
     survey = jf.open(path)
     found["open_s"] = time.process_time() - start
@@ -57,6 +72,9 @@ def plan(path: Path) -> dict[str, Any]:
     for k in range(1000):
         survey.within((3e5 + 100 * k, 6.1e6, 3e5 + 100 * k + 1e3, 6.101e6))
     found["thousand_questions_s"] = time.process_time() - start
+    start = time.process_time()
+    found["tiles"] = len(plan_tiles(survey.footprints, survey.counts, halo=90))
+    found["plan_s"] = time.process_time() - start
     return found | {"peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20}
 
 
@@ -127,12 +145,16 @@ def main() -> None:
                 corner, folder / f"in.{suffix}", folder / f"index_{suffix}"
             )
         results["http"] = alone(over_http, folder)
-    text = json.dumps(results, indent=2)
+    rows = [{"part": part} | found for part, found in results.items()]
+    text = "\n\n".join(
+        markdown([(key, TITLES.get(key, key), FORMS.get(key, "")) for key in row], [row]) for row in rows
+    )
     print(text)
     if arguments.out is not None:
         arguments.out.mkdir(parents=True, exist_ok=True)
+        write_csv(arguments.out / "surveys.csv", rows)
         command = shlex.join(["python", "experiments/surveys/run.py", *sys.argv[1:]])
-        write_page(arguments.out / "results.md", f"# What surveys cost\n\n```json\n{text}\n```", command)
+        write_page(arguments.out / "results.md", f"# What surveys cost\n\n{text}", command)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.reports.places import REASONS
 
 HERE = Path(__file__).parent
-PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "planning", "country", "tiles")
+PARTS = ("labels", "halos", "border", "scale", "kills", "cluster", "tasks", "country", "tiles")
 BEHIND = {part: lambda options: () for part in PARTS} | {
     part: lambda options: (*options.methods, "scenes") for part in ("labels", "halos", "border")
 }
@@ -140,7 +140,6 @@ _WAYS = {
     "kills": robustness.kills,
     "cluster": robustness.cluster,
     "tasks": robustness.tasks,
-    "planning": scale.planning,
     "country": country.table,
     "tiles": country.collection,
 }

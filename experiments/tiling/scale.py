@@ -1,4 +1,4 @@
-"""Time and memory of runs of growing size, and of planning a survey of a million files."""
+"""Time and memory of runs of growing size."""
 
 from __future__ import annotations
 
@@ -103,39 +103,3 @@ def memory(pid: int) -> float:
     except psutil.Error:
         pass
     return total
-
-
-def planning(options: argparse.Namespace) -> tuple[list[Row], list[Column], str]:
-    """A survey of a million files, from a virtual point cloud to the plan, in a process of its own."""
-    path = options.work / "million.vpc"
-    if not path.exists():
-        million(path, 1000)
-    code = (
-        "import sys, time, resource, jaxfilter as jf; from jaxfilter.surveys.plan import plan_tiles; t = time.process_time()\n"
-        "c = jf.open(sys.argv[1]); a = time.process_time(); p = plan_tiles(c.footprints, c.counts, halo=90)\n"
-        "print(len(c), len(p), a - t, time.process_time() - a, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-    )
-    found = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
-    count, tiles, opening, plan, peak = found.stdout.split()
-    row: Row = {"files": int(count), "tiles": int(tiles), "opening": float(opening), "planning": float(plan)}
-    columns: list[Column] = [
-        ("files", "files", ",d"), ("tiles", "tiles", ",d"), ("opening", "CPU seconds to open", ".1f"),
-        ("planning", "CPU seconds to plan", ".1f"), ("peak", "peak memory, GB", ".2f"),
-    ]  # fmt: skip
-    return [row | {"peak": int(peak) / 1e6}], columns, "Planning a survey of a million files"
-
-
-def million(path: Path, side: int) -> None:
-    """A virtual point cloud of ``side`` times ``side`` files of a square kilometre, which need not exist."""
-    wkt = json.dumps(jf.PointCloud.from_arrays(np.zeros((1, 3)), crs="EPSG:25832").crs.to_wkt())
-    with open(path, "w") as file:
-        file.write('{"type": "FeatureCollection", "features": [')
-        for k in range(side * side):
-            x, y = 300_000 + 1000 * (k % side), 5_200_000 + 1000 * (k // side)
-            file.write(
-                f'{"," if k else ""}\n{{"type": "Feature", "stac_version": "1.0.0", "id": "{k}", "properties": '
-                f'{{"pc:count": 4000000, "pc:encoding": "laz", "proj:wkt2": {wkt}, '
-                f'"proj:bbox": [{x}, {y}, 0, {x + 999.99}, {y + 999.99}, 100]}}, '
-                f'"assets": {{"data": {{"href": "./{k}.laz", "roles": ["data"]}}}}}}'
-            )
-        file.write("\n]}\n")
