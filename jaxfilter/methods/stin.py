@@ -31,7 +31,7 @@ _SAMPLE = 2_000_000
 """Points that tell how many rounds there are on each grid."""
 _OUTLIER_CELL = 10.0
 """Metres: cells that the surface is made from which outliers are far from (Uray & Varlik 2024)."""
-_QUANTILE = 0.97
+QUANTILE = 0.97
 """Share of the ground points that stays within the limits when they are lowered."""
 TABLE2 = {
     11: (30.0, 17.0, 2.0, 30.0), 12: (30.0, 3.0, 2.0, 45.0), 23: (40.0, 15.0, 4.0, 45.0), 52: (35.0, 10.0, 2.4, 25.0),
@@ -183,7 +183,7 @@ class STIN(OutlierFate, SlopeMirroring):
 
     def lowered(self, distance: np.ndarray, angle: np.ndarray) -> Rule:
         """The limits, or where it is less the 0.97 quantile of the ground points' distances f32[g] and angles f32[g]."""
-        far, steep = (float(np.quantile(values, _QUANTILE)) for values in (distance, angle))
+        far, steep = (float(np.quantile(values, QUANTILE)) for values in (distance, angle))
         angle_limit, distance_limit = min(float(self.max_angle), steep), min(float(self.max_distance), far)
         return Rule(max_angle=angle_limit, max_distance=distance_limit, noise_floor=self.noise_floor)
 
