@@ -40,7 +40,7 @@ def drawn(count, **ranges):
 @pytest.mark.parametrize(
     "filter_, sets",
     [
-        (SMRF, drawn(64, slope=(0.03, 0.5), threshold=(0.1, 1.0), scaling=(0.0, 2.5))),
+        (SMRF, drawn(16, slope=(0.03, 0.5), threshold=(0.1, 1.0), scaling=(0.0, 2.5))),
         (PMF, drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0))),
         (MSF, drawn(6, slope=(0.1, 1.0), max_height=(1.0, 8.0), initial_distance=(0.0, 0.6))),
     ],

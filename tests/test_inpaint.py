@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 from scipy import ndimage, sparse
@@ -135,3 +136,12 @@ def test_a_membrane_over_a_corridor_takes_no_more_memory_than_its_cells(shape):
     np.testing.assert_allclose(fill_membrane(*arguments).z, ramp, atol=0.1)
     memory = fill_membrane.lower(*arguments).compile().memory_analysis()
     assert memory.temp_size_in_bytes < 250 * ramp.size
+
+
+def test_many_membranes_at_once_equal_single_ones(rng):
+    z = rng.random((40, 50), np.float32) * 5
+    inside = np.ones((40, 50), bool)
+    known = rng.random((4, 40, 50)) < np.array([0.1, 0.3, 0.6, 1.0])[:, None, None]
+    whole = jax.vmap(lambda cells: fill_membrane(z, cells, inside, 1e-6))(known)
+    for i in range(4):
+        np.testing.assert_allclose(whole.z[i], fill_membrane(z, known[i], inside, 1e-6).z, atol=1e-4)

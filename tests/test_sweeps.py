@@ -14,7 +14,6 @@ from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_same_device
 from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points, plain_points
-from jaxfilter.engines.grid.inpaint import fill_membrane
 from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.sweeps.ranges import search_ranges
 
@@ -145,7 +144,7 @@ def test_methods_on_triangulations_equal_single_runs(filter_, hills):
 
 @pytest.mark.parametrize("filter_", [jf.SPF(window=30.0), jf.OST(window=15.0), jf.AGPTD(seed_cell=30.0)], ids=str)
 def test_random_sets_whose_seeds_differ_equal_single_runs(filter_, hills, cloud):
-    unit = np.random.default_rng(1).random((14, len(search_ranges(filter_))))
+    unit = np.random.default_rng(1).random((8, len(search_ranges(filter_))))
     values = [{n: r.at(u) for (n, r), u in zip(search_ranges(filter_).items(), row, strict=True)} for row in unit]
     for scene in (cloud, hills):
         data = jf.sweep(filter_, scene, {name: [one[name] for one in values] for name in values[0]}, design="list")
@@ -285,13 +284,18 @@ def test_threads_keep_the_device_of_their_caller():
             assert pool.submit(on_same_device(used), 0).result() == device
 
 
-def test_many_membranes_at_once_equal_single_ones(rng):
-    z = rng.random((40, 50), np.float32) * 5
-    inside = np.ones((40, 50), bool)
-    known = rng.random((4, 40, 50)) < np.array([0.1, 0.3, 0.6, 1.0])[:, None, None]
-    whole = jax.vmap(lambda cells: fill_membrane(z, cells, inside, 1e-6))(known)
-    for i in range(4):
-        np.testing.assert_allclose(whole.z[i], fill_membrane(z, known[i], inside, 1e-6).z, atol=1e-4)
+def test_batches_of_clouds_of_unlike_size_have_the_labels_of_single_calls():
+    sizes = {"a": (60, 50), "b": (30, 75), "c": (280, 40)}
+    clouds = {name: jf.scenes.make("town", size=size, density=0.8, seed=4).cloud for name, size in sizes.items()}
+    sets = {"slope": [0.2, 0.05, 0.2, 0.4], "threshold": [0.5, 0.2, 0.9, 0.9], "scaling": [1.25, 0.0, 2.0, 2.0]}
+    many = jf.batch(clouds, jf.SMRF(window=6.0), blocks=1)
+    found = many.unstack(many.ground(sets))
+    for name, cloud in clouds.items():
+        single = [
+            jf.SMRF(window=6.0, **dict(zip(sets, values, strict=True)))(cloud).ground
+            for values in zip(*sets.values(), strict=True)
+        ]
+        assert found[name].shape == np.shape(single) and (found[name] != single).sum() <= 1
 
 
 def test_scores_are_those_of_evaluate_and_dimensions_those_of_the_axes(cloud):
