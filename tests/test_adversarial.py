@@ -45,6 +45,8 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
 
 @pytest.mark.parametrize(("filter_", "words"), [
     (lambda: jf.SPF(cell=1.0, fill="zero"), None),  # cells at elevation 0 all round raise every other: no seed is left
+    (lambda: jf.STIN(outlier_surface="quadratic", outlier_distance=1e-6), None),  # all points are outliers
+    (lambda: jf.OST(spacing=1e9), ""),
     (lambda: jf.FPTD(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
     (lambda: jf.OST(landscape=1e9, window=1000.0), ""),
     (lambda: jf.CSF(resolution=0.3, iterations=10_000), "so many steps of .* particles for 300 points"),

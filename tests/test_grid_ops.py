@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from jaxfilter.engines.grid.cells import block_counts, block_minima, cell_index, inside, padded_length, padded_shape
+from jaxfilter.engines.grid.extremes import highest, lowest
 
 
 def test_cell_index_counts_from_the_corner_and_clips_to_the_extent():
@@ -56,3 +58,13 @@ def test_small_grids_have_two_shapes():
 def test_padding_wastes_little_on_large_grids():
     lengths = np.arange(1024, 20000, 7)
     assert max(padded_length(int(n)) / n for n in lengths) <= 1.126
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 7), (9, 4)])
+@pytest.mark.parametrize("size", [1, 3, 9, 21, 10**9 + 1])
+def test_extremes_in_windows_are_those_of_scipy_even_in_windows_wider_than_the_grid(shape, size, rng):
+    z, width = rng.normal(size=shape).astype(np.float32), min(size, 101)
+    for outside in (-np.inf, 0.5):
+        expected = ndimage.maximum_filter(z, width, mode="constant", cval=outside)
+        np.testing.assert_array_equal(highest(z, size, outside), expected)
+    np.testing.assert_array_equal(lowest(z, size), ndimage.minimum_filter(z, width, mode="constant", cval=np.inf))

@@ -23,7 +23,7 @@ from ..engines.tin.growth import Adaptive, Growth, Network, Vertices
 from ..engines.tin.network import corner_positions, one_network
 from ..steps.outlier_filter import OutlierFate
 from ..steps.seeds import lowest_on_grid
-from ..steps.tin_filter import SlopeMirroring
+from ..steps.tin_filter import SlopeMirroring, seeds_of
 from ..steps.trend import low_trend, quadratic_trend
 from .papers import bibtex
 
@@ -155,7 +155,7 @@ class STIN(OutlierFate, SlopeMirroring):
         outliers = known._replace(barred=known.barred | self.far_from_surface(points))
         progress(0.0, "seeds")
         seeds = lowest_on_grid(points, self.grids(points)[0], outliers.barred)
-        return one_network(points, seeds, corner_positions(*points.extent), outliers)
+        return one_network(points, seeds_of(self, points, seeds), corner_positions(*points.extent), outliers)
 
     def growth(self, network: Network) -> Growth:
         whole = network.points.cloud.whole

@@ -103,12 +103,17 @@ def surrounded(
 
     Without seeds the lowest point is one, with a warning. ``name``: of the field that the spacing is, if not that of the window.
     """
-    method = type(filter_).__name__
-    if len(seeds) == 0:
-        warn(f"{method}: no point is left as a seed of the ground, and the lowest one is taken")
-        seeds = np.array([np.argmin(points.xyz[:, 2])])
-    border = border_positions(*points.extent, spacing, points.anchored(), f"{method}({name or filter_.WINDOW})")
-    return one_network(points, seeds, border, outliers)
+    name = f"{type(filter_).__name__}({name or filter_.WINDOW})"
+    border = border_positions(*points.extent, spacing, points.anchored(), name)
+    return one_network(points, seeds_of(filter_, points, seeds), border, outliers)
+
+
+def seeds_of(filter_: TinFilter, points: Points, seeds: np.ndarray) -> np.ndarray:
+    """The seeds, i64[s], or if there is none the row of the lowest point, with a warning."""
+    if len(seeds):
+        return seeds
+    warn(f"{type(filter_).__name__}: no point is left as a seed of the ground, and the lowest one is taken")
+    return np.array([np.argmin(points.xyz[:, 2])])
 
 
 def labels_of_nodes(out: GroundTin, status: Status) -> Labels:

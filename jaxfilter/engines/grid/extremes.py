@@ -33,11 +33,12 @@ def _limits(z: np.ndarray) -> tuple[Any, Any]:
 
 def _slide(pick: np.ufunc, z: np.ndarray, size: int, outside: Any) -> np.ndarray:
     for axis in (0, 1):
+        here = min(size, 2 * z.shape[axis] + 1)  # from each cell it sees all others, and the outside
         pad = [(0, 0), (0, 0)]
-        pad[axis] = (size // 2, size // 2)
+        pad[axis] = (here // 2, here // 2)
         wide, have = np.moveaxis(np.pad(z, pad, constant_values=outside), axis, 0), 1
-        while have < size:
-            step = min(have, size - have)
+        while have < here:
+            step = min(have, here - have)
             wide, have = pick(wide[:-step], wide[step:]), have + step
         z = np.moveaxis(wide, 0, axis)
     return z
