@@ -27,6 +27,7 @@ Row = dict[str, Any]
 SPENT = "EXPERIMENTS_SPENT"
 """Environment variable: seconds that earlier runs, which were interrupted, have spent on a page."""
 _started = time.perf_counter() - float(os.environ.get(SPENT, 0))
+_spent: dict[Path, float] = {}
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
 
     wanted = set(methods)
     counts = {name: labels.counts(name) for name in (*sorted(FILTERS), labels.SCENES) if name in wanted}
-    seconds, _started = time.perf_counter() - _started, time.perf_counter()
+    spent, _started = time.perf_counter() - _started, time.perf_counter()
+    seconds = _spent[path] = _spent.get(path, 0.0) + spent  # a page may be written again and again
     before = made(path)
     if before and before.labels.items() & counts.items():  # rows of methods that have not changed may have been kept
         seconds = max(seconds, before.seconds)
