@@ -58,6 +58,7 @@ def las_of(folder):
         jf.SMRF(window=9.0),
         PMF,
         jf.PTD(seed_cell=12.0, low_clusters=False),
+        jf.STIN(seed_cell=12.0),
         jf.OST(window=6.0, landscape=8.0),
     ],
     ids=lambda one: type(one).__name__,

@@ -44,7 +44,7 @@ def decks(
     cell, spacing, step, widest = lengths
     none = np.full(z.shape, np.nan, np.float32)
     back = max(2, math.ceil(1.5 * spacing / cell))
-    if back >= max(z.shape):  # so far from any edge there is nothing
+    if back >= max(z.shape):  # each flank would be wider than the data
         return none
     across, width, fall = flanks(z, back, np.float32(widest / cell), np.float32(DROP))
     core = inside & (fall > HIGH)
