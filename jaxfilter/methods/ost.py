@@ -16,6 +16,7 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
 from ..core.water import WaterCells
+from ..engines.grid.inpaint import fill_nearest
 from ..engines.grid.morphology import dilation
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
@@ -337,8 +338,8 @@ class OST(Filter):
             return Crossings(deck, level, level)
         inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
         edge = ~ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
-        near = ndimage.distance_transform_edt(~segments.seen, return_distances=False, return_indices=True)
-        z = np.where(edge & ~segments.seen, segments.z[tuple(near)], segments.z)
+        near = fill_nearest(scene.cells.lowest, scene.cells.seen, scene.cells.valid)
+        z = np.where(edge & ~segments.seen, np.asarray(near)[inner], segments.z)
         z = sunk(z, segments.seen | ~inside, self.cell, spacing)
         lengths = self.cell, spacing, float(self.roof_step), 2 * self.window
         deck[inner] = decks(z, objects[inner], inside, lengths)

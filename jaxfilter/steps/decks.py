@@ -73,17 +73,18 @@ def decks(
     rest, many = segments(np.where((part > 0) | ~inside, np.float32(np.nan), z), np.float32(JOIN), 1)
     land = np.bincount(rest[~objects & inside], minlength=many + 1) * cell**2 > LAND
     land[0] = False
-    joins = np.zeros(len(name), bool)
+    rest, around, joins = np.pad(rest, 1), np.pad(z, 1), np.zeros(len(name), bool)
     for r, c in ((0, 1), (2, 1), (1, 0), (1, 2)):
         other = row + r, column + c
-        beside, level = np.pad(land[rest], 1)[other], np.pad(z, 1)[other]
-        joins |= beside & (np.abs(level - z[row, column]) < JOIN)
+        joins |= land[rest[other]] & (np.abs(around[other] - z[row, column]) < JOIN)
     beyond = np.pad(~inside, 1, constant_values=True)
     cut = highest(beyond, 2 * back + 3)[1:-1, 1:-1][row, column]
     ends = [[total(what & side) / (wide + 2) for side in (ahead, ~ahead)] for what in (joins, cut)]
     join, edge = (np.array(both) for both in ends)
     met = (join >= ENDS) | ((edge >= ENDS) & (join[::-1] >= ENDS))
     good &= met.all(axis=0) & (join <= MOST).all(axis=0)
+    if not good.any():
+        return none
     level = np.where(good[part], z, np.float32(-np.inf))
     beside = highest(level, 3)
     return np.where(good[part], z, np.where(beside - z > DROP, beside, none))

@@ -57,7 +57,8 @@ def waters(
     level = np.full(z.shape, np.nan, np.float32)
     if bodies == 0:
         return level, core > 0
-    heights = np.bincount(core.ravel(), z.ravel())[1:] / np.bincount(core.ravel())[1:]
+    names, heights = core[core > 0], z[core > 0]
+    heights = np.bincount(names, heights)[1:] / np.bincount(names)[1:]
     rank = np.zeros(bodies + 1, np.int32)
     rank[1 + np.argsort(-heights, kind="stable")] = np.arange(1, bodies + 1)  # at a shore the lower one counts
     core = rank[core]

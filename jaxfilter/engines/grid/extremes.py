@@ -32,11 +32,13 @@ def _limits(z: np.ndarray) -> tuple[Any, Any]:
 
 
 def _slide(pick: np.ufunc, z: np.ndarray, size: int, outside: Any) -> np.ndarray:
+    if z.dtype == np.bool_:  # NumPy compares bytes faster
+        return _slide(pick, z.view(np.uint8), size, np.uint8(outside)).view(np.bool_)
     for axis in (0, 1):
-        here = min(size, 2 * z.shape[axis] + 1)  # from each cell it sees all others, and the outside
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (here // 2, here // 2)
-        wide, have = np.moveaxis(np.pad(z, pad, constant_values=outside), axis, 0), 1
+        z = np.moveaxis(z, axis, 0)
+        here, have = min(size, 2 * len(z) + 1), 1  # from each cell it sees all others, and the outside
+        wide = np.full((len(z) + here - 1, z.shape[1]), outside, z.dtype, order="CF"[axis])  # as in memory
+        wide[here // 2 : here // 2 + len(z)] = z
         while have < here:
             step = min(have, here - have)
             wide, have = pick(wide[:-step], wide[step:]), have + step
