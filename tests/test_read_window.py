@@ -15,8 +15,9 @@ from las_files import OFFSETS, SCALES, make_copc, make_deep_copc, make_las, patc
 import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
-from jaxfilter.files import blocks, windows
+from jaxfilter.files import blocks, records, windows
 from jaxfilter.files.blocks import Blocks
+from jaxfilter.files.classes import Finding, Found
 from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import describe_file
 from jaxfilter.files.windows import blocks_of, file_cloud, read_window
@@ -195,6 +196,34 @@ def test_a_file_is_written_without_its_cloud(tmp_path, name, bounds, suffix):
     with pytest.raises(jf.InputError, match="the file has changed since the cloud was read"):
         write_cloud(tmp_path / f"other{suffix}", other, ground)
     assert not (tmp_path / f"other{suffix}").exists()
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_chunks_without_a_new_class_are_copied(tmp_path, monkeypatch, point_format):
+    """The same bytes as where all points are encoded anew; only the chunk that changes is."""
+    path = tmp_path / "in.laz"
+    make_las(path, point_format, n=120_000)
+    source, judged = describe_file(path, Stated(Units())), np.zeros(120_000, bool)
+    judged[60_000:60_200] = True
+    found = Found(judged, np.where(judged, Finding.GROUND, Finding.KEPT).astype(np.uint8))
+    write_cloud(tmp_path / "whole.laz", jf.read(path, units="m"), found)
+    encoded, encode = [], records.in_one_chunk
+    monkeypatch.setattr(records, "in_one_chunk", lambda *given: encoded.append(len(given[0])) or encode(*given))
+    stand_in = file_cloud(source, judged, tmp_path / "index")
+    write_cloud(tmp_path / "chunks.laz", stand_in, found)
+    assert encoded == [50_000]
+    (_, old), (_, new) = (whole(tmp_path / name) for name in ("in.laz", "chunks.laz"))
+    given, made, again = ((tmp_path / f"{name}.laz").read_bytes() for name in ("in", "chunks", "whole"))
+    head, begin = 375 if point_format == 6 else 227, old.header.offset_to_point_data
+    assert made[:head] == again[:head] and made[head:begin] == given[head:begin] and made[begin:] == again[begin:]
+    np.testing.assert_array_equal(new.classification, np.where(judged, 2, old.classification))
+    with open(path, "r+b") as file:  # of the first chunk, which is not decoded
+        file.seek(begin + 60_000)
+        file.write(b"\0\1\2\3")
+    with pytest.raises(jf.InputError, match="changed"):
+        write_cloud(tmp_path / "other.laz", dataclasses.replace(stand_in, source=dataclasses.replace(
+            stand_in.source, identity=Identity.of(path))), found)  # fmt: skip
+    assert not (tmp_path / "other.laz").exists()
 
 
 def test_feet_and_options_as_in_read(tmp_path):

@@ -140,13 +140,18 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
 
     Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
+    return _decoded(header, blocks, read_packed(header, file, blocks), wanted)
+
+
+def read_packed(header: Header, file: BinaryIO, blocks: Blocks) -> np.ndarray:
+    """The bytes of some runs, u8[bytes], as they are in the file. Raises: Changed as :func:`read_blocks`."""
     packed, known = read_ranges(header.path, file, blocks.start, blocks.size), blocks.checksum >= 0
     if known.any() and (_checksums(blocks, packed) != blocks.checksum)[known].any():
         raise Changed(
             f"{header.path}: the file has changed since its points were first read; open it again, and begin a run anew with "
             "overwrite=True"
         )
-    return _decoded(header, blocks, packed, wanted)
+    return packed
 
 
 def _checksums(blocks: Blocks, packed: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import shutil
 import struct
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
 from ..core.process import need_threads
-from .blocks import Blocks, nodes, read_blocks, runs, sound
+from .blocks import Blocks, nodes, read_blocks, read_packed, runs, sound
 from .disk import Bounds
 from .header import Header
 from .storage import Place
@@ -85,6 +86,19 @@ def read_records(
             if not header.is_copc:
                 yield waiting.pop()
     yield from waiting if again is None else read_records(header, bounds, every_field, again)
+
+
+def read_chunks(header: Header, blocks: Blocks, packed: np.ndarray) -> Iterator[np.ndarray]:
+    """Runs of records, one after the other: where ``packed``, bool[k], their bytes in the file, u8[size], and else the records,
+    u8[points, record_length]. Raises: InputError if they are damaged or others than before."""
+    with reading_errors(header.path), header.open() as file:
+        for number, whole in enumerate(packed.tolist()):
+            one = blocks[number : number + 1]
+            yield (
+                read_packed(header, file, one)
+                if whole
+                else read_blocks(header, file, one, lazrs.SELECTIVE_DECOMPRESS_ALL)
+            )
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -163,6 +177,16 @@ class _Recording:
             raise self.error or OSError(str(error)) from error
 
 
+def in_one_chunk(records: np.ndarray, laszip: bytes) -> bytes:
+    """A chunk of LAZ of u8[k, record_length], no more than the record ``laszip`` says that a chunk has."""
+    need_threads()
+    with io.BytesIO() as file:
+        encoder = lazrs.LasZipCompressor(file, lazrs.LazVlr(laszip))
+        encoder.compress_many(np.ascontiguousarray(records).reshape(-1))
+        encoder.done()
+        return file.getvalue()[8 : int.from_bytes(file.getvalue()[:8], "little")]  # before the table
+
+
 class Writer:
     """Writes a header, then point records in chunks, then the tail of a source file.
 
@@ -171,9 +195,12 @@ class Writer:
         header: as the output shall have it, see ``Header.rewritten``.
         recount: bring the counts and the extent in the header up to date with what was written; otherwise they stay.
         rescale: bring the extent of Z up to date in any case.
+        chunks: of LAZ whole chunks come, by :meth:`append`, as they are in a file.
     """
 
-    def __init__(self, file: BinaryIO, header: Header, recount: bool, rescale: bool = False) -> None:
+    def __init__(
+        self, file: BinaryIO, header: Header, recount: bool, rescale: bool = False, chunks: bool = False
+    ) -> None:
         self.file, self.header, self.recount, self.rescale = file, header, recount, rescale
         self.head = bytearray(header.head)
         self.count, self.by_return = 0, np.zeros(16, np.int64)
@@ -181,7 +208,10 @@ class Writer:
         file.write(header.head)
         self.encoded = _Recording(file)
         self.encoder = None
-        if header.compressed:
+        self.table: list[tuple[int, int]] | None = [] if chunks else None
+        if chunks:
+            file.write(bytes(8))  # where the table of chunks will be
+        elif header.compressed:
             need_threads()
             with self.encoded.heard():
                 self.encoder = lazrs.ParLasZipCompressor(self.encoded, lazrs.LazVlr(header.laszip))
@@ -203,8 +233,20 @@ class Writer:
         else:
             self.file.write(records.data)
 
+    def append(self, points: int, packed: bytes | memoryview) -> None:
+        """Append a chunk of LAZ."""
+        assert self.table is not None
+        self.table.append((points, len(packed)))
+        self.file.write(packed)
+
     def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
         """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
+        if self.table is not None:
+            end = self.file.tell()
+            with self.encoded.heard():
+                lazrs.write_chunk_table(self.encoded, self.table, lazrs.LazVlr(self.header.laszip))
+            self.file.seek(len(self.head))
+            self.file.write(struct.pack("<q", end))
         if self.encoder is not None:
             with self.encoded.heard():
                 self.encoder.done()

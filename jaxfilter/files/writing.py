@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
+import lazrs
 import numpy as np
 import pyproj
 
@@ -226,6 +227,14 @@ class _Labels:
         """u8[k]: the classes of the points ``rows``, whose classes were ``old``."""
         return np.asarray(self.table[self.code[rows], old])
 
+    def put(self, chunk: np.ndarray, rows: slice, point_format: int) -> None:
+        """Put classes into the records u8[k, record_length] of the points ``rows``."""
+        old = records.classes(chunk, point_format)
+        new = self.classes(old, rows)
+        if self.rule.overlap_flag and point_format >= 6:
+            chunk[(old == OVERLAP_CLASS) & (new != old), 15] |= 8
+        records.set_classes(chunk, point_format, new)
+
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
     source: Handle | None = cloud.source
@@ -252,6 +261,11 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         warn(f"{path}: the input is COPC, the output is plain {kind}, without an octree")
     recount = las is None or las.bounds is not None or las.rows is not None
     crs = None if las is None else _crs_record(path, header, cloud)
+    if las is not None and compressor is not None and not (recount or labels.extra or crs) and labels.z is None:
+        same = _untouched(las, header, labels)
+        if same.any():
+            _write_chunks(file, las, header, labels, same, tally)
+            return
     writer = Writer(file, header.rewritten(compressor, added, drop, crs), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
     channels = 0
@@ -264,11 +278,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
                     f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
                     ".las for input and output"
                 )
-        old = records.classes(chunk, number)
-        new = labels.classes(old, rows)
-        if labels.rule.overlap_flag and number >= 6:
-            chunk[(old == OVERLAP_CLASS) & (new != old), 15] |= 8
-        records.set_classes(chunk, number, new)
+        labels.put(chunk, rows, number)
         for name, dimension in existing.items():
             values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
             chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(chunk), -1)
@@ -279,6 +289,34 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
         writer.write(chunk)
     writer.finish(None if las is None else header, drop)
+
+
+def _untouched(source: Handle, header: Header, labels: _Labels) -> np.ndarray:
+    """bool[k]: the chunks of a file that was read in windows, in which no class changes; none of a file whose chunks cannot be
+    copied: other than plain LAZ, or with wave packets."""
+    blocks = source.blocks
+    if blocks is None or not header.compressed or header.is_copc or header.point_format in (9, 10):
+        return np.zeros(0, bool)
+    if lazrs.LazVlr(header.laszip).uses_variable_size_chunks() or not blocks.points.all():
+        return np.zeros(len(blocks), bool)
+    same = (labels.table == np.arange(256)).all(axis=1)
+    return np.asarray(np.logical_and.reduceat(same[labels.code], blocks.first))
+
+
+def _write_chunks(
+    file: BinaryIO, source: Handle, header: Header, labels: _Labels, same: np.ndarray, tally: Tally
+) -> None:
+    """A LAZ file once more: chunks that are the ``same``, bool[k], are copied, and not even decompressed."""
+    writer, counts = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist()
+    for chunk, points in zip(records.read_chunks(header, source.blocks, same), counts, strict=True):
+        if chunk.ndim == 1:
+            tally.points += points
+            writer.append(points, chunk.data)
+        else:
+            tally.add(chunk[:, :12].view("V12"))
+            labels.put(chunk, slice(tally.points - points, tally.points), header.point_format)
+            writer.append(points, records.in_one_chunk(chunk, header.laszip))
+    writer.finish(header)
 
 
 def _ticks(path: Place, header: Header, xyz: np.ndarray, axes: slice = slice(3)) -> np.ndarray:

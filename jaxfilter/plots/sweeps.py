@@ -12,11 +12,12 @@ from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError
 from ..core.grid import Grid
 from ..sweeps.best import LARGER_IS_BETTER, axes_of, cost, is_grid, mean_score, word
-from ..sweeps.fit import Fit
 from .maps import LEGEND, TYPE_1, TYPE_2, axes_or_new, hillshade, legend_below, map_size, new_figure, rasterise
 
 if TYPE_CHECKING:
     import xarray
+
+    from ..sweeps.fit import Fit
 
 BEST = TYPE_1
 """Colour of what belongs to the best set."""

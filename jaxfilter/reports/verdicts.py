@@ -281,9 +281,8 @@ def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.n
     rows, out = np.flatnonzero(ground), np.zeros(len(points), bool)
     if not (ground & among).any() or not has_area(points.xyz[rows]):
         return out
-    _, first, of = np.unique(
-        points.xyz[rows, :2], axis=0, return_index=True, return_inverse=True
-    )  # the first is the lowest
+    place = (points.xyz[rows, :2] + np.float32(0)).view(np.int64).ravel()  # no zero has a sign
+    _, first, of = np.unique(place, return_index=True, return_inverse=True)  # the first is the lowest
     xyz = points.xyz[rows[first]]
     corners = corner_positions(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), HALO)
     tin = triangulated(np.concatenate([xyz, with_elevation(corners, xyz)]), workers=1)
@@ -303,7 +302,7 @@ def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.n
     island = groups(one[both], other[both], len(first))
     rest = np.bincount(island, ~among & ~dropped) > 0
     dropped |= ~rest[island] & (np.bincount(island, over[: len(first)])[island] > 0)
-    out[rows] = dropped[of.ravel()]
+    out[rows] = dropped[of]
     return out
 
 

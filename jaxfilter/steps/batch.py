@@ -231,7 +231,9 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
             return jnp.where(cloud.real, dataclasses.replace(filter_, **fields)._soft(prepared, cloud.xyz, width), 0)
 
         def held(fields: Any, made: Any) -> jax.Array:
-            made = made._replace(extent=cloud.cells.extent, frame=cloud.cells.frame)  # so: where points lie is found once
+            made = made._replace(
+                extent=cloud.cells.extent, frame=cloud.cells.frame
+            )  # so: where points lie is found once
             ground = cloud.real & (dataclasses.replace(filter_, **fields).test(made, cloud.xyz).margin <= 0)
             if what == "ground":
                 return ground

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, ParameterError, warn
@@ -423,6 +422,8 @@ def calibrate(
         if mask.shape != (len(cloud),) or mask.dtype != bool:
             raise InputError(f"labelled must be bool[{len(cloud)}], not {mask.dtype} of shape {mask.shape}")
         labels = np.where(known & mask, truth, -1).astype(np.int8)
+    from scipy.stats import qmc  # late: it takes half a second
+
     study = Study(filter_, cloud, labels, axes=axes, score=score, validation=validation, options=options)
     report = progress or silent
     ranges, low, width = study.ranges, np.zeros(len(study.ranges)), np.ones(len(study.ranges))

@@ -37,7 +37,7 @@ def _slide(pick: np.ufunc, z: np.ndarray, size: int, outside: Any) -> np.ndarray
     for axis in (0, 1):
         z = np.moveaxis(z, axis, 0)
         here, have = min(size, 2 * len(z) + 1), 1  # from each cell it sees all others, and the outside
-        wide = np.full((len(z) + here - 1, z.shape[1]), outside, z.dtype, order="CF"[axis])  # as in memory
+        wide = np.full((len(z) + here - 1, z.shape[1]), outside, z.dtype, order="F" if axis else "C")  # as in memory
         wide[here // 2 : here // 2 + len(z)] = z
         while have < here:
             step = min(have, here - have)
