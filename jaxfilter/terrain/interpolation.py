@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
 from ..core.cloud import QUANTUM
 from ..core.errors import ParameterError
@@ -119,6 +118,8 @@ def _kriging(xyz: np.ndarray, neighbours: int) -> Heights:
     The kernel -|h| with an unknown constant is that kriging system, whose solution does not depend on the slope of the
     variogram: there is nothing to fit.
     """
+    from scipy.interpolate import RBFInterpolator  # late: it takes a quarter of a second
+
     return RBFInterpolator(
         xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64),
         neighbors=min(neighbours, len(xyz)), kernel="linear", degree=0,
