@@ -2,12 +2,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.core.errors import InputError, ParameterError
 from jaxfilter.core.result import Decision
+from jaxfilter.methods import smrf
 from jaxfilter.methods.smrf import SMRF
+from jaxfilter.scenes import make
 from jaxfilter.scoring import evaluate
 
 # kappa of the reference Python implementation with the single parameter set (Pingel et al.'s smrf-tools table)
@@ -160,3 +163,22 @@ def test_published_optima_reach_their_figures(sample, number):
     cloud = sample(number)
     scores = evaluate(SMRF.preset(f"samp{number}")(cloud), cloud.reference)
     assert scores.total <= OPTIMUM[number][0] + 0.3 and scores.kappa >= OPTIMUM[number][1] - 0.8
+
+
+def test_windows_share_a_program(monkeypatch):
+    """What compiles for a window of 17 cells serves those up to 20, and gives the openings of each."""
+    traced, plain = [], smrf.opening
+    monkeypatch.setattr(smrf, "opening", lambda *given, **options: traced.append(1) or plain(*given, **options))
+    cells = SMRF().cells(SMRF().points_of(make("town", size=(60, 50), density=1.0, seed=2).cloud))
+    filled = np.asarray(SMRF().prepare(cells).surface)
+    rows, columns = np.asarray(cells.extent)
+    for window in (18, 20):
+        drops = np.asarray(SMRF(window=float(window)).prepare(cells).steepest)[:rows, :columns]
+        z, steepest = filled[:rows, :columns], np.zeros((rows, columns), np.float32)
+        for radius in range(1, window + 1):
+            i, j = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+            low = ndimage.grey_erosion(z, footprint=i * i + j * j <= radius**2, mode="constant", cval=np.inf)
+            opened = ndimage.grey_dilation(low, footprint=i * i + j * j <= radius**2, mode="constant", cval=-np.inf)
+            steepest, z = np.maximum(steepest, (z - opened) / np.float32(radius)), opened
+        np.testing.assert_allclose(drops, steepest, rtol=1e-6)
+    assert len(traced) <= 1

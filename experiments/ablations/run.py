@@ -487,7 +487,8 @@ def _smrf_steps(element: str, fill: Fill) -> dict[str, Callable[..., Any]]:
 
     def prepare(self: Any, cells: Cells) -> smrf.Opened:
         filled = fill(cells.lowest, cells.seen, cells.valid)
-        return self._open(cells, filled)._replace(steepest=steepest_drops(filled, cells.valid, self.reach, element))
+        steepest = steepest_drops(filled, cells.valid, self.reach, self.reach, element)
+        return self._open(cells, filled)._replace(steepest=steepest)
 
     def surface(self: Any, prepared: smrf.Opened) -> Surface:
         cells, filled, steepest, bare = prepared[:4]

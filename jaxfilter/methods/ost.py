@@ -17,7 +17,7 @@ from ..core.points import Points, has_area
 from ..core.result import Decision, Progress
 from ..core.water import WaterCells
 from ..engines.grid.inpaint import fill_nearest
-from ..engines.grid.morphology import dilation
+from ..engines.grid.morphology import dilation, roomy
 from ..engines.ground import grow
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.growth import Beyond, Growth, Outliers, Vertices, lowest_of_each
@@ -374,7 +374,7 @@ class OST(Filter):
         """
         rows, columns = (int(n) for n in cells.extent)
         reach = min(math.ceil(self.window / self.cell - 1e-6), rows + columns)  # wider ones are no steeper
-        steepest = np.asarray(steepest_drops(z, cells.valid, reach))
+        steepest = np.asarray(steepest_drops(z, cells.valid, reach, most=roomy(reach)))
         roofs = Roofs(*(float(getattr(self, f"roof_{name}")) for name in Roofs._fields))
         surface, seen = (np.ascontiguousarray(np.asarray(a)[:rows, :columns]) for a in (z, cells.seen))
         segments = Segments(surface, inside, seen, self.cell, roofs, (2 * self.window) ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, Self
@@ -14,7 +15,7 @@ from ..core.compilation import jit
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
-from ..engines.grid.morphology import opening
+from ..engines.grid.morphology import opening, roomy
 from ..steps.grid_filter import GridFilter, Heights, Surface
 from ..steps.surfaces import Cells, cell_for, cell_values, check_openings, steepest_drops
 from .papers import bibtex
@@ -127,20 +128,8 @@ class SMRF(GridFilter):
         """Steps 1 to 4, for all slopes at once. Pure."""
         return self._open(cells, _spanned(cells.lowest, cells.lowest, cells.seen, cells, math.inf)[0].z)
 
-    @jit
     def _open(self, cells: Cells, surface: jax.Array) -> Opened:
-        """Steps 2 to 4, of the surface without empty cells."""
-        valid, cell = jnp.asarray(cells.valid), cells.frame[2]
-        low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
-        net, cut = jnp.zeros_like(valid), surface
-        if self.mesh:
-            row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
-            net = valid & ((row % self.mesh == 0) | (column % self.mesh == 0))
-            cut = jnp.where(net, opening(surface, 2 * self.mesh, 2 * self.mesh, valid=valid), surface)
-        drops = jnp.where(valid, steepest_drops(cut, valid, self.reach), 0)
-        counted = {"cells": valid, "empty_cells": valid & ~cells.seen, "low_cells": low}
-        counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
-        return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
+        return _opened(cells, surface, self.reach, most=roomy(self.reach), mesh=self.mesh)
 
     def surface(self, prepared: Opened) -> Surface:
         """Step 5, the provisional terrain. Pure."""
@@ -160,12 +149,9 @@ class SMRF(GridFilter):
         limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
         return np.searchsorted(drops, limits, side="right").tolist()
 
-    @jit
     def test(self, surface: Surface, xyz: jax.Array | np.ndarray) -> Heights:
         """Step 6, terrain interpolated bilinearly. Pure, and differentiable in ``threshold`` and ``scaling``."""
-        height, slope = surface.at(xyz)
-        tolerance = self.threshold + self.scaling * slope
-        return Heights(height, slope, height - tolerance, -height - tolerance)
+        return _held(surface, xyz, self.threshold, self.scaling)
 
     def _terrains(self, prepared: Opened, steps: jax.Array) -> Surface:
         """The terrains at steps f32[k] of the series of slopes that ``_soft`` interpolates in."""
@@ -224,6 +210,29 @@ class Opened(NamedTuple):
 def _step(slope: jax.Array | float) -> jax.Array:
     """Where half a slope lies in the series of slopes."""
     return _PER_OCTAVE * jnp.log2(0.5 * slope)
+
+
+@functools.partial(jit, static_argnames=("most", "mesh"))
+def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
+    """Steps 2 to 4, of the surface without empty cells. ``most``: the largest ``reach`` that this compilation serves."""
+    valid, cell = jnp.asarray(cells.valid), cells.frame[2]
+    low = valid & (-surface - opening(-surface, 1, 1, valid=valid) > LOW_SLOPE * cell)
+    net, cut = jnp.zeros_like(valid), surface
+    if mesh:
+        row, column = (jax.lax.broadcasted_iota(jnp.int32, valid.shape, axis) for axis in range(2))
+        net = valid & ((row % mesh == 0) | (column % mesh == 0))
+        cut = jnp.where(net, opening(surface, 2 * mesh, 2 * mesh, valid=valid), surface)
+    drops = jnp.where(valid, steepest_drops(cut, valid, reach, most), 0)
+    counted = {"cells": valid, "empty_cells": valid & ~cells.seen, "low_cells": low}
+    counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
+    return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
+
+
+@jit
+def _held(surface: Surface, xyz: jax.Array, threshold: jax.Array | float, scaling: jax.Array | float) -> Heights:
+    height, slope = surface.at(xyz)
+    tolerance = threshold + scaling * slope
+    return Heights(height, slope, height - tolerance, -height - tolerance)
 
 
 @jit

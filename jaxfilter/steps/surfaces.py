@@ -159,18 +159,21 @@ def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) ->
     return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
 
 
-@functools.partial(jit, static_argnames=("reach", "element"))
-def steepest_drops(z: jax.Array, valid: jax.Array, reach: int, element: str = "disk") -> jax.Array:
+@functools.partial(jit, static_argnames=("most", "element"))
+def steepest_drops(
+    z: jax.Array, valid: jax.Array, reach: jax.Array | int, most: int, element: str = "disk"
+) -> jax.Array:
     """Metres per cell of radius that progressive openings with radii of 1, 2, ... ``reach`` cells lower each cell by, at most.
 
-    Args and returns: f32[rows, columns], as for :func:`jaxfilter.engines.grid.morphology.progressive_opening`.
+    Args and returns: f32[rows, columns], as for :func:`jaxfilter.engines.grid.morphology.progressive_opening`. ``most``: the
+    largest ``reach`` that this compilation serves.
     """
 
     def steeper(k: jax.Array, before: jax.Array, opened: jax.Array, steepest: jax.Array) -> jax.Array:
         return jnp.maximum(steepest, (before - opened) / (k + 1))
 
-    radii, none = jnp.arange(1, reach + 1), jnp.zeros_like(z)
-    return progressive_opening(z, valid, radii, steeper, none, reach=reach, element=element)[1]
+    radii, none = jnp.arange(1, most + 1), jnp.zeros_like(z)
+    return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
 
 
 @jit

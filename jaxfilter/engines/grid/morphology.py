@@ -228,6 +228,17 @@ def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> ja
     return lax.fori_loop(starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE, rim, out)
 
 
+def roomy(reach: int) -> int:
+    """The next of 1, 2, ... 8, 10, 12, 14, 16, 20, ...: a ``reach`` that many radii share, so that each need not be compiled.
+
+    >>> from jaxfilter.engines.grid import morphology
+    >>> [morphology.roomy(reach) for reach in (1, 7, 9, 18, 33)]
+    [1, 7, 10, 20, 40]
+    """
+    step = 2 ** max(0, math.ceil(math.log2(max(reach, 1))) - 3)
+    return -(-reach // step) * step
+
+
 @functools.partial(jit, static_argnames=("reach", "element"))
 def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Lowest value under a flat structuring element centred on every cell.
@@ -290,6 +301,7 @@ def progressive_opening(
     *,
     reach: int,
     element: str = "disk",
+    count: jax.Array | int | None = None,
 ) -> tuple[jax.Array, T]:
     """Openings with one radius after the other, each of the surface that the one before has left.
 
@@ -301,6 +313,7 @@ def progressive_opening(
             after it, and what the previous call has returned; arrays of the same shapes and dtypes.
         found: what the first call is given, a pytree of arrays.
         reach, element: as for :func:`erosion`.
+        count: i32[], how many of the radii are used; by default all.
 
     Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
 
@@ -333,7 +346,8 @@ def progressive_opening(
         return opened, lowest, look(k, _ordered(before, z.dtype), _ordered(opened, z.dtype), found)
 
     start = _ordered(z)
-    last, _, found = lax.fori_loop(0, len(radii), open_once, (start, jnp.where(valid, start, _beyond(start)), found))
+    number = len(radii) if count is None else count
+    last, _, found = lax.fori_loop(0, number, open_once, (start, jnp.where(valid, start, _beyond(start)), found))
     return _ordered(last, z.dtype), found
 
 
