@@ -25,7 +25,7 @@ from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.ranges import search_ranges
 
 HERE = Path(__file__).parent
-SETS = {"smrf": 32, "pmf": 12}
+SETS = {"smrf": {"calibrate": 44, "random": 48}, "pmf": {"calibrate": 40, "random": 52}}
 """Sets that a search tries, so that it takes about as long as a fit."""
 WAYS = {"start": "start", "fit": "`fit`", "calibrate": "`calibrate`", "random": "random search"}
 
@@ -106,14 +106,15 @@ class _Searches:
     counted for each cloud."""
 
     def __init__(self, method: str, clouds: dict[str, jf.PointCloud]) -> None:
-        self.start, self.size = jf.FILTERS[method](), SETS[method]
+        self.start, self.size = jf.FILTERS[method](), SETS[method]["calibrate"]
         self.ranges = search_ranges(self.start)
-        drawn = self._sets(np.random.default_rng(0).random((self.size, len(self.ranges))))
+        drawn = self._sets(np.random.default_rng(0).random((SETS[method]["random"], len(self.ranges))))
         first = self._sets(_sobol(self.size // 2, len(self.ranges)))
         first[0] = {name: getattr(self.start, name) for name in self.ranges}
         self.swept, self.studies, self.cost = {}, {}, {}
+        axes = {field: [one[field] for one in drawn] for field in self.ranges}
         for name, cloud in clouds.items():
-            axes = {field: [one[field] for one in drawn] for field in self.ranges}
+            jf.sweep(self.start, cloud, axes, design="list")  # compiles
             self.swept[name], swept = _timed(lambda: jf.sweep(self.start, cloud, axes, design="list"))  # noqa: B023
             study = jf.Study(self.start, cloud, cloud.reference)
             self.studies[name], tried = study, _timed(lambda: study.evaluate(first))[1]  # noqa: B023
@@ -164,16 +165,17 @@ def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
 
 def page(rows: list[Row]) -> str:
     """The results as Markdown."""
+    ways = ("calibrate", "random")
+    tried = {way: " and ".join(f"{n[way]} sets of {m.upper()}" for m, n in SETS.items()) for way in ways}
     text = [
         "# Fits by gradient, beside searches",
         "Each site of the ISPRS samples is left out in turn. Parameters are found on the samples of the other sites, from the "
         "method's defaults and within the same ranges, and the samples of the site are scored with them: total error, percent. "
         "`fit` holds out thirds of the other sites to know when to stop, and returns the start where they show no gain above "
         "its standard error. `calibrate` are its two rounds, judged by the mean over the clouds; random search takes the best. "
-        f"A search tries {' or '.join(f'{n} sets ({m.upper()})' for m, n in SETS.items())}, to take about as long as a fit. "
-        "CPU seconds are the median of the sites left out; those of the random search hold the compilation of the method, which "
-        "is done before the others. SMRF's defaults are those that its authors found best for all 15 samples "
-        "together, with their labels: what is found on some of them starts from a set that has seen the rest.",
+        f"`calibrate` tries {tried['calibrate']}, random search {tried['random']}, to take about as long as a fit. CPU seconds "
+        "are the median of the sites left out, without compilation. SMRF's defaults are those that its authors found best for "
+        "all 15 samples together, with their labels: what is found on some of them starts from a set that has seen the rest.",
     ]
     methods = list(dict.fromkeys(row["method"] for row in rows))
     for method in methods:
