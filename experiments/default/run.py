@@ -182,7 +182,7 @@ def measured(
     """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
     words = {name: labels.word(name.split(",")[0] if "," in name else "ost") for name in filters}
-    rows = [row for row in rows if row.get("labels") == words.get(row["set"])]
+    rows = [row for row in rows if row["set"] in words and row.get("labels") == words[row["set"]]]
     done = {(row["set"], row["cloud"]) for row in rows}
     for name, make in filters.items():
         for one in known:
