@@ -182,7 +182,7 @@ class PMF(LowOutlierFilter):
         return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
 
     def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array | np.ndarray) -> Surface:
-        """The last opening, for f32[windows]."""
+        """The last opening; ``thresholds``: f32[windows], metres."""
         radii = self.radii()
         rest = 0, bucket(len(radii), 8) - len(radii)
         padded = [jnp.pad(jnp.asarray(values), rest, mode="edge") for values in (radii, thresholds)]

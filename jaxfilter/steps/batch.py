@@ -231,9 +231,8 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
             return jnp.where(cloud.real, dataclasses.replace(filter_, **fields)._soft(prepared, cloud.xyz, width), 0)
 
         def held(fields: Any, made: Any) -> jax.Array:
-            made = made._replace(
-                extent=cloud.cells.extent, frame=cloud.cells.frame
-            )  # so: where points lie is found once
+            # Those of the surface would be the same, but places in the grid would be found anew for each set.
+            made = made._replace(extent=cloud.cells.extent, frame=cloud.cells.frame)
             ground = cloud.real & (dataclasses.replace(filter_, **fields).test(made, cloud.xyz).margin <= 0)
             if what == "ground":
                 return ground
