@@ -240,15 +240,13 @@ def test_what_jax_compiles_is_neither_traced_nor_compiled_by_the_next_process(ke
 
 
 def test_a_method_is_kept_by_the_parameters_that_are_not_traced(kernels, rng):
-    small = np.ones((4, 3), np.float32)
-    filters = jf.SMRF(), jf.SMRF(threshold=0.7), jf.SMRF(cell=2.0)
+    filters = jf.PMF(max_window=9.0), jf.PMF(max_window=9.0, slope=0.4), jf.PMF(max_window=17.0)
     cells = filters[0].cells(filters[0].points_of(jf.PointCloud.from_arrays(rng.random((500, 3)) * 20)))
-    surfaces = [one.model(cells) for one in filters]
-    expected = [one.test(surface, small).margin.tolist() for one, surface in zip(filters, surfaces, strict=True)]
+    expected = [one.model(cells).limits[0].tolist() for one in filters]
     with keeping():
-        for one, surface, margin in zip(filters, surfaces, expected, strict=True):
-            assert one.test(surface, small).margin.tolist() == margin
-    assert len([file for file in kernels.iterdir() if file.name.startswith("SMRF.test")]) == 2
+        for one, limits in zip(filters, expected, strict=True):
+            assert one.model(cells).limits[0].tolist() == limits
+    assert len([file for file in kernels.iterdir() if file.name.startswith("PMF._open")]) == 2
 
 
 def test_other_sources_versions_and_processors_do_not_share(kernels, monkeypatch):

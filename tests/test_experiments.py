@@ -1074,7 +1074,7 @@ def test_fits_leave_each_site_out_and_go_on_where_they_were(two_samples, tmp_pat
     folder.mkdir(parents=True)
     for name, of in (("samp11", "samp52"), ("samp21", "samp53"), ("samp31", "samp53")):
         (folder / f"{name}.txt").write_bytes((two_samples / "isprs" / f"{of}.txt").read_bytes())
-    monkeypatch.setattr(fits, "SETS", {"smrf": 4, "pmf": 4})
+    monkeypatch.setattr(fits, "SETS", {"smrf": {"calibrate": 4, "random": 4}})
     given = ["--data", str(folder.parent), "--out", str(tmp_path), "--samples", "11", "21", "31"]
     fits.main([*given, "--methods", "smrf", "--steps", "2"])
     rows = report.read_csv(tmp_path / "runs.csv")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
 from ..engines.grid.inpaint import fill_nearest
-from ..engines.grid.morphology import progressive_opening, roomy
+from ..engines.grid.morphology import progressive_opening
 from ..steps.grid_filter import GridFilter, LowOutlierFilter, Surface, labels_of
 from ..steps.point_boxes import PointBoxes
 from ..steps.surfaces import Cells, cell_for, cell_values, look_up, lowest_cells
@@ -181,13 +180,30 @@ class PMF(LowOutlierFilter):
         opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
         return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
 
-    def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array | np.ndarray) -> Surface:
-        """The last opening; ``thresholds``: f32[windows], metres."""
-        radii = self.radii()
-        rest = 0, bucket(len(radii), 8) - len(radii)
-        padded = [jnp.pad(jnp.asarray(values), rest, mode="edge") for values in (radii, thresholds)]
-        compared = {"element": self.element, "surfaces": self.compare == "surfaces"}
-        return _opened(cells, surface, *padded, len(radii), reach=roomy(max(radii)), **compared)
+    @jit
+    def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:
+        """The last opening; its limits are the elevations between which points of a cell are ground, f32[rows, columns] each.
+
+        The upper limit of an object cell lies below the surface. The lower limit is for barred points: no other lies there.
+        """
+
+        def look(k: jax.Array, before: jax.Array, opened: jax.Array, limits: Limits) -> Limits:
+            ceiling, floor = limits
+            holds = (k == 0) | (self.compare == "points") | (before - opened > thresholds[k])
+            ceiling = jnp.where(holds, jnp.minimum(ceiling, opened + thresholds[k]), ceiling)
+            return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
+
+        radii, nothing = jnp.array(self.radii()), jnp.full_like(surface, jnp.inf)
+        last, limits = progressive_opening(
+            surface,
+            jnp.asarray(cells.valid),
+            radii,
+            look,
+            (nothing, -nothing),
+            reach=max(self.radii()),
+            element=self.element,
+        )
+        return Surface.over(cells, last, limits, {"windows": len(radii)})
 
     def _soft(self, prepared: tuple[Cells, jax.Array], xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """Where surfaces are compared, the product over all openings of one minus (how clearly the opening makes the point's
@@ -234,30 +250,6 @@ class PMF(LowOutlierFilter):
         labels = labels_of(z - np.where(known, opened, surface), slope, z - ceiling, floor - z)
         labels.barred, labels.info = barred, {"windows": len(widths)}
         return labels
-
-
-@functools.partial(jit, static_argnames=("reach", "element", "surfaces"))
-def _opened(
-    cells: Cells, surface: jax.Array, radii: jax.Array, thresholds: jax.Array, count: jax.Array | int,
-    reach: int, element: str, surfaces: bool,
-) -> Surface:  # fmt: skip
-    """The last of the first ``count`` openings; its limits are the elevations between which points of a cell are ground,
-    f32[rows, columns] each.
-
-    The upper limit of an object cell lies below the surface. The lower limit is for barred points: no other lies there.
-    """
-
-    def look(k: jax.Array, before: jax.Array, opened: jax.Array, limits: Limits) -> Limits:
-        ceiling, floor = limits
-        holds = (k == 0) | (before - opened > thresholds[k]) if surfaces else True
-        ceiling = jnp.where(holds, jnp.minimum(ceiling, opened + thresholds[k]), ceiling)
-        return ceiling, jnp.where(k == 0, opened - thresholds[0], floor)
-
-    nothing = jnp.full_like(surface, jnp.inf)
-    last, limits = progressive_opening(
-        surface, jnp.asarray(cells.valid), radii, look, (nothing, -nothing), reach=reach, element=element, count=count
-    )
-    return Surface.over(cells, last, limits, {"windows": jnp.int32(count)})
 
 
 @ground_each.register(PMF)
