@@ -278,6 +278,18 @@ def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
     np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
 
 
+@pytest.mark.parametrize("tile", [None, 60.0])
+def test_the_limits_are_those_that_found_the_ground(survey, tmp_path, tile):
+    run = jf.RunOptions(tile=tile, wide_halos=True, workers=1)
+    made = jf.ground(survey, tmp_path / "made", jf.OST(window=9.0, max_angle=5.0), run=run)
+    report = jf.apply_survey(table(house="object"), tmp_path / "made", run=jf.RunOptions(workers=1))
+    spacing = made.measures["spacing"] if tile else None
+    assert report.method == "OST" and report.parameters == made.parameters | {"spacing": spacing}
+    jf.ground(survey, tmp_path / "other", jf.SMRF(window=9.0), run=jf.RunOptions(workers=1))
+    other = jf.apply_survey(table(house="object"), tmp_path / "other", run=jf.RunOptions(workers=1))
+    assert other.method == "OST" and other.parameters["max_angle"] == jf.OST().max_angle
+
+
 def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_path):
     places = table(house="object", hill="ground")
     kept = shutil.copytree(survey, tmp_path / "kept")

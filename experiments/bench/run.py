@@ -310,7 +310,7 @@ def scaling(rows: list[Row], path: Path) -> None:
     """Warm seconds (else of the command) and peak memory against number of points; a column of panels per density."""
     import matplotlib
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     densities = sorted({row["density"] for row in rows})
     figure = Figure(figsize=(1.2 + 3.4 * len(densities), 5.4), layout="constrained")
@@ -337,11 +337,14 @@ def scaling(rows: list[Row], path: Path) -> None:
                 if line:
                     ax.loglog(points, values, **style)
         panels[0, column].set_title(f"{density:g} points/m²", fontsize=10)
-        panels[1, column].set_xlabel("points")
+        panels[1, column].set_xlabel("million points")
     panels[0, 0].set_ylabel("seconds, warm call")
     panels[1, 0].set_ylabel("peak memory (GB)")
     for ax in panels.flat:
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        for axis, unit in ((ax.xaxis, 1e6), (ax.yaxis, 1.0)):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _, unit=unit: f"{value / unit:g}"))
+            axis.set_minor_formatter(NullFormatter())
         ax.grid(True, which="major", color="0.92")
         ax.spines[["top", "right"]].set_visible(False)
     lines = {line.get_label(): line for ax in panels[0] for line in ax.get_lines()}

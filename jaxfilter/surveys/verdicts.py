@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError, ParameterError, warn
+from ..core.errors import InputError, JaxfilterError, ParameterError, warn
 from ..core.filter import Filter
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
@@ -41,7 +41,7 @@ from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import ground_by_class
 from .survey import Cut, Survey, open_files
-from .targets import Targets, target_of, targets_beside
+from .targets import REPORT, Targets, target_of, targets_beside
 from .tiles import Tile, TileReader, inside, part_of
 
 LOG = "verdicts.json"
@@ -201,7 +201,8 @@ def apply_survey(
     Only windows around places are read. Of the points of a place and its rim only those that become ground, or are no more,
     change their class; noise, water, bridges and what else is not judged keep theirs. A file in which a point changes is written
     anew, whole or not at all. Other files are not touched. ``verdicts.json`` beside the files lists what was carried out. A
-    verdict that stands there is not carried out again, unless its files were changed by something else since.
+    verdict that stands there is not carried out again, unless its files were changed by something else since. The limits are
+    those with which OST has found the ground, as ``jaxfilter-run.json`` beside the files says, or those for a sample of them.
 
     Args:
         places: as in :func:`apply`. what: the LAS and LAZ files, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
@@ -236,14 +237,13 @@ def apply_survey(
     if found:
         if run.workers is None and run.client is None and len(found) <= _FEW:
             run = dataclasses.replace(run, workers=1)
-        # a sample of the files says what the filter is, as for surveys in tiles, and nothing more is measured
-        sampled = dataclasses.replace(run, tile=HALO, measures={})
+        unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
         boxes = np.array([[site.touched, site.window] for site in found])
 
         def product_for(reader: TileReader, filter_: Filter | None) -> VerdictProduct:
             return VerdictProduct(reader, targets.store.path, filter_, found, new, classes)
 
-        survey = Survey(collection, targets, Recipe(), reading, sampled)
+        survey = Survey(collection, targets, _recipe_of(files), reading, unmeasured)
         report = survey.run(lambda filter_, halo: Cut(0.0, 1.0, boxes=boxes), product_for)
     else:
         targets.store.discard()
@@ -251,6 +251,21 @@ def apply_survey(
     report.problems, report.before = given.problems, len(given.verdicts) - len(new)
     report.applied = {word: n for word in WORDS if (n := sum(one.word == word for one in new))}
     return report
+
+
+def _recipe_of(files: Sequence[Path]) -> Recipe:
+    """OST as it has found the ground, if the report of that run lies beside the files; else set up for a sample of them."""
+    try:
+        (folder,) = {file.parent for file in files}
+        facts = json.loads((folder / REPORT).read_text())
+        if facts["method"] == OST.__name__:
+            fields, measures = facts["parameters"], facts["measures"] or {}
+            recipe = Recipe(OST, fields | {"spacing": fields["spacing"] or measures.get("spacing")})
+            recipe.alone()
+            return recipe
+    except (OSError, ValueError, KeyError, TypeError, JaxfilterError):  # none, of other files, or of another version
+        pass
+    return Recipe()
 
 
 class _Log:
