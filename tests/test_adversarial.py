@@ -59,7 +59,7 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
 def test_odd_parameters_give_labels_or_a_clear_error(filter_, words):
     """``experiments/faults/parameters.py`` tries a thousand sets."""
     if words == "":
-        assert filter_()(SPARSE * [0.1, 0.1, 1.0]).ground.any()
+        assert filter_()(SPARSE * [0.05, 0.05, 1.0]).ground.any()
     elif words is None:
         with pytest.warns(jf.JaxfilterWarning, match="no point is left as a seed of the ground"):
             ground = filter_()(SPARSE).ground

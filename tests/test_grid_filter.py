@@ -40,13 +40,13 @@ def drawn(count, **ranges):
 @pytest.mark.parametrize(
     "filter_, sets",
     [
-        (SMRF, drawn(16, slope=(0.03, 0.5), threshold=(0.1, 1.0), scaling=(0.0, 2.5))),
         (PMF, drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0))),
         (MSF, drawn(6, slope=(0.1, 1.0), max_height=(1.0, 8.0), initial_distance=(0.0, 0.6))),
     ],
-    ids=["smrf", "pmf", "msf"],
+    ids=["pmf", "msf"],
 )
 def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
+    """Of SMRF docs/arrays.md does the same."""
     points, _ = small
     cells = filter_.cells(points)
     many = jax.vmap(lambda fields: passed(dataclasses.replace(filter_, **fields), cells, points.xyz))(sets)
@@ -77,7 +77,7 @@ def test_a_shift_by_whole_cells_gives_the_same_labels(filter_):
     assert 0 < (other != expected).mean() < 0.03
 
 
-@pytest.mark.parametrize("filter_", [SMRF, PMF, MSF], ids=["smrf", "pmf", "msf"])
+@pytest.mark.parametrize("filter_", [PMF, MSF], ids=["pmf", "msf"])
 def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
     points, _ = small
     x, y, _ = points.xyz.T

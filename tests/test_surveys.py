@@ -76,10 +76,15 @@ def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folde
     one, other = classes_of(tmp_path / "west.las"), classes_of(tmp_path / "folder" / "west.las")
     assert far.sum() > 2000 and 0.1 < (one[far] == 2).mean() < 0.9
     np.testing.assert_array_equal(one[far], other[far])
-    again = jf.ground(
-        survey, tmp_path / "again", filter_, run=jf.RunOptions(**tiles, measures=folder.measures, workers=1)
-    )
-    assert again.measures == folder.measures and las_of(tmp_path / "again") == las_of(tmp_path / "folder")
+
+
+def test_a_survey_with_measures_of_another_run_is_made_again_as_it_was(survey, tmp_path):
+    tiles = {"tile": 70.0, "halo": 30.0, "wide_halos": True}
+    filter_ = jf.STIN(seed_cell=12.0)
+    first = jf.ground(survey, tmp_path / "first", filter_, run=jf.RunOptions(**tiles, executor=Here()))
+    run = jf.RunOptions(**tiles, measures=first.measures, workers=1)
+    again = jf.ground(survey, tmp_path / "again", filter_, run=run)
+    assert again.measures == first.measures and las_of(tmp_path / "again") == las_of(tmp_path / "first")
 
 
 def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):
