@@ -173,12 +173,19 @@ def test_a_compound_crs_goes_with_its_horizontal_one():
     assert survey.crs == compound and survey.check().mixed is None
 
 
-def test_a_damaged_extent_is_no_member(tmp_path):
+@pytest.mark.parametrize("largest", [OFFSETS[0], np.inf])
+def test_a_damaged_extent_is_no_member(tmp_path, largest):
     make_las(tmp_path / "a.laz", 6, n=30)
     make_las(tmp_path / "b.laz", 6, n=30)
-    patch(tmp_path / "a.laz", "2d", 179, OFFSETS[0], OFFSETS[0] + 50)  # largest x below the smallest
+    patch(tmp_path / "a.laz", "2d", 179, largest, OFFSETS[0] + 50)  # largest and smallest x
     survey = jf.open(tmp_path)
     assert names(survey) == ["b.laz"] and "extent in its header is damaged" in survey.unreadable[0][1]
+
+
+def test_bounds_of_files_end_at_the_box():
+    survey = Collection([tile("a.laz"), tile("b.laz", x=100.0), tile("c.laz", x=900.0)])
+    found = survey.clipped((40.0, 30.0, 170.0, 60.0))
+    assert [source.bounds for source in found] == [(40.0, 30.0, 100.0, 60.0), (100.0, 30.0, 170.0, 60.0)]
 
 
 def test_degrees_are_no_member(tmp_path):

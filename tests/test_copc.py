@@ -5,7 +5,7 @@ from __future__ import annotations
 import laspy
 import numpy as np
 import pytest
-from las_files import OFFSETS, make_copc, make_las
+from las_files import OFFSETS, make_copc, make_las, patch
 from laspy.copc import Bounds, CopcReader
 
 import jaxfilter as jf
@@ -88,6 +88,20 @@ def test_few_points_and_points_at_one_place(tmp_path, n, place):
     with CopcReader.open(path) as reader:
         assert len(reader.query()) == len(plain) == n
     assert len(jf.read(path)) == n
+
+
+@pytest.mark.parametrize(
+    "kind, field, value", [("i", 0, -1), ("i", 0, 64), ("Q", 16, 2**40), ("i", 24, -1), ("i", 28, -2)]
+)
+def test_a_damaged_entry_of_the_octree_is_named(tmp_path, kind, field, value):
+    """Its level, offset, length and number of points."""
+    path = tmp_path / "in.copc.laz"
+    make_copc(path)
+    with CopcReader.open(path) as reader:
+        page = reader.copc_info.hierarchy_root_offset
+    patch(path, kind, page + 32 + field, value)  # of the second entry
+    with pytest.raises(jf.InputError, match=f"in.copc.laz: entry of the octree's page at byte {page} is damaged"):
+        jf.read(path, bounds=(OFFSETS[0] + 1, OFFSETS[1] + 1, OFFSETS[0] + 9, OFFSETS[1] + 9))
 
 
 @pytest.mark.parametrize("number", [4, 5, 9, 10])

@@ -452,6 +452,7 @@ def test_low_outliers_get_the_class_of_noise(tmp_path):
         out = tmp_path / "-".join(("out", *extra))
         report = run(tmp_path / "in.laz", out, filter_=one, noise_class=7, extra=extra, tile=50.0)
         assert report.complete and report.tiles >= 4 and report.classes[0, 7] == whole.low_noise.sum()
+        assert (report.barred, report.barred_ground) == (whole.barred.sum(), (whole.barred & whole.ground).sum())
         classes = np.asarray(laspy.read(out / "in.laz").classification)
         np.testing.assert_array_equal(classes == 7, whole.low_noise)
         np.testing.assert_array_equal(classes == 2, whole.ground)
