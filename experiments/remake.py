@@ -120,7 +120,7 @@ PAGES = {
                                     "20,000 damaged files", 7),
     "fuzz/results/compressed.md": Page("experiments/fuzz/compressed.py --out experiments/fuzz/results",
                                        "5,000 LAZ files with damaged layers", 3),
-    "mutations/results/results.md": Page("experiments/mutations/run.py --number 100 --seconds 15", "small changes of the "
+    "mutations/results/results.md": Page("experiments/mutations/run.py --number 85 --seconds 15", "small changes of the "
                                          "package, and those that no test notices", 75),
     "surveys/results/results.md": Page("experiments/surveys/run.py --out experiments/surveys/results",
                                        "what surveys of a million files cost", 10),
