@@ -243,7 +243,7 @@ def apply_survey(
         def product_for(reader: TileReader, filter_: Filter | None) -> VerdictProduct:
             return VerdictProduct(reader, targets.store.path, filter_, found, new, classes)
 
-        survey = Survey(collection, targets, _recipe_of(files), reading, unmeasured)
+        survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
         report = survey.run(lambda filter_, halo: Cut(0.0, 1.0, boxes=boxes), product_for)
     else:
         targets.store.discard()
@@ -253,10 +253,10 @@ def apply_survey(
     return report
 
 
-def _recipe_of(files: Sequence[Path]) -> Recipe:
+def _recipe_of(collection: Collection) -> Recipe:
     """OST as it has found the ground, if the report of that run lies beside the files; else set up for a sample of them."""
     try:
-        (folder,) = {file.parent for file in files}
+        (folder,) = {Path(uri).parent for uri in collection.uris}
         facts = json.loads((folder / REPORT).read_text())
         if facts["method"] == OST.__name__:
             fields, measures = facts["parameters"], facts["measures"] or {}
