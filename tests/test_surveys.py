@@ -78,13 +78,17 @@ def test_away_from_its_border_a_file_alone_has_the_labels_that_it_has_in_a_folde
     np.testing.assert_array_equal(one[far], other[far])
 
 
-def test_a_survey_with_measures_of_another_run_is_made_again_as_it_was(survey, tmp_path):
-    tiles = {"tile": 70.0, "halo": 30.0, "wide_halos": True}
-    filter_ = jf.STIN(seed_cell=12.0)
-    first = jf.ground(survey, tmp_path / "first", filter_, run=jf.RunOptions(**tiles, executor=Here()))
-    run = jf.RunOptions(**tiles, measures=first.measures, workers=1)
-    again = jf.ground(survey, tmp_path / "again", filter_, run=run)
-    assert again.measures == first.measures and las_of(tmp_path / "again") == las_of(tmp_path / "first")
+def test_measures_of_another_run_are_taken_as_they_are(survey, tmp_path):
+    """STIN grows as many rounds as they say."""
+
+    def made(name, measures=None):
+        run = jf.RunOptions(tile=70.0, halo=30.0, wide_halos=True, measures=measures, workers=1)
+        return jf.ground(survey, tmp_path / name, jf.STIN(seed_cell=12.0), run=run).measures
+
+    first = made("first")
+    assert made("same", first) == first and las_of(tmp_path / "same") == las_of(tmp_path / "first")
+    fewer = first | {"rounds": (1,) * len(first["rounds"])}
+    assert made("fewer", fewer) == fewer and las_of(tmp_path / "fewer") != las_of(tmp_path / "first")
 
 
 def test_tiles_of_a_small_scene_take_its_measures_as_in_memory(tmp_path):

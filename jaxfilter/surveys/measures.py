@@ -137,8 +137,6 @@ class Sampler:
 
     def filter_for(self, recipe: Recipe) -> Filter:
         """The filter of a run, the same for all tiles, by the window with most candidates. Raises: ParameterError."""
-        if not recipe.by_data and (given := recipe.alone()) is not None:
-            return given
         clouds, whole = self.sample
         if not clouds:
             return recipe.on(joined([], whole))

@@ -200,14 +200,14 @@ class Survey:
         if begun and "parameters" in facts:
             found = facts["parameters"]
             return FILTERS[found["method"]](**found["fields"]), whole
-        filter_ = recipe.alone()
-        index = self.targets.store.index
+        filter_, index = recipe.alone(), self.targets.store.index
         if self.options.tile is None and self.collection.count <= WHOLE:
             if filter_ is None or recipe.by_data:
                 filter_ = recipe.on(TileReader(self.reading, whole, index).read(self._everything(), keep=True).cloud)
             return filter_, whole
         sampler = Sampler(self.collection, self.reading, index)
-        filter_ = sampler.filter_for(recipe)
+        if filter_ is None or recipe.by_data:
+            filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole
 
     def _everything(self) -> Tile:

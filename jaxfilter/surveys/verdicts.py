@@ -201,8 +201,8 @@ def apply_survey(
     Only windows around places are read. Of the points of a place and its rim only those that become ground, or are no more,
     change their class; noise, water, bridges and what else is not judged keep theirs. A file in which a point changes is written
     anew, whole or not at all. Other files are not touched. ``verdicts.json`` beside the files lists what was carried out. A
-    verdict that stands there is not carried out again, unless its files were changed by something else since. The limits are
-    those with which OST has found the ground, as ``jaxfilter-run.json`` beside the files says, or those for a sample of them.
+    verdict that stands there is not carried out again, unless its files were changed by something else since. If OST has
+    found the ground, ``jaxfilter-run.json`` beside the files states its parameters, which are used; else a sample is measured.
 
     Args:
         places: as in :func:`apply`. what: the LAS and LAZ files, a :class:`Collection`, or what :func:`jaxfilter.open` takes.
