@@ -371,6 +371,27 @@ def test_a_corner_costs_a_corner(tmp_path, monkeypatch, suffix):
     assert read <= path.stat().st_size * (0.13 if suffix == ".las" else 0.26)
 
 
+@pytest.mark.parametrize("most, decoded", [(10**8, 4), (5_000_000, 8)], ids=["all kept", "two kept"])
+def test_windows_beside_one_another_decode_their_chunk_once(tmp_path, monkeypatch, most, decoded):
+    """Windows in each of four chunks of 50,000 points, twice: what is kept has a limit, and is no more if the file changes."""
+    path, n, found = tmp_path / "in.laz", 200_000, []
+    make_las(path, 6, n=n, X=np.arange(n), Y=np.zeros(n, int))
+    source = source_of(path, units="m")
+    chunks, decode = blocks._Kept(), blocks._decoded
+    read_window(source, (X, Y, X + 1, Y + 1), tmp_path / "index")
+    monkeypatch.setattr(blocks, "_KEPT", chunks)
+    monkeypatch.setattr(blocks, "_MOST", most)
+    monkeypatch.setattr(blocks, "_decoded", lambda *given: found.append(given) or decode(*given))
+    for start in [10_000, 60_000, 110_000, 160_000] * 2:
+        low = X + SCALES[0] * start
+        box = (low - SCALES[0] / 2, Y - 1, low + SCALES[0] * 99.5, Y + 1)
+        np.testing.assert_array_equal(read_window(source, box, tmp_path / "index").record, start + np.arange(100))
+    assert len(found) == decoded
+    assert sum(chunk.nbytes for chunk in chunks._chunks.values()) <= most
+    make_las(path, 6, n=n, X=np.arange(n) + 7, Y=np.zeros(n, int))
+    assert read_window(source_of(path, units="m"), box, tmp_path / "index").record[0] == start - 7
+
+
 def test_sources_are_small_and_go_to_other_processes(tmp_path):
     make_las(tmp_path / "in.laz", 6, n=500)
     source = source_of(tmp_path / "in.laz")

@@ -13,6 +13,7 @@ from jaxfilter.core.points import canonical_points
 from jaxfilter.methods.ost import NO_VOID
 from jaxfilter.scenes import SENSORS, Kind, SceneLayout
 from jaxfilter.steps.outliers import lowest_few, pits
+from jaxfilter.steps.seeds import rising
 from jaxfilter.steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from jaxfilter.steps.surfaces import lowest_cells
 
@@ -136,6 +137,49 @@ def test_an_echo_below_drone_lidar_spoils_nothing():
     result = jf.default_filter(made.cloud)(made.cloud)
     errors = jf.dtm_rmse(made.cloud, result, made.truth)
     assert not result.ground[low].any() and errors.low == 0 and errors.rmse < 0.02
+
+
+@pytest.mark.parametrize("corner", [(0.0, 0.0), (0.5, 0.5)], ids=["in one cell", "in four cells"])
+def test_a_cluster_of_echoes_below_drone_lidar_spoils_nothing_wherever_cells_lie(corner):
+    """It is 0.6 m wide and 7 m deep, below a slope whose foot is as low."""
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-20, 20, (120_000, 2))
+    ground = np.column_stack([xy, 0.4 * xy[:, 0] + 0.01 * rng.standard_normal(len(xy))])
+    low = np.column_stack([corner + rng.uniform(-0.3, 0.3, (13, 2)), rng.uniform(-7.5, -6.5, 13)])
+    cloud = jf.PointCloud.from_arrays(np.concatenate([ground, low]) + [200, 200, 50])
+    filter_ = jf.OST(sensor=DRONE, spacing=0.1, tolerance=0.06, tolerance_spacing=0.0, noise=0.06)
+    found = filter_(cloud).ground
+    assert not found[len(ground) :].any() and found[: len(ground)].mean() > 0.99
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_rises_more_steeply_than_terrain_is_told_pair_by_pair(seed):
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform(0, 30, (400, 3)).astype(np.float32) * np.float32([1, 1, 0.3])
+    rows, others = rng.choice(400, 90, replace=False), np.arange(0, 400, 2)
+    steep = [
+        any(
+            p[2] - q[2] > 0.8 * np.hypot(*(p - q)[:2]) + 0.3
+            for q in xyz[others].astype(float)
+            if np.hypot(*(p - q)[:2]) <= 5
+        )
+        for p in xyz[rows].astype(float)
+    ]
+    assert 0 < np.sum(steep) < 90
+    np.testing.assert_array_equal(rising(xyz, rows, others, 5.0, 0.8), steep)
+    assert not rising(xyz, rows[:0], others, 5.0, 0.8).size
+
+
+@pytest.mark.parametrize("sensor", [MATCHING, MOBILE])
+def test_crowns_at_the_edge_of_what_was_seen_are_no_ground(sensor):
+    """Trees on both sides of a void wider than the largest building: the surface between them is level, as a terrace is."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.2, 100, 0.5), np.arange(0.2, 30, 0.5)))
+    crown = (np.abs(x - 50) > 30) & (np.abs(x - 50) < 32)
+    z = 0.2 * np.sin(x / 4) + np.where(crown, 6 + 0.5 * np.sin(y), 0)
+    seen = np.abs(x - 50) > 30
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z])[seen] + [200, 200, 50])
+    found = jf.OST(sensor=sensor, spacing=0.5, void=NO_VOID)(cloud).ground
+    assert found[crown[seen]].mean() < 0.02 and found[~crown[seen]].all()
 
 
 def test_shadows_of_a_scan_from_a_car_are_no_water():

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+import threading
 import zlib
+from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lazrs
 import numpy as np
@@ -25,6 +27,8 @@ from .storage import Remote, read_ranges
 
 RUN = 16384
 """Records of LAS in a run."""
+_MOST = 48_000_000
+"""Bytes of chunks that a process keeps as they were decoded: small windows beside one another are in the same chunks."""
 
 ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
 """Level, x, y, z of a node; where its chunk is; number of points, -1: the entry is of another page."""
@@ -140,7 +144,41 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
 
     Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
-    return _decoded(header, blocks, read_packed(header, file, blocks), wanted)
+    packed = read_packed(header, file, blocks)
+    large = 2 * int(blocks.points.sum()) * header.record_length > _MOST
+    if large or not header.compressed or (blocks.checksum < 0).any():
+        return _decoded(header, blocks, packed, wanted)
+    return _KEPT.decoded(header, blocks, packed, wanted)
+
+
+class _Kept:
+    """The chunks that a process has decoded last, known by their place and checksum."""
+
+    def __init__(self) -> None:
+        self._chunks: OrderedDict[tuple[Any, ...], np.ndarray] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def decoded(self, header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) -> np.ndarray:
+        """As :func:`_decoded`."""
+        columns = (blocks.start, blocks.size, blocks.points, blocks.checksum)
+        keys = [(str(header.path), wanted, *key) for key in np.stack(columns, axis=1).tolist()]
+        with self._lock:
+            found = {key: self._chunks.pop(key) for key in keys if key in self._chunks}
+        new = np.array([key not in found for key in keys])
+        if new.any():
+            some, ends = blocks[new], np.cumsum(blocks[new].points)
+            records = _decoded(header, some, packed[np.repeat(new, blocks.size)], wanted)
+            parts = (part.copy() for part in np.split(records, ends[:-1]))
+            found |= {key: next(parts) for key, unknown in zip(keys, new.tolist(), strict=True) if unknown}
+        with self._lock:
+            self._chunks |= found
+            size = sum(chunk.nbytes for chunk in self._chunks.values())
+            while size > _MOST:
+                size -= self._chunks.popitem(last=False)[1].nbytes
+        return np.concatenate([found[key] for key in keys])
+
+
+_KEPT = _Kept()
 
 
 def read_packed(header: Header, file: BinaryIO, blocks: Blocks) -> np.ndarray:

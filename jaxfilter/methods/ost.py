@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import PointCloud
 from ..core.filter import Filter, Labels, of_scene, stage
@@ -32,6 +32,7 @@ from ..steps.objects import Roofs, Segments
 from ..steps.outliers import lowest_few, pits
 from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
+from ..steps.seeds import rising
 from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
 from ..steps.voids import filled_by, sunk
@@ -69,8 +70,12 @@ CLUSTER = 2.0
 """Square metres that few points around a low one cover in dense clouds."""
 NO_VOID = 1e4
 """Metres: longer than any edge of a triangle that spans a void."""
-PITS = {MATCHING: (0.3, 12.0), DRONE: (1.0, 1.0)}
-"""Metres that wrong matches, or echoes, lie below what surrounds them, at least, and square metres of them at most."""
+PITS = {MATCHING: (0.3, 12.0), DRONE: (1.0, 4.0)}
+"""Metres that wrong matches, or echoes, lie below what surrounds them, at least, and square metres of their cells at most: a
+cluster of echoes 1 m wide is in four cells."""
+BESIDE, STEEP = 10.0, 1.0
+"""Seeds of photographs and of scans from a car beside objects and voids rise from no other within so many metres by more than so
+steep a slope, rise over run: ramps, crowns and walls at the edge of what was seen do."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -92,7 +97,8 @@ class OST(Filter):
        of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Parts of
        all these cells that are bare and steep without walls are terrain. Steps 4 and 5 are repeated once, since G needs to
        know what is an object.
-    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. On their triangulation all
+    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment; of photographs and scans from a
+       car, those beside objects and voids only if they do not rise steeply from others. On their triangulation all
        points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
@@ -243,8 +249,10 @@ class OST(Filter):
         deck, level, clear = crossed.at(points.xyz, scene.cells)
         wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
-        del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
+        if self.sensor in (MATCHING, MOBILE):
+            seeds = without_ramps(points, seeds, scene.cells, objects | bare)
+        del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         if not has_area(points.xyz[seeds]):
             seeds = lowest
         progress(0.4, "triangulation")
@@ -337,7 +345,7 @@ class OST(Filter):
         if self.sensor not in (AIRBORNE, DRONE):
             return Crossings(deck, level, level)
         inner, inside = (slice(0, rows), slice(0, columns)), segments.inside
-        edge = ~ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
+        edge = ~scipy.ndimage.binary_erosion(inside, iterations=EDGE)  # where slim triangles go on to anywhere
         near = fill_nearest(scene.cells.lowest, scene.cells.seen, scene.cells.valid)
         z = np.where(edge & ~segments.seen, np.asarray(near)[inner], segments.z)
         z = sunk(z, segments.seen | ~inside, self.cell, spacing)
@@ -405,6 +413,14 @@ class OST(Filter):
         padded = np.zeros(z.shape, bool)
         padded[inner] = bare
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), padded, landscape
+
+
+def without_ramps(points: Points, seeds: np.ndarray, cells: Cells, objects: np.ndarray) -> np.ndarray:
+    """i64: those of the ``seeds``, rows, that stand on no ramp. ``objects``: bool[rows, columns], of the shape of ``cells``."""
+    edge = scipy.ndimage.binary_dilation(objects | ~np.asarray(cells.seen)).astype(np.float32)
+    near = look_up(points.xyz[seeds], cells, edge)[0] > 0.5
+    near[near] = rising(points.xyz, seeds[near], seeds, BESIDE, STEEP)
+    return seeds[~near]
 
 
 class Limits(NamedTuple):

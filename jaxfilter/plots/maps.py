@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import InputError
@@ -53,7 +53,7 @@ def rasterise(xyz: np.ndarray, cell: float | None = None, *, over: np.ndarray | 
     lowest = np.full(grid.ny * grid.nx, np.inf, np.float32)
     np.minimum.at(lowest, grid.flat(xyz), xyz[:, 2])
     z = np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
-    far = ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > REACH
+    far = scipy.ndimage.distance_transform_edt(np.isnan(z), sampling=cell) > REACH
     return np.where(far, np.nan, _fill(z)), grid
 
 
@@ -68,9 +68,9 @@ def _fill(z: np.ndarray) -> np.ndarray:
     known = (~np.isnan(blocks)).sum(axis=(1, 3))
     half = np.where(known > 0, np.nansum(blocks, axis=(1, 3)) / np.maximum(known, 1), np.nan)
     rows, columns = np.mgrid[:ny, :nx] / 2 - 0.25
-    out = np.where(empty, ndimage.map_coordinates(_fill(half), (rows, columns), order=1, mode="nearest"), z)
+    out = np.where(empty, scipy.ndimage.map_coordinates(_fill(half), (rows, columns), order=1, mode="nearest"), z)
     for _ in range(8):
-        out[empty] = ndimage.convolve(out, _NEIGHBOURS, mode="nearest")[empty]
+        out[empty] = scipy.ndimage.convolve(out, _NEIGHBOURS, mode="nearest")[empty]
     return out
 
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import QUANTUM, PointCloud
 from ..core.grid import Grid, grid_over
@@ -147,7 +147,7 @@ def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray)
     out = np.full(grid.ny * grid.nx, -np.inf, np.float32)
     np.maximum.at(out, flat[known], values[known])
     cells = out.reshape(grid.shape)
-    filled = np.where(np.isinf(cells), ndimage.maximum_filter(cells, 3, mode="nearest"), cells)
+    filled = np.where(np.isinf(cells), scipy.ndimage.maximum_filter(cells, 3, mode="nearest"), cells)
     return np.where(np.isinf(filled), np.float32(np.nan), filled)
 
 

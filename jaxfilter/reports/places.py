@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import PointCloud
 from ..core.grid import most_cells
@@ -94,7 +94,7 @@ class ReviewCells(NamedTuple):
         doubt = None if full is None or full.doubt is None else np.nan_to_num(full.doubt[rows])
         sums = [None if one is None else np.bincount(at, one, size) for one in (None, ground[rows], doubt)]
         empty = np.isinf(low).reshape(grid.shape)
-        nearest = tuple(ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True))
+        nearest = tuple(scipy.ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True))
         shaped = [None if one is None else one.reshape(grid.shape) for one in (low, height, is_ground, *sums, noise)]
         low, height, is_ground, _, grounds, doubt, noise = shaped  # type: ignore[assignment]
         points = np.bincount(at, minlength=size).reshape(grid.shape).astype(np.float64)
@@ -195,7 +195,7 @@ def suspects(
 def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
     """f64[rows, columns]: sums over each cell and the eight around it."""
     return np.asarray(
-        ndimage.correlate1d(ndimage.correlate1d(values, np.ones(3), 0, mode=mode), np.ones(3), 1, mode=mode)
+        scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(values, np.ones(3), 0, mode=mode), np.ones(3), 1, mode=mode)
     )
 
 
@@ -240,7 +240,7 @@ def _cut(surface: ReviewCells, filled: np.ndarray, inner: np.ndarray) -> np.ndar
         return out
     ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
     segment = groups(ends, others, int(strip.sum()))
-    fall = (surface.low - ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
+    fall = (surface.low - scipy.ndimage.minimum_filter(np.where(filled, surface.low, np.inf), 5, mode="nearest"))[strip]
     wall, inner = wall[strip], inner[strip]
     cells, touching = np.bincount(segment), np.bincount(segment, inner < SIDE)
     border, falling = np.bincount(segment, wall), np.bincount(segment, wall & (fall > DROP))

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
-from scipy.spatial import KDTree
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, warn
@@ -23,6 +22,7 @@ from ..engines.tin.network import corner_positions, one_network, with_elevation
 from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
 from ..methods.ost import OST
+from ..steps.seeds import rising
 from .places import OFF, SIDE, STEEPEST
 
 GROUND, OBJECT, BRIDGE, WATER, FINE = WORDS = ("ground", "object", "bridge", "water", "fine")
@@ -34,7 +34,7 @@ BESIDE = 3 * SIDE
 HALO = 40.0
 """Metres around that whose ground takes part, as around the tiles of terrain models."""
 LEVEL = 0.3
-"""Metres above and below the plane through the lowest points of a body of water that are its surface; and above a slope."""
+"""Metres above and below the plane through the lowest points of a body of water that are its surface."""
 _OVERLAP = 1.0
 """Square units of the file that two places with different verdicts may share."""
 _BLOCK = 5.0
@@ -230,12 +230,8 @@ def _lowest(points: Points, counted: np.ndarray, seeds: np.ndarray) -> np.ndarra
     first = np.ones(len(rows), bool)
     first[1:] = (np.diff(cell[order], axis=0) != 0).any(axis=1)
     low = np.sort(rows[order[first]])
-    xyz = points.xyz.astype(np.float64)
-    others = xyz[np.union1d(low, np.flatnonzero(seeds))]
-    pairs = KDTree(xyz[low, :2]).sparse_distance_matrix(KDTree(others[:, :2]), BESIDE, output_type="ndarray")
-    most = np.full(len(low), np.inf)
-    np.minimum.at(most, pairs["i"], others[pairs["j"], 2] + STEEPEST * pairs["v"] + LEVEL)
-    return low[xyz[low, 2] <= most]
+    others = np.union1d(low, np.flatnonzero(seeds))
+    return low[~rising(points.xyz, low, others, BESIDE, STEEPEST)]
 
 
 def _level(xyz: np.ndarray) -> np.ndarray:

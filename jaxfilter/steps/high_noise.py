@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import PointCloud
 from ..core.grid import grid_over
@@ -33,6 +33,8 @@ def isolated_above(cloud: PointCloud) -> np.ndarray:
     limit = top - np.float32(ABOVE)
     near = np.bincount(cell[z >= limit[cell]], minlength=len(top))
     others = np.bincount(cell[valid], minlength=len(top)) > 1
-    highest = ndimage.maximum_filter(top.reshape(grid.shape), footprint=_RING, mode="constant", cval=-np.inf).ravel()
+    highest = scipy.ndimage.maximum_filter(
+        top.reshape(grid.shape), footprint=_RING, mode="constant", cval=-np.inf
+    ).ravel()
     alone = (near == 1) & (highest < limit) & (others | np.isfinite(highest))
     return np.asarray(alone[cell] & (z == top[cell]) & valid)

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy
 
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
@@ -342,19 +343,17 @@ def pits(xyz: np.ndarray, cells: Cells, depth: float, largest: float) -> np.ndar
 
     The disk of the closing is as wide as they may be. What is long, such as a ditch, is no pit.
     """
-    from scipy import ndimage  # late: it takes a quarter of a second
-
     rows, columns = (int(n) for n in cells.extent)
     z, seen = (np.array(v)[:rows, :columns] for v in (cells.lowest, cells.seen))
     side = float(cells.frame[2])
     reach = max(1, round(math.sqrt(largest) / 2 / side))
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disk = i * i + j * j <= reach * reach
-    high = ndimage.grey_dilation(np.where(seen, z, -np.inf), footprint=disk, mode="constant", cval=-np.inf)
-    closed = ndimage.grey_erosion(
+    high = scipy.ndimage.grey_dilation(np.where(seen, z, -np.inf), footprint=disk, mode="constant", cval=-np.inf)
+    closed = scipy.ndimage.grey_erosion(
         np.where(np.isfinite(high), high, np.inf), footprint=disk, mode="constant", cval=np.inf
     )
-    part, _ = ndimage.label(seen & (closed - z > depth), np.ones((3, 3)))
+    part, _ = scipy.ndimage.label(seen & (closed - z > depth), np.ones((3, 3)))
     small = np.bincount(part.ravel()) * side**2 <= largest
     small[0] = False
     level = np.zeros(cells.lowest.shape, np.float32)

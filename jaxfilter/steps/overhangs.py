@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..engines.grid.minima import places_in
 from .sensors import spreads
@@ -29,7 +29,7 @@ def overhangs(xyz: np.ndarray, cells: Cells, bare: np.ndarray, step: float, reac
     """
     rows, columns = bare.shape
     at = places_in(xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
-    own = np.flatnonzero(ndimage.binary_dilation(bare, iterations=reach).ravel()[at])
+    own = np.flatnonzero(scipy.ndimage.binary_dilation(bare, iterations=reach).ravel()[at])
     own = own[np.lexsort((xyz[own, 2], at[own]))]
     cell, z, number = at[own], xyz[own, 2], np.arange(len(own))
     first = np.diff(cell, prepend=-1) > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from ..core.errors import InputError
 from ..core.grid import Grid, most_cells
@@ -11,6 +12,9 @@ from ..engines.grid.cells import padded_shape
 from ..engines.grid.minima import lowest_points, places_in
 from ..engines.grid.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
+
+_LEVEL = 0.3  # metres above a slope that count as on it
+_AT_ONCE = 5_000  # points whose pairs are in memory
 
 
 def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray) -> np.ndarray:
@@ -100,3 +104,16 @@ def under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float
     lowest = np.full(grid.nx * grid.ny, np.inf, np.float32)
     np.minimum.at(lowest, at[counted], xyz[counted, 2])
     return xyz[:, 2] - lowest[at] < height
+
+
+def rising(xyz: np.ndarray, rows: np.ndarray, others: np.ndarray, beside: float, steepest: float) -> np.ndarray:
+    """bool[k]: which of the points ``rows``, i64[k], lie more than 0.3 m above a slope of ``steepest``, rise over run, from one
+    of the points ``others``, i64[j], within ``beside`` metres. ``xyz``: f32[m, 3], metres."""
+    xyz, most = xyz.astype(np.float64), np.full(len(rows), np.inf)
+    tree = scipy.spatial.KDTree(xyz[others, :2])
+    for start in range(0, len(rows), _AT_ONCE):
+        near = scipy.spatial.KDTree(xyz[rows[start : start + _AT_ONCE], :2])
+        pairs = near.sparse_distance_matrix(tree, beside, output_type="ndarray")
+        z = xyz[others[pairs["j"]], 2] + steepest * pairs["v"] + _LEVEL
+        np.minimum.at(most, start + pairs["i"], z)
+    return np.asarray(xyz[rows, 2] > most)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.cloud import PointCloud
 from ..core.grid import grid_over
@@ -66,7 +66,7 @@ def on_planes(cloud: PointCloud, rows: np.ndarray, height: np.ndarray) -> np.nda
     def block(values: np.ndarray | None) -> np.ndarray:
         sums = np.bincount(cell[above], values, minlength=len(top)).astype(np.float64).reshape(grid.shape)
         for axis in range(2):
-            sums = ndimage.convolve1d(sums, [1.0, 1.0, 1.0], axis, mode="constant")
+            sums = scipy.ndimage.convolve1d(sums, [1.0, 1.0, 1.0], axis, mode="constant")
         return sums
 
     n = block(None)
@@ -78,5 +78,5 @@ def on_planes(cloud: PointCloud, rows: np.ndarray, height: np.ndarray) -> np.nda
     wide = (n >= _LEAST) & (area > (side / 4) ** 4)
     rest = zz - (xz**2 * yy - 2 * xz * yz * xy + yz**2 * xx) / np.where(wide, area, 1.0)
     smooth = wide & (rest * n <= _SMOOTH**2 * (n - 3))
-    out[high] = ndimage.maximum_filter(smooth, 3, mode="constant").ravel()[cell]
+    out[high] = scipy.ndimage.maximum_filter(smooth, 3, mode="constant").ravel()[cell]
     return out

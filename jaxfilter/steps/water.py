@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..engines.grid.extremes import highest, lowest
 
@@ -50,7 +50,7 @@ def waters(
     """
     from ..engines.grid.shapes import segments  # imports Numba
 
-    mean = ndimage.uniform_filter(z, 5)
+    mean = scipy.ndimage.uniform_filter(z, 5)
     clear = (_range(z) < FLAT) & (_range(mean) < LEVEL) & known
     flat = highest(clear, 5) & known
     core, bodies = segments(np.where(flat, z, np.float32(np.nan)), np.float32(STEP), CORE / cell**2)
@@ -68,7 +68,7 @@ def waters(
     inner = (part > 0) & (lowest(part, 5) == highest(part, 5))
     area, rough = np.bincount(part.ravel(), minlength=bodies + 1) * cell**2, _spread(mean[inner], part[inner], bodies)
     body = np.zeros_like(part)
-    for number, box in enumerate(ndimage.find_objects(part), 1):
+    for number, box in enumerate(scipy.ndimage.find_objects(part), 1):
         most = max(SLOPING, SLOPE * cell * math.hypot(*(one.stop - one.start for one in box)))
         if rough[number] > most or area[number] < AREA:
             continue
@@ -86,8 +86,8 @@ def waters(
     ends = [np.flatnonzero(body.any(axis=axis))[[0, -1]] for axis in (1, 0)]
     box = tuple(slice(max(first - 3 * RIM, 0), last + 3 * RIM) for first, last in ends)
     body, core, apart = body[box], core[box], np.zeros(z.shape, bool)
-    wet = ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0)  # without crumbs of the shore
-    near = ndimage.binary_closing(np.pad(wet, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects[box]
+    wet = scipy.ndimage.binary_propagation((body > 0) & (core > 0), mask=body > 0)  # without crumbs of the shore
+    near = scipy.ndimage.binary_closing(np.pad(wet, RIM), iterations=RIM)[RIM:-RIM, RIM:-RIM] & objects[box]
     level[box] = np.where(wet | near, _mean(z[box], wet, 2 * RIM + 1), level[box])
     apart[box] = near | lowest(wet | near, 3)
     return level, apart
@@ -116,7 +116,7 @@ def _spread(z: np.ndarray, name: np.ndarray, most: int) -> np.ndarray:
 
 def _mean(z: np.ndarray, on: np.ndarray, size: int) -> np.ndarray:
     """f32[rows, columns]: the mean of ``z`` over the cells of a square window that are ``on``, NaN without any."""
-    share = ndimage.uniform_filter(on.astype(np.float64), size, mode="constant")
-    total = ndimage.uniform_filter(np.where(on, z, 0).astype(np.float64), size, mode="constant")
+    share = scipy.ndimage.uniform_filter(on.astype(np.float64), size, mode="constant")
+    total = scipy.ndimage.uniform_filter(np.where(on, z, 0).astype(np.float64), size, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(share > 0.5 / size**2, total / share, np.nan).astype(np.float32)

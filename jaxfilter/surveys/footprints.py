@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 import shapely
-from scipy import ndimage
 
 from ..files.disk import Bounds
 
@@ -63,9 +63,9 @@ class Footprints:
         for x, y, sign in ((first, first, 1), (last, first, -1), (first, last, -1), (last, last, 1)):
             np.add.at(edges, (x[:, 0], y[:, 1]), sign)
         covered = edges.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
-        named, count = ndimage.label(ndimage.binary_fill_holes(covered) & ~covered)
+        named, count = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(covered) & ~covered)
         sizes = np.bincount(named.reshape(-1), minlength=count + 1)[1:]
-        boxes = ndimage.find_objects(named)
+        boxes = scipy.ndimage.find_objects(named)
         found = [
             [getattr(side, end) for end in ("start", "stop") for side in boxes[k]]
             for k in np.argsort(-sizes, kind="stable")

@@ -6,7 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..core.errors import ParameterError
 from ..core.points import canonical_points, has_area
@@ -69,7 +69,7 @@ class Dsm(Layer):
             if not has_area(top):
                 continue
             cells = occupied(dataclasses.replace(cloud, xyz=top, valid=None), site.grid)
-            near = ndimage.maximum_filter(cells, 2 * math.ceil(2 * limit / site.side) + 3, mode="constant")
+            near = scipy.ndimage.maximum_filter(cells, 2 * math.ceil(2 * limit / site.side) + 3, mode="constant")
             surface = Linear(top, site.workers)
             for rows, at in blocks_of(cloud, site.grid):
                 some = near[rows].ravel()

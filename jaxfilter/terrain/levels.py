@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+import scipy
 
 from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import warn
@@ -45,7 +46,6 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
         wet &= True if left_out is None else ~left_out
     if not wet.any():
         return None
-    from scipy import ndimage
 
     lag, pad = (cloud.origin[:2] - cloud.anchor) * cloud.units.xy / side, 2 * math.ceil(REACH / side) + 2
     place = np.floor(cloud.xyz[:, 1::-1].astype(np.float64) / side + lag[::-1] + 0.5).astype(np.int64)
@@ -66,9 +66,9 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     z = np.bincount(at, cloud.xyz[wet, 2], size).reshape(shape) / np.maximum(count, 1)
     known = count > 0
     known.reshape(-1)[cells(ground & ~wet)] = True
-    away, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
-    within = ndimage.distance_transform_edt(count == 0) * side <= REACH
-    within = ndimage.distance_transform_edt(within) * side > REACH
+    away, nearest = scipy.ndimage.distance_transform_edt(~known, return_indices=True)
+    within = scipy.ndimage.distance_transform_edt(count == 0) * side <= REACH
+    within = scipy.ndimage.distance_transform_edt(within) * side > REACH
     row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= REACH))
     source = tuple(one[row, column] for one in nearest)
     return WaterCells(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 
 from ..core.cloud import PointCloud
 from .raster import RasterGrid
@@ -46,10 +47,8 @@ def inward(data: np.ndarray, side: float) -> np.ndarray:
     Outside is what is further than :data:`INLET` from all cells with ``data``, bool[rows, columns], and connected to the
     surroundings. ``side``: of a cell, metres.
     """
-    from scipy import ndimage
-
     inlet = math.ceil(INLET / side)
     free = np.pad(~data, inlet + 2, constant_values=True)
-    filled = ndimage.binary_fill_holes(ndimage.distance_transform_edt(free) <= inlet)
+    filled = scipy.ndimage.binary_fill_holes(scipy.ndimage.distance_transform_edt(free) <= inlet)
     within = np.s_[inlet + 2 : -inlet - 2, inlet + 2 : -inlet - 2]
-    return np.asarray((ndimage.distance_transform_edt(filled)[within] - inlet - 0.5) * side)
+    return np.asarray((scipy.ndimage.distance_transform_edt(filled)[within] - inlet - 0.5) * side)

@@ -31,7 +31,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ..compiled import compiled
 from ..neighbours import groups
@@ -208,7 +208,7 @@ def join_slopes(limit: np.ndarray, pinned: np.ndarray, max_step: float) -> np.nd
     particles. What is reached does not depend on the order in which it grows.
     """
     free = ~pinned
-    label, _ = ndimage.label(free)
+    label, _ = scipy.ndimage.label(free)
     open_ = free & (np.bincount(label.ravel()) > _GROUP)[label]
     number = np.cumsum(open_).reshape(free.shape) - 1
     reached = np.zeros(free.shape, bool)
