@@ -30,6 +30,13 @@ RUN = 16384
 _MOST = 48_000_000
 """Bytes of chunks that a process keeps as they were decoded: small windows beside one another are in the same chunks."""
 
+NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud is wanted
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+    | lazrs.SELECTIVE_DECOMPRESS_Z
+    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+)
+
 ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("size", "<i4"), ("points", "<i4")])
 """Level, x, y, z of a node; where its chunk is; number of points, -1: the entry is of another page."""
 
@@ -128,13 +135,15 @@ def measured(header: Header) -> Blocks:
         found = nodes(header, file) if header.is_copc else runs(header, file)
         found = found[found.points > 0]
         groups = [found[:0]]
+        small = 2 * header.count * header.record_length <= _MOST  # what is decoded now is kept for windows of the file
+        wanted = NEEDED if small else lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
         for group in found.groups():
-            packed, area = read_ranges(header.path, file, group.start, group.size), (group.low, group.high)
+            packed = read_ranges(header.path, file, group.start, group.size)
+            group = dataclasses.replace(group, checksum=_checksums(group, packed))
             if not header.is_copc:
-                records = _decoded(header, group, packed, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-                area = _areas(header, group, records)
-            sums = _checksums(group, packed)
-            groups.append(dataclasses.replace(group, low=area[0], high=area[1], checksum=sums))
+                low, high = _areas(header, group, _records(header, group, packed, wanted))
+                group = dataclasses.replace(group, low=low, high=high)
+            groups.append(group)
     columns = [[getattr(group, field.name) for group in groups] for field in dataclasses.fields(Blocks)]
     return Blocks(*map(np.concatenate, columns))
 
@@ -144,7 +153,11 @@ def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> 
 
     Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
     """
-    packed = read_packed(header, file, blocks)
+    return _records(header, blocks, read_packed(header, file, blocks), wanted)
+
+
+def _records(header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) -> np.ndarray:
+    """As :func:`_decoded`; out of what is kept, if there is little of it."""
     large = 2 * int(blocks.points.sum()) * header.record_length > _MOST
     if large or not header.compressed or (blocks.checksum < 0).any():
         return _decoded(header, blocks, packed, wanted)

@@ -14,21 +14,13 @@ import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
 from ..core.process import need_threads
-from .blocks import Blocks, nodes, read_blocks, read_packed, runs, sound
+from .blocks import NEEDED, Blocks, nodes, read_blocks, read_packed, runs, sound
 from .disk import Bounds
 from .header import Header
 from .storage import Place
 
 CHUNK = 1_000_000
 """Points that are held at a time. LAZ is written in pieces of this size as well."""
-
-NEEDED = (  # what LAZ decompresses of point formats 6 to 10 when only the cloud is wanted
-    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
-    | lazrs.SELECTIVE_DECOMPRESS_Z
-    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
-    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
-)
-
 
 _FAULTS: tuple[tuple[Any, str], ...] = (
     (FileNotFoundError, "no such file"),
