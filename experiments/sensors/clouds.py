@@ -12,7 +12,7 @@ import jaxfilter as jf
 
 SEED = 101
 DRAWS = 11, 12, 13, 14
-"""Further seeds of the scenes. No limit was set while they were in view."""
+"""Further seeds of the scenes, drawn after the limits of OST had been set."""
 SCENES = {
     "image matching": (("town", "city", "hills"), 90.0, 40.0),
     "drone lidar": (("forest", "town", "hills"), 50.0, 100.0),

@@ -172,8 +172,8 @@ def page(tables: dict[str, list[Row]]) -> str:
         seeds = ", ".join(str(seed) for seed in dict.fromkeys(row["seed"] for row in rows))
         text += [
             "## The scenes drawn anew", "",
-            f"Means over seeds {seeds}, which nobody has looked at while limits were set; – where a method has failed "
-            "on one.", "",
+            f"Means over seeds {seeds}, drawn after the limits had been set; one alternative was turned down with them in view. "
+            "–: a method has failed on one.", "",
         ]  # fmt: skip
         for key, title, form in (("total", "Total error, %", ".2f"), ("rmse", "Terrain RMSE, m", ".3f")):
             text += wide(means(rows, key), key, f"### {title}, drawn anew", form)

@@ -232,8 +232,8 @@ def apply_survey(
     new = tuple(one for one in given.verdicts if not log.holds(one.key))
     keys = {one.key for one in new if one.word != FINE}
     every = sites(given.verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
-    new_ones = (site for site in every if any(one.key in keys for one in site.verdicts))
-    found = tuple(sorted(new_ones, key=lambda site: collection.within(site.window).tolist()))  # file by file
+    acting = (site for site in every if any(one.key in keys for one in site.verdicts))
+    found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
     report = VerdictReport()
     if found:
         if run.workers is None and run.client is None and len(found) <= _FEW:
