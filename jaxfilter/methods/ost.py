@@ -74,8 +74,8 @@ PITS = {MATCHING: (0.3, 12.0), DRONE: (1.0, 4.0)}
 """Metres that wrong matches, or echoes, lie below what surrounds them, at least, and square metres of their cells at most: a
 cluster of echoes 1 m wide is in four cells."""
 BESIDE, STEEP = 10.0, 1.0
-"""Seeds of photographs and of scans from a car beside objects and voids rise from no other within so many metres by more than so
-steep a slope, rise over run: ramps, crowns and walls at the edge of what was seen do."""
+"""Metres, and rise over run: in photographs and scans from a car a seed beside an object or a void must not lie above such a
+slope from another seed that is so near. Ramps, crowns and walls at the edge of what was seen do."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
