@@ -12,7 +12,8 @@ import pytest
 import jaxfilter as jf
 from experiments.faults.adversarial import CLOUDS
 
-FILTERS = sorted(jf.FILTERS)
+QUICK = "csf", "ost", "ptd", "smrf"
+FILTERS = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in sorted(jf.FILTERS)]
 SECONDS = 10.0  # of the processor, without what is compiled once for all clouds
 
 

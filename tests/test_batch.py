@@ -35,7 +35,7 @@ def test_clouds_of_another_membrane_stay_apart(smrf):
 
 
 @pytest.mark.parametrize("filter_, sets", [
-    (jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}),
+    pytest.param(jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}, marks=pytest.mark.slow),
     (MSF, {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
     (MSF.replace(distance="points"), {"slope": [0.2, 0.6]}),
 ], ids=["pmf", "msf", "msf-points"])  # fmt: skip

@@ -75,6 +75,7 @@ def test_the_table_of_defaults_names_every_field_with_its_present_default():
             assert listed.count((name, f"`{field.name}`", default)) == 1, (name, field.name, default)
 
 
+@pytest.mark.slow
 def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):
     text = (PAGES.parent / "adding_a_filter.md").read_text()
     skeleton = tmp_path / "skeleton.py"

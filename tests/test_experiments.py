@@ -294,6 +294,7 @@ def two_samples(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_on_generated_scenes_writes_every_table_and_goes_on_where_it_was(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "isprs" / "results"
@@ -478,6 +479,7 @@ def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
     assert row["spoiled_points"] == pytest.approx(2 * 20 * 160, rel=0.06)
 
 
+@pytest.mark.slow
 def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(failures, "SIZES", {2.0: (110.0, 80.0)})
@@ -511,6 +513,7 @@ def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkey
     assert {name: report.read_csv(tmp_path / f"{name}.csv") for name in table} == table
 
 
+@pytest.mark.slow
 def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(failures, "SIZES", {2.0: (150.0, 110.0)})
@@ -535,6 +538,7 @@ def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(
     assert report.read_csv(tmp_path / "verdicts.csv") == table
 
 
+@pytest.mark.slow
 def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     li2021.main(["--data", str(two_samples), "--out", str(tmp_path / "out"), "--quick", "--samples", "53"])
@@ -691,6 +695,7 @@ def test_labels_for_calibration_are_as_many_as_said_and_lie_together_where_said(
     assert 1 <= places <= calibration.PATCHES
 
 
+@pytest.mark.slow
 def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     scene = jf.scenes.make("mixed", size=60.0, density=1.0, seed=2)
     path = tmp_path / "scene.txt"
@@ -1068,6 +1073,7 @@ def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tm
         benchmark.main([str(tmp_path / "cache"), "--out", str(tmp_path)])
 
 
+@pytest.mark.slow
 def test_fits_leave_each_site_out_and_go_on_where_they_were(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     folder = tmp_path / "data" / "isprs"

@@ -577,7 +577,9 @@ TENTH = {"kill -9, writing without end": 6, "kill -9, the command": 2, "SIGTERM"
          "input replaced or changed": 4, "full disk": 2}  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", TENTH)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if "command" in kind else kind for kind in TENTH]
+)
 def test_faults(tmp_path, compilation_cache, kind):
     """Real processes, see experiments/faults."""
     rows = list(faults.run_all(tmp_path, {kind: TENTH[kind]}, seed=1))

@@ -19,7 +19,9 @@ def clouds(town):
     return {name: jf.PointCloud.from_arrays(town.xyz[p], reference=town.truth[p]) for name, p in parts.items()}
 
 
-@pytest.mark.parametrize("start", [jf.SMRF(window=9.0), jf.PMF(max_window=17.0)], ids=["SMRF", "PMF"])
+@pytest.mark.parametrize(
+    "start", [pytest.param(jf.SMRF(window=9.0), marks=pytest.mark.slow), jf.PMF(max_window=17.0)], ids=["SMRF", "PMF"]
+)
 def test_what_goes_down_is_the_error_of_soft_labels_and_its_gradient_that_of_differences(clouds, start):
     cloud = clouds["scene 1"]
     points, name = start.points_of(cloud), {"SMRF": "threshold", "PMF": "initial_distance"}[type(start).__name__]

@@ -91,7 +91,9 @@ def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
         np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
 
 
-@pytest.mark.parametrize("filter_, programs", [(SMRF, 6), (PMF, 6)], ids=["smrf", "pmf"])
+@pytest.mark.parametrize(
+    "filter_, programs", [pytest.param(SMRF, 6, marks=pytest.mark.slow), (PMF, 6)], ids=["smrf", "pmf"]
+)
 def test_clouds_of_unlike_size_share_few_programs(filter_, programs):
     """12 clouds of 2,000 to 40,000 points over grids of 90 to 360 cells a side: two shapes, three programs each."""
     scene = scenes.make("town", size=(362, 358), density=0.32, seed=4)
@@ -157,7 +159,7 @@ def test_shapes_that_do_not_fit_are_an_error_that_names_them(small, name, shape)
 @pytest.mark.parametrize(
     "filter_, names",
     [
-        (dataclasses.replace(SMRF, slope=0.16), ("slope", "threshold", "scaling")),
+        pytest.param(dataclasses.replace(SMRF, slope=0.16), ("slope", "threshold", "scaling"), marks=pytest.mark.slow),
         (dataclasses.replace(PMF, compare="points"), ("slope", "initial_distance", "max_distance")),
         (PMF, ("slope", "initial_distance", "max_distance")),
     ],
@@ -184,7 +186,7 @@ def test_gradients_of_soft_labels_are_those_of_finite_differences(small, filter_
     assert (np.abs(exact) > 1e-3).any()
 
 
-@pytest.mark.parametrize("filter_", [SMRF, PMF], ids=["smrf", "pmf"])
+@pytest.mark.parametrize("filter_", [pytest.param(SMRF, marks=pytest.mark.slow), PMF], ids=["smrf", "pmf"])
 def test_soft_labels_have_no_jumps_in_the_slope(small, filter_):
     """Differences lie between the gradients at both ends, across slopes at which cells become objects."""
     points, truth = small

@@ -26,6 +26,7 @@ from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
 from jaxfilter.steps.overhangs import overhangs
 from jaxfilter.steps.pruning import Scatter, prune
+from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
 from jaxfilter.steps.surfaces import lowest_cells
 from jaxfilter.steps.voids import filled_by
@@ -353,6 +354,36 @@ def test_near_steep_terrain_that_is_given_back_rough_rock_is_ground(rng, monkeyp
     near, far = bumps & (xy[:, 0] < 29), bumps & (xy[:, 0] > 31)  # the window lies around the first ten metres
     ground = filter_(points).ground
     assert ground[near].mean() > 0.9 and ground[far].mean() < 0.2
+
+
+@pytest.mark.parametrize(
+    "density, slope, plants, hidden",
+    [(5, 0.0, 0.6, True), (5, 1.0, 0.6, True), (5, 0.0, 0.3, False), (5, 3.0, 0.0, False), (1, 0.0, 0.6, False)],
+    ids=["plants", "plants on a slope", "few plants", "a bare face", "few points"],
+)
+def test_plants_hide_the_ground_where_most_points_stand_above_the_lowest(rng, density, slope, plants, hidden):
+    x, y = rng.uniform(0, 40, (2, density * 1600))
+    z = slope * x + (rng.random(len(x)) < plants) * rng.uniform(2, 9, len(x))
+    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
+    found = veiled(points, lowest_cells(points, 1.0, "here"), 10.0)
+    rows = slice(3, 37)  # cells at the border have few points, or a part of a face
+    assert (found[rows, rows] == hidden).all()
+
+
+def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few(monkeypatch):
+    """A slope of 31 degrees under forest, of which one pulse in a hundred meets the ground below a crown."""
+    layout = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], penetration=0.01, tilt=0.6, forest=0.95)
+    scene = jf.scenes.make(layout, size=(250, 200), density=4.0, seed=21)
+    assert scene.truth[scene.cloud.candidate].mean() < 0.3
+
+    def measured():
+        result = jf.OST.for_cloud(scene.cloud)(scene.cloud)
+        return jf.dtm_rmse(scene.cloud, result, scene.truth)
+
+    found = measured()
+    monkeypatch.setattr(ost, "SIDES", 5)  # no seed rises on so many
+    before = measured()
+    assert found.rmse < 0.7 * before.rmse and found.off < 0.7 * before.off and before.off > 1
 
 
 def overhanging(rng):

@@ -152,21 +152,22 @@ def test_a_cluster_of_echoes_below_drone_lidar_spoils_nothing_wherever_cells_lie
     assert not found[len(ground) :].any() and found[: len(ground)].mean() > 0.99
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_what_rises_more_steeply_than_terrain_is_told_pair_by_pair(seed):
+@pytest.mark.parametrize("seed, sides", [(0, 1), (1, 1), (2, 2), (3, 3)])
+def test_what_rises_more_steeply_than_terrain_is_told_pair_by_pair(seed, sides):
     rng = np.random.default_rng(seed)
     xyz = rng.uniform(0, 30, (400, 3)).astype(np.float32) * np.float32([1, 1, 0.3])
     rows, others = rng.choice(400, 90, replace=False), np.arange(0, 400, 2)
-    steep = [
-        any(
-            p[2] - q[2] > 0.8 * np.hypot(*(p - q)[:2]) + 0.3
+    quadrants = [
+        {
+            tuple(q[:2] > p[:2])
             for q in xyz[others].astype(float)
-            if np.hypot(*(p - q)[:2]) <= 5
-        )
+            if np.hypot(*(p - q)[:2]) <= 5 and p[2] - q[2] > 0.8 * np.hypot(*(p - q)[:2]) + 0.3
+        }
         for p in xyz[rows].astype(float)
     ]
+    steep = [len(some) >= sides for some in quadrants]
     assert 0 < np.sum(steep) < 90
-    np.testing.assert_array_equal(rising(xyz, rows, others, 5.0, 0.8), steep)
+    np.testing.assert_array_equal(rising(xyz, rows, others, 5.0, 0.8, sides), steep)
     assert not rising(xyz, rows[:0], others, 5.0, 0.8).size
 
 

@@ -56,10 +56,10 @@ def las_of(folder):
     "filter_",
     [
         jf.SMRF(window=9.0),
-        PMF,
+        pytest.param(PMF, marks=pytest.mark.slow),
         jf.PTD(seed_cell=12.0, low_clusters=False),
         jf.STIN(seed_cell=12.0),
-        jf.OST(window=6.0, landscape=8.0),
+        pytest.param(jf.OST(window=6.0, landscape=8.0), marks=pytest.mark.slow),
     ],
     ids=lambda one: type(one).__name__,
 )

@@ -284,6 +284,7 @@ def test_threads_keep_the_device_of_their_caller():
             assert pool.submit(on_same_device(used), 0).result() == device
 
 
+@pytest.mark.slow
 def test_batches_of_clouds_of_unlike_size_have_the_labels_of_single_calls():
     sizes = {"a": (60, 50), "b": (30, 75), "c": (280, 40)}
     clouds = {name: jf.scenes.make("town", size=size, density=0.8, seed=4).cloud for name, size in sizes.items()}

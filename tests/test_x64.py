@@ -50,6 +50,7 @@ def results():
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.environ.get("JAX_ENABLE_X64") == "1", reason="this process has it")
 def test_all_methods_give_the_same_with_64_bits(tmp_path):
     path = str(tmp_path / "x64.npz")

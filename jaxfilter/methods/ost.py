@@ -32,7 +32,7 @@ from ..steps.objects import Roofs, Segments
 from ..steps.outliers import lowest_few, pits
 from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
-from ..steps.seeds import rising
+from ..steps.seeds import rising, veiled
 from ..steps.sensors import AIRBORNE, DRONE, KINDS, MATCHING, MOBILE, Sensed
 from ..steps.surfaces import Cells, cell_for, highest_in, look_up, lowest_cells, number_in, steepest_drops
 from ..steps.voids import filled_by, sunk
@@ -73,9 +73,12 @@ NO_VOID = 1e4
 PITS = {MATCHING: (0.3, 12.0), DRONE: (1.0, 4.0)}
 """Metres that wrong matches, or echoes, lie below what surrounds them, at least, and square metres of their cells at most: a
 cluster of echoes 1 m wide is in four cells."""
-BESIDE, STEEP = 10.0, 1.0
-"""Metres, and rise over run: in photographs and scans from a car a seed beside an object or a void must not lie above such a
-slope from another seed that is so near. Ramps, crowns and walls at the edge of what was seen do."""
+BESIDE, STEEP, STEEPER = 10.0, 1.0, 1.25
+"""Metres, and rise over run: a suspect seed must not lie above such a slope from another seed that is so near. In photographs and
+scans from a car those beside an object or a void are suspect: ramps, crowns and walls at the edge of what was seen rise so."""
+SIDES = 2
+"""In lidar from the air those where plants hide the ground are suspect. They must not lie above the steeper slope on so many
+sides: the upper edge of a step does on one."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -97,9 +100,9 @@ class OST(Filter):
        of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Parts of
        all these cells that are bare and steep without walls are terrain. Steps 4 and 5 are repeated once, since G needs to
        know what is an object.
-    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment; of photographs and scans from a
-       car, those beside objects and voids only if they do not rise steeply from others. On their triangulation all
-       points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
+    6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. Where plants hide the ground, and
+       in photographs and scans from a car beside objects and voids, they must not rise steeply from others. On their
+       triangulation all points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.
     7. Points join in ``rounds`` of densification if distance and angle to their facet are small (after Axelsson 2000);
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
        be within the angle of the nearest place on it, too.
@@ -238,10 +241,11 @@ class OST(Filter):
         objects, drop, bare, landscape = self.objects(scene)
         inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
         rough: np.ndarray | np.float32 = np.float32(0)
-        rock = np.zeros(len(every), bool)
+        rock, steep = np.zeros(len(every), bool), bare
         if bare.any():
             reach = min(math.ceil(self.window / self.cell - 1e-6), sum(bare.shape))
-            rough = look_up(points.xyz, scene.cells, dilation(bare.astype(np.float32), reach, reach))[0]
+            steep = np.asarray(dilation(bare.astype(np.float32), reach, reach))
+            (rough,) = look_up(points.xyz, scene.cells, steep)
             rock = overhangs(every.xyz, scene.cells, bare, float(self.roof_step), reach)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
@@ -250,8 +254,7 @@ class OST(Filter):
         wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
-        if self.sensor in (MATCHING, MOBILE):
-            seeds = without_ramps(points, seeds, scene.cells, objects | bare)
+        seeds = self.firm(points, seeds, scene.cells, objects | bare, steep > 0)
         del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         if not has_area(points.xyz[seeds]):
             seeds = lowest
@@ -358,6 +361,20 @@ class OST(Filter):
         clear[inner] = np.where(apart, level[inner], np.nan)
         return Crossings(deck, level, clear)
 
+    def firm(
+        self, points: Points, seeds: np.ndarray, cells: Cells, objects: np.ndarray, steep: np.ndarray
+    ) -> np.ndarray:
+        """i64: those of the ``seeds``, rows, that do not rise steeply from others where they may stand on plants, walls or ramps
+        (step 6). ``objects``, ``steep``: bool[rows, columns], of the shape of ``cells``; places near steep terrain that was given
+        back."""
+        if self.sensor in (MATCHING, MOBILE):
+            suspect, limits = scipy.ndimage.binary_dilation(objects | ~np.asarray(cells.seen)), (STEEP, 1)
+        else:
+            suspect, limits = veiled(points, cells, BESIDE) & ~steep, (STEEPER, SIDES)
+        high = look_up(points.xyz[seeds], cells, suspect.astype(np.float32))[0] > 0.5
+        high[high] = rising(points.xyz, seeds[high], seeds, BESIDE, *limits)
+        return seeds[~high]
+
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
         radius = max(float(self.window), LOW_SPACINGS * points.spacing())
@@ -413,14 +430,6 @@ class OST(Filter):
         padded = np.zeros(z.shape, bool)
         padded[inner] = bare
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), padded, landscape
-
-
-def without_ramps(points: Points, seeds: np.ndarray, cells: Cells, objects: np.ndarray) -> np.ndarray:
-    """i64: those of the ``seeds``, rows, that stand on no ramp. ``objects``: bool[rows, columns], of the shape of ``cells``."""
-    edge = scipy.ndimage.binary_dilation(objects | ~np.asarray(cells.seen)).astype(np.float32)
-    near = look_up(points.xyz[seeds], cells, edge)[0] > 0.5
-    near[near] = rising(points.xyz, seeds[near], seeds, BESIDE, STEEP)
-    return seeds[~near]
 
 
 class Limits(NamedTuple):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy
 
@@ -13,6 +15,10 @@ from ..engines.grid.minima import lowest_points, places_in
 from ..engines.grid.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
 
+VEILED, ABOVE = 0.5, 0.5
+"""Plants hide the ground where more than this share of the points that are not the lowest of their cell lie so many metres above
+the lowest ones, also above those beside them uphill."""
+_UPHILL = 3  # of 3 x 3 cells on a face
 _LEVEL = 0.3  # metres above a slope that count as on it
 _AT_ONCE = 5_000  # points whose pairs are in memory
 
@@ -106,14 +112,45 @@ def under_canopy(xyz: np.ndarray, counted: np.ndarray, grid: Grid, height: float
     return xyz[:, 2] - lowest[at] < height
 
 
-def rising(xyz: np.ndarray, rows: np.ndarray, others: np.ndarray, beside: float, steepest: float) -> np.ndarray:
+def veiled(points: Points, cells: Cells, around: float) -> np.ndarray:
+    """bool[rows, columns], of the shape of ``cells``: where plants hide the ground, by the points within ``around`` metres along
+    both axes.
+
+    See :data:`VEILED`; the third highest of the lowest points of 3 x 3 cells is as high as a plane face rises within a cell.
+    There must be two points to a cell in the mean: fewer on steep rock look the same.
+    """
+    rows, columns = (int(n) for n in cells.extent)
+    at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
+    number = np.bincount(at, points.weight, rows * columns).reshape(rows, columns)
+    lowest, seen = np.asarray(cells.lowest)[:rows, :columns], number > 0
+    uphill = scipy.ndimage.rank_filter(np.where(seen, lowest, np.float32(-np.inf)), -_UPHILL, 3)
+    above = points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(ABOVE))[at]
+    above = np.bincount(at, points.weight * above, rows * columns).reshape(rows, columns)
+    ones = np.ones(2 * math.ceil(around / float(cells.frame[2]) - 1e-6) + 1)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        """Exact, since the values are halves of whole numbers."""
+        for axis in range(2):
+            values = scipy.ndimage.correlate1d(values, ones, axis, mode="constant")
+        return values
+
+    found = np.zeros(cells.seen.shape, bool)
+    found[:rows, :columns] = (total(above - VEILED * (number - seen)) > 0) & (total(number - 2.0 * seen) >= 0)
+    return found
+
+
+def rising(
+    xyz: np.ndarray, rows: np.ndarray, others: np.ndarray, beside: float, steepest: float, sides: int = 1
+) -> np.ndarray:
     """bool[k]: which of the points ``rows``, i64[k], lie more than 0.3 m above a slope of ``steepest``, rise over run, from one
-    of the points ``others``, i64[j], within ``beside`` metres. ``xyz``: f32[m, 3], metres."""
-    xyz, most = xyz.astype(np.float64), np.full(len(rows), np.inf)
+    of the points ``others``, i64[j], within ``beside`` metres; in ``sides`` at least of the four quadrants around them. ``xyz``:
+    f32[m, 3], metres."""
+    xyz, most = xyz.astype(np.float64), np.full((len(rows), 4), np.inf)
     tree = scipy.spatial.KDTree(xyz[others, :2])
     for start in range(0, len(rows), _AT_ONCE):
         near = scipy.spatial.KDTree(xyz[rows[start : start + _AT_ONCE], :2])
         pairs = near.sparse_distance_matrix(tree, beside, output_type="ndarray")
-        z = xyz[others[pairs["j"]], 2] + steepest * pairs["v"] + _LEVEL
-        np.minimum.at(most, start + pairs["i"], z)
-    return np.asarray(xyz[rows, 2] > most)
+        (x, y, z), i = xyz[others[pairs["j"]]].T, start + pairs["i"]
+        quadrant = 2 * (x > xyz[rows[i], 0]) + (y > xyz[rows[i], 1])
+        np.minimum.at(most, (i, quadrant), z + steepest * pairs["v"] + _LEVEL)
+    return np.asarray((xyz[rows, 2, None] > most).sum(axis=1) >= sides)
