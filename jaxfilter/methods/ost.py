@@ -76,9 +76,9 @@ cluster of echoes 1 m wide is in four cells."""
 BESIDE, STEEP, STEEPER = 10.0, 1.0, 1.25
 """Metres, and rise over run: a suspect seed must not lie above such a slope from another seed that is so near. In photographs and
 scans from a car those beside an object or a void are suspect: ramps, crowns and walls at the edge of what was seen rise so."""
-SIDES = 2
+SIDES, PLANTS = 2, 2.0
 """In lidar from the air those where plants hide the ground are suspect. They must not lie above the steeper slope on so many
-sides: the upper edge of a step does on one."""
+sides: the upper edge of a step does on one. Plants are looked for in cells of so many point spacings, which hold four points."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -241,11 +241,10 @@ class OST(Filter):
         objects, drop, bare, landscape = self.objects(scene)
         inside, steepness = look_up(points.xyz, scene.cells, objects.astype(np.float32), drop)
         rough: np.ndarray | np.float32 = np.float32(0)
-        rock, steep = np.zeros(len(every), bool), bare
+        rock = np.zeros(len(every), bool)
         if bare.any():
             reach = min(math.ceil(self.window / self.cell - 1e-6), sum(bare.shape))
-            steep = np.asarray(dilation(bare.astype(np.float32), reach, reach))
-            (rough,) = look_up(points.xyz, scene.cells, steep)
+            rough = look_up(points.xyz, scene.cells, dilation(bare.astype(np.float32), reach, reach))[0]
             rock = overhangs(every.xyz, scene.cells, bare, float(self.roof_step), reach)
         in_object, around, marked = inside > 0.5, landscape.at(points.xyz), int(objects.sum())
         low, lowest = scene.low, scene.lowest
@@ -254,7 +253,7 @@ class OST(Filter):
         wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
-        seeds = self.firm(points, seeds, scene.cells, objects | bare, steep > 0)
+        seeds = self.firm(points, spacing, seeds, scene, objects | bare, rough)
         del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         if not has_area(points.xyz[seeds]):
             seeds = lowest
@@ -362,16 +361,27 @@ class OST(Filter):
         return Crossings(deck, level, clear)
 
     def firm(
-        self, points: Points, seeds: np.ndarray, cells: Cells, objects: np.ndarray, steep: np.ndarray
+        self,
+        points: Points,
+        spacing: float,
+        seeds: np.ndarray,
+        scene: Openings,
+        edges: np.ndarray,
+        rough: np.ndarray | np.float32,
     ) -> np.ndarray:
-        """i64: those of the ``seeds``, rows, that do not rise steeply from others where they may stand on plants, walls or ramps
-        (step 6). ``objects``, ``steep``: bool[rows, columns], of the shape of ``cells``; places near steep terrain that was given
-        back."""
+        """i64: the ``seeds``, rows, without those that rise from others as what stands on plants, walls and ramps does (step 6).
+
+        ``edges``: bool[rows, columns], cells beside which seeds of photographs and of scans from a car are suspect; ``rough``:
+        f32[m], above zero near steep terrain that was given back, where seeds of lidar from the air are not; or one for all.
+        """
         if self.sensor in (MATCHING, MOBILE):
-            suspect, limits = scipy.ndimage.binary_dilation(objects | ~np.asarray(cells.seen)), (STEEP, 1)
+            cells, limits, rough = scene.cells, (STEEP, 1), np.float32(0)
+            where = scipy.ndimage.binary_dilation(edges | ~np.asarray(cells.seen))
         else:
-            suspect, limits = veiled(points, cells, BESIDE) & ~steep, (STEEPER, SIDES)
-        high = look_up(points.xyz[seeds], cells, suspect.astype(np.float32))[0] > 0.5
+            cells = lowest_cells(points, max(self.cell, cell_for(spacing, PLANTS)), "OST(cell)", barred=scene.low)
+            limits, where = (STEEPER, SIDES), veiled(points, cells, BESIDE)
+        high = look_up(points.xyz[seeds], cells, where.astype(np.float32))[0] > 0.5
+        high &= np.broadcast_to(rough, len(points))[seeds] == 0
         high[high] = rising(points.xyz, seeds[high], seeds, BESIDE, *limits)
         return seeds[~high]
 

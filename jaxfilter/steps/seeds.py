@@ -117,7 +117,7 @@ def veiled(points: Points, cells: Cells, around: float) -> np.ndarray:
     both axes.
 
     See :data:`VEILED`; the third highest of the lowest points of 3 x 3 cells is as high as a plane face rises within a cell.
-    There must be two points to a cell in the mean: fewer on steep rock look the same.
+    There must be two points to a cell in the mean: fewer on steep rock look the same. ``points``: those of which ``cells`` are.
     """
     rows, columns = (int(n) for n in cells.extent)
     at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
