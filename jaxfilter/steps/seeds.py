@@ -121,11 +121,13 @@ def veiled(points: Points, cells: Cells, around: float) -> np.ndarray:
     """
     rows, columns = (int(n) for n in cells.extent)
     at = places_in(points.xyz, np.asarray(cells.frame), np.asarray(cells.extent), columns)
-    number = np.bincount(at, points.weight, rows * columns).reshape(rows, columns)
-    lowest, seen = np.asarray(cells.lowest)[:rows, :columns], number > 0
+    lowest, seen = (np.asarray(values)[:rows, :columns] for values in (cells.lowest, cells.seen))
     uphill = scipy.ndimage.rank_filter(np.where(seen, lowest, np.float32(-np.inf)), -_UPHILL, 3)
-    above = points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(ABOVE))[at]
-    above = np.bincount(at, points.weight * above, rows * columns).reshape(rows, columns)
+    high = points.xyz[:, 2] > (np.maximum(lowest, uphill).ravel() + np.float32(ABOVE))[at]
+    above, number = (
+        np.where(seen, np.bincount(at, weight, rows * columns).reshape(rows, columns), 0)
+        for weight in (points.weight * high, points.weight)
+    )
     ones = np.ones(2 * math.ceil(around / float(cells.frame[2]) - 1e-6) + 1)
 
     def total(values: np.ndarray) -> np.ndarray:
