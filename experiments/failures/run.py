@@ -35,7 +35,7 @@ from jaxfilter.scoring import reference_labels
 HERE = Path(__file__).parent
 JUNGLE = dataclasses.replace(jf.scenes.LAYOUTS["canopy"], tilt=0.6, forest=0.95, penetration=0.01)
 """Forest on a slope of 31 degrees: of the pulses that meet a crown a hundredth reaches the ground. OST's rule for seeds on plants
-was found on such forests of other seeds."""
+was found on such forests of other seeds; its part for sparse clouds with this one in view."""
 LAYOUTS = jf.scenes.LAYOUTS | {"jungle": JUNGLE}
 SCENES = ("coast", "gorge", "benches", "vineyard", "canopy", "jungle")
 SIZES = {0.5: (400.0, 300.0), 2.0: (400.0, 300.0), 8.0: (400.0, 160.0)}
