@@ -27,7 +27,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Slow are tests that others do in part: the same of one more method, and of clouds, processes and kills in larger number."""
+    """Tests marked as slow take long; most do with another method, or with more processes, what a test that is not slow does."""
     if not config.getoption("--slow"):
         for item in items:
             if "slow" in item.keywords:
