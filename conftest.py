@@ -17,12 +17,14 @@ import shlex
 import shutil
 import tempfile
 import warnings
+from collections.abc import Iterable
 from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import click
+import pytest
 from click.testing import CliRunner
 from sybil import Example, Sybil
 from sybil.parsers.markdown import CodeBlockParser
@@ -42,6 +44,13 @@ NOT_RUN = {
     ("docs/examples/tutorials/e_few_clicks.py", "clicks, kinds = [], []"): "somebody has to click",
 }
 """Page and beginning of a block, and why it is only compiled; of tutorials, which run when the site is built, code blocks."""
+
+SLOW = {
+    ("docs/arrays.md", "towns ="): "tests/test_batch.py has smaller clouds",
+    ("docs/arrays.md", "import optax"): "tests/test_fit.py has smaller clouds",
+    ("docs/sweeps.md", "towns ="): "tests/test_fit.py has smaller clouds",
+}
+"""Page and beginning of a block that runs with ``--slow`` only, and what is tested without it."""
 
 CHANGED = {
     "jf.calibrate(jf.SMRF(), cloud, labels)": "jf.calibrate(jf.SMRF(), cloud, labels, size=16, rounds=1)",
@@ -83,6 +92,19 @@ FEWER = {
     "--axis slope=0.05:0.3:0.05 --axis threshold=0.2:1:0.2": "--axis slope=0.1:0.2:0.1 --axis threshold=0.2:1:0.4",
 }
 """Words of commands that are others here: fewer sets, and patches of the small town."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--slow``."""
+    parser.addoption("--slow", action="store_true", help="Run the tests that are marked as slow, too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Slow tests take long; most do with another method, or with more processes, what a test that is not slow does."""
+    for item in items if not config.getoption("--slow") else []:
+        example = getattr(item, "example", None)
+        if "slow" in item.keywords or (example is not None and begins(example, SLOW)):
+            item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
 
 
 def in_small(folder: Path) -> dict[str, Any]:
@@ -131,13 +153,18 @@ def page(example: Example) -> str:
     return Path(example.path).resolve().relative_to(ROOT).as_posix()
 
 
+def begins(example: Example, blocks: Iterable[tuple[str, str]]) -> bool:
+    """Whether a block is one of these."""
+    return any(where == page(example) and str(example.parsed).startswith(begin) for where, begin in blocks)
+
+
 def run_python(example: Example) -> None:
     """Run a block; keep what it prints for the block after it. The README shall warn of nothing."""
     from jaxfilter.core.errors import JaxfilterWarning
 
     source, names, name = str(example.parsed), example.namespace, page(example)
     code = "\n" * (example.line + 1) + source
-    if any(where == name and source.startswith(begin) for where, begin in NOT_RUN):
+    if begins(example, NOT_RUN):
         compile(code, name, "exec")
         names.pop("_said", None)
         return

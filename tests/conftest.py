@@ -18,20 +18,11 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(platformdirs.user_cache_dir("j
 
 def pytest_addoption(parser):
     parser.addoption("--filter-file", action="append", default=[], help="Python file with a filter to test like ours")
-    parser.addoption("--slow", action="store_true", help="Run the tests that are marked as slow, too")
 
 
 def pytest_configure(config):
     for path in config.getoption("--filter-file"):
         runpy.run_path(path, run_name="filter_file")  # the class registers itself
-
-
-def pytest_collection_modifyitems(config, items):
-    """Tests marked as slow take long; most do with another method, or with more processes, what a test that is not slow does."""
-    if not config.getoption("--slow"):
-        for item in items:
-            if "slow" in item.keywords:
-                item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
 
 
 @pytest.fixture(scope="session")

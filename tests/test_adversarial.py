@@ -12,7 +12,7 @@ import pytest
 import jaxfilter as jf
 from experiments.faults.adversarial import CLOUDS
 
-QUICK = "csf", "ost", "ptd", "smrf"
+QUICK = "ost", "ptd", "smrf"
 FILTERS = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in sorted(jf.FILTERS)]
 SECONDS = 10.0  # of the processor, without what is compiled once for all clouds
 
@@ -24,7 +24,7 @@ def method(request, town):
     return method
 
 
-@pytest.mark.parametrize("name", CLOUDS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "millimetres" else n for n in CLOUDS])
 def test_labels_or_a_clear_error(method, name):
     xyz = CLOUDS[name](0.01)
     start = time.process_time()

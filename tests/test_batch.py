@@ -78,6 +78,7 @@ def test_one_program_under_jit_vmap_and_in_chunks(scenes, monkeypatch):
     np.testing.assert_array_equal(jax.jit(lambda batch, sets: batch.confusion(sets))(made, sets), expected)
 
 
+@pytest.mark.slow
 def test_soft_labels_and_their_gradients_are_those_of_single_clouds(scenes):
     filter_ = jf.PMF(max_window=9.0)
     made, cloud = jf.batch([scenes["a"].cloud], filter_), scenes["a"].cloud

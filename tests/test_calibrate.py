@@ -105,6 +105,7 @@ def test_an_optimiser_drives_a_study_in_batches(scene, patches):
     assert len(study.sets) == 36 and optimiser.best_value == pytest.approx(float(study.result().trials.total.min()))
 
 
+@pytest.mark.slow
 def test_scores_are_averaged_over_sets_with_similar_parameters_only(scene):
     study = jf.Study(jf.SMRF(), scene.cloud, scene.truth)  # all labels are known: the score to expect is the score
     slopes = np.geomspace(0.04, 0.5, 20)

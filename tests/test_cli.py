@@ -437,6 +437,7 @@ def demo(folder, cache, *arguments):
     return subprocess.run(call, capture_output=True, text=True, env=own | {"JAXFILTER_CACHE": str(cache)})
 
 
+@pytest.mark.slow
 def test_demo_runs_again_from_the_compilation_cache(tmp_path):
     """The second process spends less than a fifth of the first one's compile time."""
     first, second = (json.loads(demo(tmp_path / "demo", tmp_path / "cache", "--json").stdout) for _ in range(2))

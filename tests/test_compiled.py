@@ -309,6 +309,7 @@ def test_a_script_keeps_what_it_compiles_and_says_so_once(tmp_path):
     assert f"{tmp_path / 'jax'}: compiled code is kept here" in first[1] and not second[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variable", ["JAXFILTER_CACHE", "JAX_COMPILATION_CACHE_DIR"])
 def test_a_script_keeps_nothing_if_told_so_or_if_jax_does(variable, tmp_path):
     own = "off" if variable == "JAXFILTER_CACHE" else str(tmp_path / "own")

@@ -252,6 +252,7 @@ def derivatives(function, at):
     return [mode for mode in ("reverse", "forward") if mode in values]
 
 
+@pytest.mark.slow
 def test_operations_differentiate_as_the_table_says():
     said = {}
     for name, column in re.findall(r"^\| `(\w+\.\w+)` \|.*\| (.*) \|$", (PAGES.parent / "arrays.md").read_text(), re.M):

@@ -72,6 +72,8 @@ def public():
 
 
 PUBLIC = public()
+SLOW = {"AGPTD", "Calibration", "Fit", "IPTD", "PPDF", "STIN", "breaklines", "fit", "plots.fit_curves", "soft_labels"}
+"""Examples that compile much; what they show has tests of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +110,7 @@ def test_the_scene_of_the_examples_is_that_of_the_docstring(scene):
     assert (jf.scenes.make("mixed", size=60, density=1, seed=3).xyz == scene.xyz).all()
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in PUBLIC])
 def test_a_public_name_has_an_example_that_is_right(name, names, folder, compilation_cache, tmp_path, monkeypatch):
     text = text_of(PUBLIC[name])
     here = tmp_path / "here"

@@ -333,6 +333,7 @@ def test_a_run_on_generated_scenes_writes_every_table_and_goes_on_where_it_was(t
     assert [(method, sample, list(sets)) for method, sample, _, sets in tasks] == [("smrf", "samp53", [2])]
 
 
+@pytest.mark.slow
 def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     every = ablations.variants()
@@ -372,6 +373,7 @@ def test_points_that_an_ablation_leaves_out_are_objects():
     assert barred.any() and not ablations._left_out(filter_, scene.cloud)[barred].any()
 
 
+@pytest.mark.slow
 def test_smrf_taken_apart_for_the_ablations_is_smrf(rng):
     xy = rng.uniform(0, (64, 60), (3000, 2))
     ridge = np.maximum(0, 6 - 0.3 * np.abs(xy[:, 0] - xy[:, 1]))  # squares cut more from it than disks

@@ -49,6 +49,7 @@ def test_what_goes_down_is_the_error_of_soft_labels_and_its_gradient_that_of_dif
         assert slopes[field][0] == pytest.approx(float(above[0][0][0] - below[0][0][0]) / step, rel=0.05, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_fit_from_a_bad_start_finds_what_labels_were_made_with(clouds):
     start, true = jf.SMRF(window=9.0, threshold=1.1), jf.SMRF(window=9.0, threshold=0.4)
     labels = {name: true(cloud).ground for name, cloud in clouds.items()}
@@ -72,6 +73,7 @@ def test_the_start_is_returned_where_clouds_contradict_each_other(clouds):
     assert not found.moved and found.filter == start and "no better than the start" in str(found)
 
 
+@pytest.mark.slow
 def test_one_cloud_is_cut_into_blocks_and_clouds_of_a_group_stay_together(clouds):
     start, cloud = jf.SMRF(window=9.0, threshold=1.4), clouds["scene 1"]
     labels = np.where(cloud.xyz[:, 0] < 30, cloud.reference, -1)  # of 45 m

@@ -300,6 +300,7 @@ def test_many_chunks(tmp_path, monkeypatch, suffix):
     np.testing.assert_array_equal(out.height, result.height)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_cloud(tmp_path, monkeypatch):
     n = 800_000  # chunks of 50,000 are the least that is read
     make_las(tmp_path / "in.laz", 6, n=n)

@@ -130,6 +130,7 @@ def test_presets_hold_the_printed_parameters():
         jf.IPTD(cell=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_operators_parameters_reach_the_printed_mean(sample):
     clouds = {s: sample(s, own_corner=True) for s in PRINTED}

@@ -99,6 +99,7 @@ def test_ptd_with_class_thresholds(samples):
     assert mean(scores(samples, lambda s: jf.PTD.preset(CLASSES[s])), "total") <= 8.2
 
 
+@pytest.mark.slow
 def test_ptd_with_a_static_border_reproduces_table_four(sample):
     samples = {s: sample(s, own_corner=True) for s in SAMPLES}
     table = scores(samples, lambda s: jf.PTD.preset(CLASSES[s], refresh_border=False))
@@ -111,6 +112,7 @@ def test_smrf_single_set(samples):
     assert mean(table, "total") <= 4.5 and abs(mean(table, "kappa") - 85.4) <= 0.5
 
 
+@pytest.mark.slow
 def test_smrf_with_the_authors_optima(samples):
     table = scores(samples, lambda s: jf.SMRF.preset(f"samp{s}"))
     assert mean(table, "total") <= 3.6 and mean(table, "kappa") >= 88.5

@@ -361,6 +361,7 @@ def test_options_of_commands_are_the_settings_of_layers():
         }
 
 
+@pytest.mark.slow
 def test_products_find_the_ground_and_go_on_after_a_stop_anywhere(survey, tmp_path):
     """Stopped after every few tasks of classifying and of rasters, the outputs are those of an undisturbed run."""
     how = {"ground": jf.PMF(max_window=9.0, low_clusters=False), "tile": 80.0, "cell": 2.0}

@@ -215,6 +215,7 @@ def test_cells_are_found_with_and_without_a_table(rng, monkeypatch):
         np.testing.assert_array_equal(cells.grown(2).find(row, column), number)
 
 
+@pytest.mark.slow
 def test_memory_of_low_clusters_does_not_grow_with_the_extent(rng):
     xyz = hillside(rng, 0.0)
     low = np.argsort(np.hypot(*(xyz[:, :2] - 80).T))[:20]

@@ -51,7 +51,10 @@ print([forked(step) for step in steps])
 """
 
 
-@pytest.mark.parametrize(("first", "codes"), [("read", [7] * 6), ("evaluate", [7] * 6), ("nothing", [1, 1])])
+@pytest.mark.parametrize(
+    ("first", "codes"),
+    [("read", [7] * 6), pytest.param("evaluate", [7] * 6, marks=pytest.mark.slow), ("nothing", [1, 1])],
+)
 def test_children_of_fork_say_spawn_where_threads_were_lost(tmp_path, rng, first, codes):
     laz = tmp_path / "cloud.laz"
     jf.write(laz, jf.PointCloud.from_arrays(rng.uniform(0, 20, (500, 3))), rng.random(500) < 0.5)

@@ -573,7 +573,7 @@ def test_coordinates_that_float32_does_not_resolve(shift, units, step):
         jf.PointCloud.from_arrays(xyz, units=units)
 
 
-@pytest.mark.parametrize("scale", [0.01, 0.0001])
+@pytest.mark.parametrize("scale", [pytest.param(0.01, marks=pytest.mark.slow), 0.0001])
 def test_tables_of_results_have_the_coordinates_of_the_file(tmp_path, scale):
     las = make_las(tmp_path / "in.laz", 6, "1.4", n=400)
     las.header.scales = np.full(3, scale)

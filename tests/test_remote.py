@@ -302,6 +302,7 @@ def test_a_terrain_model_into_an_object_store(tmp_path, bucket, west_and_east):
     assert refused.calls == []
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
 def test_products_into_an_object_store(tmp_path, bucket, west_and_east):
     """The files that a local folder has, byte for byte; the page has no pictures of what is elsewhere."""

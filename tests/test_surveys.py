@@ -55,7 +55,7 @@ def las_of(folder):
 @pytest.mark.parametrize(
     "filter_",
     [
-        jf.SMRF(window=9.0),
+        pytest.param(jf.SMRF(window=9.0), marks=pytest.mark.slow),
         pytest.param(PMF, marks=pytest.mark.slow),
         jf.PTD(seed_cell=12.0, low_clusters=False),
         jf.STIN(seed_cell=12.0),

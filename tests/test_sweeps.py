@@ -65,7 +65,11 @@ def test_smrf_grid_equals_single_runs(cloud, hills):
         check_equal(product(jf.SMRF(), slope=(0.05, 0.15, 0.4), threshold=(0.2, 0.7), scaling=(0.0, 1.25)), scene)
 
 
-@pytest.mark.parametrize("options", [{}, {"compare": "points"}, {"reading": "points", "compare": "points"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{}, pytest.param({"compare": "points"}, marks=pytest.mark.slow), {"reading": "points", "compare": "points"}],
+    ids=str,
+)
 def test_pmf_equals_single_runs(options, hills):
     axes = {"slope": (0.1, 0.3, 0.7), "initial_distance": (0.2, 0.6), "max_distance": (1.0, 3.0)}
     sets = product(jf.PMF(max_window=30.0, **options), **axes)
@@ -142,7 +146,15 @@ def test_methods_on_triangulations_equal_single_runs(filter_, hills):
     assert len({ground.tobytes() for ground in found}) > 3
 
 
-@pytest.mark.parametrize("filter_", [jf.SPF(window=30.0), jf.OST(window=15.0), jf.AGPTD(seed_cell=30.0)], ids=str)
+@pytest.mark.parametrize(
+    "filter_",
+    [
+        jf.SPF(window=30.0),
+        pytest.param(jf.OST(window=15.0), marks=pytest.mark.slow),
+        pytest.param(jf.AGPTD(seed_cell=30.0), marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
 def test_random_sets_whose_seeds_differ_equal_single_runs(filter_, hills, cloud):
     unit = np.random.default_rng(1).random((8, len(search_ranges(filter_))))
     values = [{n: r.at(u) for (n, r), u in zip(search_ranges(filter_).items(), row, strict=True)} for row in unit]

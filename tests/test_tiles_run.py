@@ -272,7 +272,7 @@ def higher(records):
     records[:, 8] ^= 64
 
 
-@pytest.mark.parametrize("change", [turned, higher])
+@pytest.mark.parametrize("change", [turned, pytest.param(higher, marks=pytest.mark.slow)])
 def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path, change):
     """Size, header and time stay. No file is written with labels of points that it does not hold."""
     survey, out = tmp_path / "survey", tmp_path / "out"
