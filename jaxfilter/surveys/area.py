@@ -1,21 +1,23 @@
 """The area of interest of a survey: points in it are written, and those around it take part.
 
-Imported where there is one: Shapely takes a while.
+Shapely is imported where there is one: it takes a while.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import shapely
 
 from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.reading import Reading
 from ..files.disk import Bounds
 from .collection import Collection
+
+if TYPE_CHECKING:
+    import shapely
 
 
 def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
@@ -25,6 +27,7 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
     are cut by bounds only, and with bounds. Warns: if it is transformed, or repaired.
     """
     import geopandas
+    import shapely
 
     aoi = reading.aoi
     name = os.fspath(aoi) if isinstance(aoi, (str, os.PathLike)) else "aoi"
@@ -61,11 +64,17 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
 
 def meeting(area: shapely.Geometry, boxes: np.ndarray) -> np.ndarray:
     """bool[n]: closed boxes f64[n, 4] that share a place with an area."""
+    import shapely
+
     return np.asarray(shapely.intersects(area, shapely.box(*boxes.T)))
 
 
-def within(area: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """bool: places in an area or on its border, file coordinates."""
+def within(area: shapely.Geometry | None, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """bool: places in an area or on its border, file coordinates; all, if there is none."""
+    if area is None:
+        return np.ones(np.shape(x), bool)
+    import shapely
+
     shapely.prepare(area)
     return np.asarray(shapely.intersects_xy(area, x, y))
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import Status
 from ..files.classes import Classes, findings_of
@@ -25,10 +24,10 @@ from .options import RunOptions
 from .places import places_in, suspects_in
 from .product import FileTask
 from .report import RunReport, Summary
-from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, cut_around, source_of_ground
-from .survey import FIND_GROUND, Survey, open_files
-from .targets import Targets, targets_of
-from .tiles import Tile, TileReader
+from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, source_of_ground
+from .survey import FIND_GROUND, survey_of_points
+from .targets import Targets
+from .tiles import Tile
 
 _GRAIN = 1.0  # metres
 
@@ -37,7 +36,6 @@ _GRAIN = 1.0  # metres
 class HeightProduct(GroundNeeded):
     """Files with the height of every point; ``replace_z``: in place of Z."""
 
-    NAME = "heights"
     replace_z: bool
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
@@ -121,16 +119,13 @@ def heights(
     (2, True, True)
     """
     recipe, classes = source_of_ground(ground)
-    collection = open_files(what, out, reading, run)
-    targets = targets_of(None if run.in_place else out, collection.uris, run)
-    if wrong := [place for place in targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
+    survey = survey_of_points(what, out, recipe, reading, run)
+    if wrong := [place for place in survey.targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> HeightProduct:
-        return HeightProduct(
-            reader, targets.store.path, filter_, collection.bounds, classes, _GRAIN, run.halo, replace_z
-        )
-
-    return Survey(collection, targets, recipe, reading, run).run(
-        lambda filter_, halo: cut_around(filter_, _GRAIN, halo), product_for
+    return survey.run(
+        HeightProduct,
+        data=survey.collection.bounds,
+        classes_of_ground=classes,
+        grain=_GRAIN,
+        replace_z=replace_z,
     )

@@ -12,6 +12,7 @@ from ..core.errors import InputError, warn
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.vectors import write_features
+from .area import within
 from .collection import Collection
 from .product import Product
 from .report import RunReport
@@ -36,19 +37,15 @@ def suspects_in(
         suspects,
     )
 
-    bounds, area = reading.bounds, reading.aoi
     boxes = [source.bounds for source in tile.sources if source.count]
-    boxes = boxes if bounds is None else [common(box, bounds) for box in boxes]
+    if reading.bounds is not None:
+        boxes = [common(box, reading.bounds) for box in boxes]
     try:
         found = suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
     except InputError as error:  # labels are none the worse for it
         warn(f"places where the terrain may be wrong are not looked for: {error}")
         found = Suspects.none()
-    if area is not None:
-        from .area import within
-
-        at = (found.cell.T + 0.5) * SIDE / around.cloud.units.xy
-        found = found.part(within(area, *at))
+    found = found.part(within(reading.aoi, *(found.cell.T + 0.5) * SIDE / around.cloud.units.xy))
     return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
 
 

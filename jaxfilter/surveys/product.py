@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,21 +32,37 @@ class FileTask:
 
 
 @dataclasses.dataclass(frozen=True)
+class Cut:
+    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
+    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
+    themselves, f64[t, 2, 4], see :func:`jaxfilter.surveys.plan.plan_boxes`."""
+
+    halo: float
+    lattice: float
+    reach: float | None = None
+    boxes: np.ndarray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Product:
-    """What is made of every tile. A subclass says how, in ``tile``; ``NAME`` tells runs apart, ``REPORT`` is what is said
-    in the end.
+    """What is made of every tile. A subclass says how, in ``tile``; ``REPORT`` is what is said in the end.
 
     Attributes:
         reader: of the points.
-        folder: of the run, which all processes see.
+        store: what is kept of the run, in a folder which all processes see.
         filter: that finds the ground; None if classes say what it is.
+        halo: metres around each tile that the filter sees as well; None = as the filter says.
     """
 
-    NAME: ClassVar[str] = ""
     REPORT: ClassVar[type[RunReport]] = RunReport
     reader: TileReader
-    folder: Path
+    store: Store
     filter: Filter | None
+    halo: float | None
+
+    def cut(self) -> Cut:
+        """The tiles that it is made in."""
+        raise NotImplementedError
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Arrays that are kept until the output is written, by name, and a summary. Raises: InputError, ParameterError."""
@@ -68,11 +83,6 @@ class Product:
     def facts(self) -> dict[str, Any]:
         """What decides on the outcome besides files, filter, reading and tiles."""
         return {}
-
-    @property
-    def store(self) -> Store:
-        """What is kept of the run."""
-        return Store(self.folder)
 
 
 def do_tile(product: Product, tile: Tile) -> Summary:

@@ -16,6 +16,7 @@ import numpy as np
 from ..core.errors import OutputError
 from ..core.filter import lowest_among
 from ..files.disk import Seal
+from .area import meeting
 from .collection import Collection
 from .executors import RETRIES, Executor, Outcome, Task, carried_out
 from .options import RunOptions, executor_for
@@ -49,8 +50,6 @@ class Run:
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
         if (aoi := product.reader.reading.aoi) is not None:  # nothing of other files is wanted
-            from .area import meeting
-
             for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
                 self._is_written[file] = True
                 self._need_no_more(file)

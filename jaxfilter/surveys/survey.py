@@ -9,7 +9,6 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +23,18 @@ from ..core.version import __version__
 from ..files.copc import check_format, is_copc
 from ..files.disk import Bounds, Seal
 from ..methods import FILTERS
+from .area import area_of, meeting
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
 from .measures import Recipe, Sampler, whole_of
 from .options import RunOptions, check_memory, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
-from .product import Product
+from .product import Cut, Product
 from .report import Forecast, RunReport, collected_warnings
 from .run import Run, tile_of
 from .store import Store
-from .targets import MAP, REPORT, Targets, check_out
+from .targets import MAP, REPORT, Targets, check_out, targets_of
 from .tiles import Tile, TileReader
 
 TRIED = 300_000
@@ -47,39 +47,23 @@ _TOO_OFTEN = 3.0
 """Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Cut:
-    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
-    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
-    themselves, f64[t, 2, 4], see :func:`plan_boxes`."""
-
-    halo: float
-    lattice: float
-    reach: float | None = None
-    boxes: np.ndarray | None = None
-
-
-CutFor = Callable[[Filter | None, float | None], Cut]
-ProductFor = Callable[[TileReader, Filter | None], Product]
-
-
-def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
-    """The collection of a run, before that touches anything; with ``bounds`` those of its files that meet them.
-
-    Raises: JaxfilterError if the workers of a run would come here themselves; InputError if files cannot be found, or do not go
-    together; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
-    """
-    check_main()
-    if options.in_place and reading.bounds is not None:
+def check_in_place(reading: Reading) -> None:
+    """Raises: ParameterError if points would be removed from inputs."""
+    if reading.bounds is not None:
         raise ParameterError(
             "bounds with in_place=True would remove all points outside: name an output, or leave out one of the two"
         )
-    if options.in_place and reading.aoi is not None:
+    if reading.aoi is not None:
         raise ParameterError("aoi with in_place=True would remove all points outside: name an output")
-    if not options.in_place:
-        if out is None:
-            raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
-        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
+
+
+def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collection, Reading]:
+    """The collection of a run, and the reading with polygons as area of interest; ``clip``: only files that meet its bounds.
+
+    Raises: JaxfilterError if the workers of a run would come here themselves; InputError if files cannot be found, or do not go
+    together; ParameterError.
+    """
+    check_main()
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     if collection.assumes_metres and reading.units is None:
         warn(
@@ -88,10 +72,10 @@ def open_files(what: Any, out: str | Path | None, reading: Reading, options: Run
     if not collection.count:
         warn(f"{collection.name}: holds no points")
     if reading.aoi is not None:
-        from .area import area_of
-
-        area_of(reading, collection)
-    return collection if reading.bounds is None else collection.clipped(reading.bounds)
+        reading = dataclasses.replace(reading, aoi=area_of(reading, collection))
+    if clip and reading.bounds is not None:
+        collection = collection.clipped(reading.bounds)
+    return collection, reading
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,27 +94,22 @@ class Survey:
     reading: Reading
     options: RunOptions
 
-    def run(self, cut_for: CutFor, product_for: ProductFor) -> Any:
+    def run(self, kind: type[Product], **settings: Any) -> Any:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
 
-        ``cut_for`` is given the filter and the halo of the options, ``product_for`` the reader and the filter.
+        ``settings``: the fields of the product, besides those of every :class:`Product`.
 
         Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
         of a single file what is wrong with it.
         """
-        if self.reading.aoi is not None:
-            from .area import area_of
-
-            reading = dataclasses.replace(self.reading, aoi=area_of(self.reading, self.collection))
-            self = dataclasses.replace(self, reading=reading)
         for source, place in zip(self.collection, self.targets.places, strict=False):
             if is_copc(place) and source.point_format is not None:
                 check_format(place, source.point_format)
         if self.options.dry_run:
-            return self._forecast(cut_for, product_for)
+            return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
-            product, plan = self._planned(cut_for, product_for)
+            product, plan = self._planned(kind, settings)
             run = Run(product, plan, self.collection, targets, self.options)
             self._record(product, plan)
             try:
@@ -144,23 +123,26 @@ class Survey:
             self._leave(run.report)
         return run.report
 
-    def _forecast(self, cut_for: CutFor, product_for: ProductFor) -> RunReport:
+    def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         self.targets.check(self.options)
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            product, plan = dataclasses.replace(self, targets=targets)._planned(cut_for, product_for)
+            product, plan = dataclasses.replace(self, targets=targets)._planned(kind, settings)
             files = [str(place) for place in targets.places]
             return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
 
-    def _planned(self, cut_for: CutFor, product_for: ProductFor) -> tuple[Product, Plan]:
+    def _planned(self, kind: type[Product], settings: dict[str, Any]) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
-        filter_, whole = self._filter()
-        plan = self._plan(cut_for(filter_, self.options.halo))
+        (filter_, whole), path = self._filter(), self.targets.store.path
+        reader = TileReader(self.reading, whole, self.targets.store.index)
+        product = kind(reader, Store(path), filter_, self.options.halo, **settings)
+        plan = self._plan(product.cut())
         if whole is not None and any(plan.many):
             width, height = (side * self.collection.metre for side in plan.largest())
-            whole = dataclasses.replace(whole, width=width, height=height)
-        return product_for(TileReader(self.reading, whole, self.targets.store.index), filter_), plan
+            reader = dataclasses.replace(reader, whole=dataclasses.replace(whole, width=width, height=height))
+            product = dataclasses.replace(product, reader=reader)
+        return product, plan
 
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
@@ -177,8 +159,6 @@ class Survey:
             reach=cut.reach,
         )
         if self.reading.aoi is not None:
-            from .area import meeting
-
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
         check_memory(options, plan)
         times = plan.times_read(files.count)
@@ -252,6 +232,24 @@ class Survey:
             report.draw(targets.folder / MAP)
         if report.complete:
             targets.store.discard() if targets.folder is None else targets.store.drop_index()
+
+
+def survey_of_points(
+    what: Any, out: str | Path | None, recipe: Recipe | None, reading: Reading, options: RunOptions
+) -> Survey:
+    """A survey whose outputs are files of points.
+
+    Raises: as :func:`open_files`; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
+    """
+    if options.in_place:
+        check_in_place(reading)
+    elif out is None:
+        raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
+    else:
+        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
+    collection, reading = open_files(what, reading)
+    targets = targets_of(None if options.in_place else out, collection.uris, options)
+    return Survey(collection, targets, recipe, reading, options)
 
 
 def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:

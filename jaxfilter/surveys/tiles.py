@@ -20,6 +20,7 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
+from .area import points_within
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,20 +119,14 @@ class TileReader:
                 cloud, record = part_of(cloud, within), record[within]
             if len(cloud):
                 clouds.append(cloud)
-                cores.append(self._wanted(cloud, tile.core))
+                own = inside(cloud, tile.core)
+                if self.reading.aoi is not None:
+                    own &= points_within(self.reading.aoi, cloud)
+                cores.append(own)
                 files.append(np.full(len(cloud), number, np.int32))
                 records.append(record)
         file, record, core = (np.concatenate(column) for column in (files, records, cores))
         return Around(joined(clouds, self.whole, self.reading), file, record, core, left_out, checksums)
-
-    def _wanted(self, cloud: PointCloud, core: Bounds | None) -> np.ndarray:
-        """bool[n]: points of a core, as far as they are in the area of interest."""
-        found, aoi = inside(cloud, core), self.reading.aoi
-        if aoi is None:
-            return found
-        from .area import points_within
-
-        return found & points_within(aoi, cloud)
 
     def _box(self, window: Bounds | None, source: Source) -> Bounds | None:
         """What is read of a file: the window, a little wider, as far as the bounds of the reading."""

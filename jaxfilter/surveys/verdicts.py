@@ -15,7 +15,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, JaxfilterError, ParameterError, warn
-from ..core.filter import Filter
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
@@ -36,13 +35,13 @@ from .labels import CANDIDATE, found_in, gathered, packed
 from .measures import Recipe
 from .options import RunOptions
 from .places import list_places, suspects_in
-from .product import FileTask, Product
+from .product import Cut, FileTask, Product
 from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import ground_by_class
-from .survey import Cut, Survey, open_files
+from .survey import Survey, check_in_place, open_files
 from .targets import REPORT, Targets, target_of, targets_beside
-from .tiles import Tile, TileReader, inside, part_of
+from .tiles import Tile, inside, part_of
 
 LOG = "verdicts.json"
 """Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""
@@ -134,11 +133,14 @@ class VerdictReport(RunReport):
 class VerdictProduct(Product):
     """Files in which some classes follow verdicts; a tile is a site."""
 
-    NAME = "verdicts"
     REPORT = VerdictReport
     sites: tuple[Repair, ...]
     new: tuple[PlaceVerdict, ...]
     classes: Classes
+
+    def cut(self) -> Cut:
+        """A tile for each site."""
+        return Cut(0.0, 1.0, boxes=np.array([[site.touched, site.window] for site in self.sites]))
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """The points of a site that change. Raises: InputError."""
@@ -220,7 +222,8 @@ def apply_survey(
     (True, [])
     """
     run = dataclasses.replace(run, in_place=True)
-    collection = open_files(what, None, reading, run)
+    check_in_place(reading)
+    collection, reading = open_files(what, reading)
     files = [place_of(uri) for uri in collection.uris]
     if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
@@ -239,13 +242,8 @@ def apply_survey(
         if run.workers is None and run.client is None and len(found) <= _FEW:
             run = dataclasses.replace(run, workers=1)
         unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-        boxes = np.array([[site.touched, site.window] for site in found])
-
-        def product_for(reader: TileReader, filter_: Filter | None) -> VerdictProduct:
-            return VerdictProduct(reader, targets.store.path, filter_, found, new, classes)
-
         survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
-        report = survey.run(lambda filter_, halo: Cut(0.0, 1.0, boxes=boxes), product_for)
+        report = survey.run(VerdictProduct, sites=found, new=new, classes=classes)
     else:
         targets.store.discard()
         log.add(new, collection)
@@ -314,9 +312,12 @@ class _Log:
 class ReviewProduct(Product):
     """The places of files that have classes; ``ground``: those of ground points; ``path``: of the list."""
 
-    NAME = "review"
     ground: tuple[int, ...]
     path: Path | None
+
+    def cut(self) -> Cut:
+        """Tiles of whole cells."""
+        return Cut(HALO, SIDE)
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Cells of a tile whose terrain may be wrong. Raises: InputError if points have no classes."""
@@ -366,10 +367,7 @@ def reviewed(
 ) -> RunReport:
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
-    collection = open_files(what, None, reading, dataclasses.replace(run, in_place=True))
+    check_in_place(reading)
+    collection, reading = open_files(what, reading)
     targets = target_of(out, len(collection) == 1, run)
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> ReviewProduct:
-        return ReviewProduct(reader, targets.store.path, None, classes, path)
-
-    return Survey(collection, targets, None, reading, run).run(lambda filter_, halo: Cut(HALO, SIDE), product_for)
+    return Survey(collection, targets, None, reading, run).run(ReviewProduct, ground=classes, path=path)
