@@ -102,11 +102,9 @@ class GroundProduct(Product):
 
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
-        found = collected(self, task, dict.fromkeys(self.extra, np.float32))
-        additions = Additions(columns=found.quantities)
-        write_cloud(
-            task.target, found.cloud, found.found, self.classes, additions, overwrite=True, in_place=task.in_place
-        )
+        cloud, found, columns = collected(self, task, dict.fromkeys(self.extra, np.float32))
+        additions = Additions(columns=columns)
+        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, in_place=task.in_place)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""

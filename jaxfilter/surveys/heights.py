@@ -76,10 +76,10 @@ class HeightProduct(GroundNeeded):
 
         Raises: InputError, OutputError.
         """
-        found = collected(self, task, {HEIGHT: np.float64})
-        result = found.found if self.classes_of_ground is None else None
-        additions = Additions.of_heights(found.quantities[HEIGHT], self.replace_z)
-        write_cloud(task.target, found.cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
+        cloud, found, quantities = collected(self, task, {HEIGHT: np.float64})
+        result = found if self.classes_of_ground is None else None
+        additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
+        write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at. Raises: InputError."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping
 
@@ -42,21 +41,13 @@ def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -
     return arrays
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FileLabels:
-    """What tiles have found of the points of a file.
+def collected(
+    product: Product, task: FileTask, kinds: Mapping[str, type]
+) -> tuple[PointCloud, Found, dict[str, np.ndarray]]:
+    """What stands for the points of a file, what tiles have found of them, and f[n]: quantities of such ``kinds``.
 
-    Attributes:
-        cloud: stands for the points; found: what was found of them; quantities: f[n] by name.
+    Raises: InputError if a point has no label.
     """
-
-    cloud: PointCloud
-    found: Found
-    quantities: dict[str, np.ndarray]
-
-
-def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> FileLabels:
-    """The labels of a file, from its tiles, and quantities of such ``kinds``. Raises: InputError if a point has none."""
     store, reader, source = product.store, product.reader, task.source
     label, quantities, checksum = gathered(store, task, kinds)
     reading, rows = reader.reading, label > 0
@@ -72,7 +63,7 @@ def collected(product: Product, task: FileTask, kinds: Mapping[str, type]) -> Fi
         cloud = file_cloud(source, candidate, reader.index, bounds=reading.bounds, checksum=checksum)
     else:  # the checksum is of all points
         cloud = file_cloud(source, candidate, reader.index, rows=rows)
-    return FileLabels(cloud, found_in(label), quantities)
+    return cloud, found_in(label), quantities
 
 
 def found_in(label: np.ndarray) -> Found:

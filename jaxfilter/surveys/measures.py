@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +75,6 @@ def recipe_of(filter_: Any) -> Recipe:
         plain = filter_.replace()  # with numbers where fields are arrays
         return Recipe(type(plain), {field.name: getattr(plain, field.name) for field in declared(plain)})
     raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
-
-
-def whole_of(measures: Mapping[str, Any]) -> Whole:
-    """Measures of a scene from plain values, as ``run.json`` has them."""
-    values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in measures.items()}
-    return Whole(**values)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -32,7 +32,7 @@ from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, Surroundings, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
-from .targets import Targets, target_of, targets_beside
+from .targets import Targets, beside
 from .tiles import Tile
 from .water import WaterWanted, kept_water, list_water
 
@@ -255,7 +255,7 @@ def make_rasters(
     if bounds is None and not collection.count:
         raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
-    targets = targets_beside(places, run) if len(places) > 1 else target_of(places[0], len(collection) == 1, run)
+    targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
     survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None), run)
     return survey.run(
         RasterProduct,

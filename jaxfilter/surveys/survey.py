@@ -27,7 +27,7 @@ from .area import area_of, meeting
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
-from .measures import Recipe, Sampler, whole_of
+from .measures import Recipe, Sampler
 from .options import RunOptions, check_memory, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
 from .product import Cut, Product
@@ -126,11 +126,18 @@ class Survey:
     def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         self.targets.check(self.options)
+        collection, options, nan = self.collection, self.options, math.nan
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
             product, plan = dataclasses.replace(self, targets=targets)._planned(kind, settings)
-            files = [str(place) for place in targets.places]
-            return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
+            each = _seconds_per_point(product, plan, collection)
+        many, times, workers = any(plan.many), plan.times_read(collection.count), workers_for(options, plan)
+        side, halo = (plan.width * collection.metre, plan.halo * collection.metre) if many else (nan, nan)
+        memory = need(plan) * (workers if many else 1)
+        seconds = each * collection.count * times / min(workers, len(plan))
+        files = [str(place) for place in targets.places]
+        found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+        return product.REPORT(forecast=found)
 
     def _planned(self, kind: type[Product], settings: dict[str, Any]) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
@@ -174,7 +181,8 @@ class Survey:
         recipe, facts = self.recipe, self.targets.store.facts
         begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
         given = facts["measures"] if begun and "measures" in facts else self.options.measures
-        whole = None if given is None else whole_of(given)
+        plain: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in (given or {}).items()}
+        whole = None if given is None else Whole(**plain)
         if recipe is None:
             return None, whole or Whole()
         if begun and "parameters" in facts:
@@ -256,19 +264,7 @@ def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
     """A recipe as plain values."""
     if recipe is None:
         return None
-    method = None if recipe.method is None else recipe.method.__name__
-    return {**{field.name: getattr(recipe, field.name) for field in dataclasses.fields(recipe)}, "method": method}
-
-
-def forecast(product: Product, plan: Plan, collection: Collection, files: list[str], options: RunOptions) -> Forecast:
-    """Try ``product`` on a piece, and tell what the run would be. Nothing is written but what the reader's index keeps."""
-    metre, many = collection.metre, any(plan.many)
-    times, workers = plan.times_read(collection.count), workers_for(options, plan)
-    each = _seconds_per_point(product, plan, collection) * collection.count * times
-    side, halo = (plan.width * metre, plan.halo * metre) if many else (math.nan, math.nan)
-    memory = need(plan) * (workers if many else 1)
-    seconds = each / min(workers, len(plan))
-    return Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+    return dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
 
 
 def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:

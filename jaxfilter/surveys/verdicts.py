@@ -40,7 +40,7 @@ from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import ground_by_class
 from .survey import Survey, check_in_place, open_files
-from .targets import REPORT, Targets, target_of, targets_beside
+from .targets import REPORT, Targets, beside
 from .tiles import Tile, inside, part_of
 
 LOG = "verdicts.json"
@@ -230,7 +230,7 @@ def apply_survey(
     given = read_verdicts(places, collection.crs, collection.bounds)
     for problem in given.problems:
         warn(problem)
-    targets = targets_beside(files, run, "verdicts")
+    targets = beside(files, run, len(files) == 1, "verdicts")
     log = _Log(targets.store.path.parent / LOG)
     new = tuple(one for one in given.verdicts if not log.holds(one.key))
     keys = {one.key for one in new if one.word != FINE}
@@ -369,5 +369,5 @@ def reviewed(
     classes = class_numbers(ground)
     check_in_place(reading)
     collection, reading = open_files(what, reading)
-    targets = target_of(out, len(collection) == 1, run)
+    targets = beside([out], run, len(collection) == 1)
     return Survey(collection, targets, None, reading, run).run(ReviewProduct, ground=classes, path=path)
