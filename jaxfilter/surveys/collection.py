@@ -52,10 +52,7 @@ class Collection:
     """
 
     def __init__(
-        self,
-        sources: Iterable[Source],
-        unreadable: Iterable[tuple[str, str]] = (),
-        repeated: Iterable[str] = (),
+        self, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
     ) -> None:
         columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
         columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}

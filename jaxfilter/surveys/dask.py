@@ -18,7 +18,6 @@ _AHEAD = 2
 """Bundles in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
 _LASTS, _MOST = 1.0, 100
 """A bundle begins no further task after so many seconds, and holds no more tasks than this."""
-_ASK = 1.0  # seconds between questions for the workers there are
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -57,11 +56,8 @@ class Cluster:
         self._most, self._size = most, 1
         self.submissions = 0
         """Bundles that were given to the scheduler so far."""
-        self._known: list[int] = []
-        self._asked = -math.inf
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
-        threads = self._threads()
-        if threads and max(threads) > 1:
+        if max(self._look(), default=1) > 1:
             warn(
                 "workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned"
             )
@@ -69,7 +65,7 @@ class Cluster:
     def room(self) -> int:
         """Tasks that the workers there are now may be given."""
         given = len(self._waiting) + len(self._suspects) + sum(len(bundle) for bundle, _ in self._flying.values())
-        return self._bundles() * self._size - given
+        return self._bundles * self._size - given
 
     def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Put a task, whose tag can be hashed, into the next bundle."""
@@ -77,6 +73,7 @@ class Cluster:
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Tasks that have ended, see :class:`jaxfilter.surveys.executors.Executor`."""
+        self._look()
         self._send()
         found: list[tuple[Any, Outcome]] = []
         try:
@@ -92,7 +89,7 @@ class Cluster:
     def _send(self) -> None:
         """Give what waits to the scheduler, in one message, as far as there is room for further bundles."""
         bundles: dict[str, list[tuple[Any, Call]]] = {}
-        free = self._bundles() - len(self._flying)
+        free = self._bundles - len(self._flying)
         size = min(self._size, math.ceil(len(self._waiting) / max(free - len(self._suspects), 1)))
         while len(bundles) < free and (self._suspects or self._waiting):
             self.submissions += 1
@@ -137,15 +134,11 @@ class Cluster:
         if self._own:
             self._client.close()
 
-    def _bundles(self) -> int:
-        """That may be in flight."""
-        return max(1, _AHEAD * sum(self._threads()))
-
-    def _threads(self) -> list[int]:
-        """Of each worker, as of a second ago at most: it is a question to the scheduler, and asked before every task."""
-        if time.monotonic() - self._asked > _ASK:
-            self._known, self._asked = list(self._client.nthreads().values()), time.monotonic()
-        return self._known
+    def _look(self) -> list[int]:
+        """The threads of each worker there is now, which decide how many bundles may be in flight."""
+        threads = list(self._client.nthreads().values())
+        self._bundles = max(1, _AHEAD * sum(threads))
+        return threads
 
 
 def together(bundle: bytes) -> tuple[list[Outcome], float]:

@@ -87,14 +87,13 @@ def carried_out(
 
     Raises: OutputError when a disk is full.
     """
-    running, tries = 0, collections.Counter[tuple[str, int]]()
+    running, tries = 0, collections.Counter[Task]()
     while True:
         while executor.room() > 0:
             task = now.popleft() if now else next(todo, None)
             if task is None:
                 break
-            last = tries[task.function.__name__, task.number] >= retries
-            executor.submit(task, task.function, *task.arguments(last))
+            executor.submit(task, task.function, *task.arguments(tries[task] >= retries))
             running += 1
         if not running:
             return
@@ -102,12 +101,10 @@ def carried_out(
             running -= 1
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
-            key = task.function.__name__, task.number
-            if outcome.reason is not None and tries[key] < retries:
-                tries[key] += 1
+            if outcome.reason is not None and tries[task] < retries:
+                tries[task] += 1
                 now.appendleft(task)
                 continue
-            del tries[key]
             yield task, outcome
         tick()
 

@@ -30,7 +30,7 @@ from .executors import LOCAL
 from .options import RunOptions
 from .report import RunReport, Summary
 from .store import KEPT
-from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, Surroundings, source_of_ground
+from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
 from .targets import Targets, beside
 from .tiles import Tile
@@ -93,7 +93,11 @@ class RasterProduct(GroundNeeded):
             if min(grid.shape) < 1:  # points on the edge of the raster have no cell beyond
                 break
             doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
-            site = self._site(found, wide, doubt)
+            noise = None if found.result is None else found.result.low_noise
+            threads, usable = LOCAL.get().threads, found.usable
+            # A triangle is that of the whole if the circle through its corners holds no place that has data and was not read.
+            strict = found.near is None and bool(usable.any())
+            site = Site(around.cloud, usable, wide, noise, self.interpolation, threads, doubt.look, strict)
             wanted = within(self.reader.reading.aoi, *np.meshgrid(*grid.centres()))
             for layer in _cells(self.layers):
                 values = site.of(layer)[row : row + grid.rows, column : column + grid.columns]
@@ -102,7 +106,8 @@ class RasterProduct(GroundNeeded):
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
             arrays |= kept_water(around.cloud, water, tile)
             if water is not None or self.water.known:
-                arrays |= {_WIDE + layer.NAME: site.of(layer) for layer in _parts(self.layers)}
+                made_of = {part for layer in _cells(self.layers) if Dtm() in layer.parts for part in layer.parts}
+                arrays |= {_WIDE + part.NAME: site.of(part) for part in made_of}
             summary.seconds["interpolate"] += time.perf_counter() - start
             unknown = doubt.reaches and not doubt.looked and any(layer.SURFACE for layer in self.layers)
             doubtful = grid.rows * grid.columns if unknown else doubt.count
@@ -112,13 +117,6 @@ class RasterProduct(GroundNeeded):
         summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful if len(own) else 0
         summary.halos[found.halo] = 1
         return arrays, summary
-
-    def _site(self, found: Surroundings, grid: RasterGrid, doubt: DoubtfulTriangles) -> Site:
-        """A triangle is that of the whole if the circle through its corners holds no place that has data and was not read."""
-        noise = None if found.result is None else found.result.low_noise
-        threads, ground = LOCAL.get().threads, found.usable
-        strict = found.near is None and bool(ground.any())
-        return Site(found.around.cloud, ground, grid, noise, self.interpolation, threads, doubt.look, strict)
 
     def facts(self) -> dict[str, Any]:
         """What ground is, the cells, the layers, and the interpolation."""
@@ -152,14 +150,7 @@ class RasterProduct(GroundNeeded):
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
 
-    def _write(
-        self,
-        layer: Layer,
-        place: Place,
-        report: RunReport,
-        collection: Collection,
-        replace: bool,
-    ) -> int:
+    def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
         levels, units = report.water, collection.units
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
@@ -187,11 +178,6 @@ class RasterProduct(GroundNeeded):
 def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
     """The layers whose cells are needed, each once."""
     return list(dict.fromkeys(layer.cells for layer in layers))
-
-
-def _parts(layers: tuple[Layer, ...]) -> set[Layer]:
-    """What layers are made of that change with the level of water."""
-    return {part for layer in _cells(layers) if Dtm() in layer.parts for part in layer.parts}
 
 
 def terrain_model(

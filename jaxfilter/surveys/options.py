@@ -73,15 +73,6 @@ class RunOptions:
             raise ParameterError(f"memory={self.memory!r}: must be > 0 bytes")
 
 
-def check_memory(options: RunOptions, plan: Plan) -> None:
-    """Raises: ParameterError if the memory does not suffice for one worker."""
-    if options.memory is not None and options.memory < need(plan):
-        raise ParameterError(
-            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
-            "more, or tile= with less"
-        )
-
-
 def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:
     """What does the work: what is given, a cluster, this process, or several. ``progress``: of filters in this process.
 

@@ -143,7 +143,8 @@ class Run:
             self._need_no_more(file)
         done = np.zeros(len(plan), bool)
         for number, found in known.items():
-            done[number] = not self._needed(number) or store.summary(number, with_arrays=True) is not None
+            used = not self.product.writes_files or bool(self._unwritten[number] > 0)  # by a file, or at the end
+            done[number] = not used or store.summary(number, with_arrays=True) is not None
             if done[number]:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
@@ -220,10 +221,6 @@ class Run:
         tiles = self.plan.tiles_of[file]
         self._unwritten[tiles] -= 1
         return [int(tile) for tile in tiles[self._unwritten[tiles] == 0]]
-
-    def _needed(self, tile: int) -> bool:
-        """Whether what a tile found is still to be used: by a file that is not written, or at the end."""
-        return not self.product.writes_files or bool(self._unwritten[tile] > 0)
 
     def _complete_report(self) -> None:
         report, uris = self.report, self.collection.uris

@@ -21,14 +21,14 @@ from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Bounds, Seal
+from ..files.disk import Seal
 from ..methods import FILTERS
 from .area import area_of, meeting
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
-from .measures import Recipe, Sampler
-from .options import RunOptions, check_memory, need, workers_for
+from .measures import Recipe, Sampler, middle
+from .options import RunOptions, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
 from .product import Cut, Product
 from .report import Forecast, RunReport, collected_warnings
@@ -167,7 +167,11 @@ class Survey:
         )
         if self.reading.aoi is not None:
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
-        check_memory(options, plan)
+        if options.memory is not None and options.memory < need(plan):
+            raise ParameterError(
+                f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
+                "more, or tile= with less"
+            )
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
             raise ParameterError(
@@ -274,7 +278,7 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
     number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
     tile = tile_of(plan, collection, number, patient=True)
     box, held = (collection.bounds if tile.window is None else tile.window), float(plan.points[number])
-    part = _middle(box, min(1.0, math.sqrt(TRIED / max(held, 1.0))))
+    part = middle(box, TRIED / max(held, 1.0), collection.metre)
     tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
     for _ in range(2):
         start = time.perf_counter()
@@ -285,10 +289,3 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
             return math.nan
         best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
     return best
-
-
-def _middle(box: Bounds, share: float) -> Bounds:
-    """The part of a box around its middle, with this share of each side, whose upper edges are inside."""
-    x0, y0, x1, y1 = box
-    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) * share / 2, (y1 - y0) * share / 2
-    return x - width, y - height, np.nextafter(x + width, math.inf), np.nextafter(y + height, math.inf)

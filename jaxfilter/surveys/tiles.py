@@ -162,11 +162,7 @@ def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
     return inside
 
 
-def joined(
-    clouds: Sequence[PointCloud],
-    whole: Whole | None = None,
-    reading: Reading = Reading(),
-) -> PointCloud:
+def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Reading = Reading()) -> PointCloud:
     """One cloud of several with one anchor, one after the other; exact, since their origins are whole metres apart."""
     if not clouds:
         return PointCloud.from_arrays(np.zeros((0, 3)), anchor=reading.anchor, whole=whole)
