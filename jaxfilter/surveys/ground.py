@@ -22,16 +22,15 @@ from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
 from .executors import LOCAL
+from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
 from .labels import collected, packed
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .places import list_places, suspects_in
 from .product import Cut, FileTask, Product
 from .report import RunReport, Summary
 from .survey import survey_of_points
 from .targets import Targets
 from .tiles import Around, Tile, part_of
-from .water import WaterWanted, kept_water, list_water
 
 _REACH = 40.0
 """Metres around a tile that high noise and heights of plants depend on, as their steps say."""

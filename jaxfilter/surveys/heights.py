@@ -19,9 +19,9 @@ from ..terrain.models import heights_of
 from .collection import Collection
 from .executors import LOCAL
 from .ground import summarise
+from .kept import list_places, suspects_in
 from .labels import collected, packed
 from .options import RunOptions
-from .places import places_in, suspects_in
 from .product import FileTask
 from .report import RunReport, Summary
 from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, source_of_ground
@@ -83,7 +83,7 @@ class HeightProduct(GroundNeeded):
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at. Raises: InputError."""
-        report.places = [place.facts() for place in places_in(self, report, collection.metre)]
+        list_places(self, report, collection, None, False)
 
     def facts(self) -> dict[str, Any]:
         """Classes of ground points, and where heights go."""

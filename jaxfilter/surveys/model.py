@@ -27,6 +27,7 @@ from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_
 from .area import within
 from .collection import Collection
 from .executors import LOCAL
+from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
 from .report import RunReport, Summary
 from .store import KEPT
@@ -34,7 +35,6 @@ from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, source_
 from .survey import FIND_GROUND, Survey, open_files
 from .targets import Targets, beside
 from .tiles import Tile
-from .water import WaterWanted, kept_water, list_water
 
 _CORNER = f"{KEPT}corner"
 _WIDE = f"{KEPT}wide_"

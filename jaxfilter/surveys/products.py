@@ -16,12 +16,12 @@ from ..files.storage import Place, place_of
 from ..files.vectors import check_suffix
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
+from .kept import WaterWanted
 from .measures import Recipe
 from .model import TerrainReport, make_rasters
 from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
-from .water import WaterWanted
 
 CLASSIFIED, PAGE = "classified", "survey.html"
 

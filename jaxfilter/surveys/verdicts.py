@@ -31,10 +31,10 @@ from ..reports.places import SIDE
 from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
 from .collection import Collection
+from .kept import list_places, suspects_in
 from .labels import CANDIDATE, found_in, gathered, packed
 from .measures import Recipe
 from .options import RunOptions
-from .places import list_places, suspects_in
 from .product import Cut, FileTask, Product
 from .report import RunReport, Summary
 from .store import KEPT
