@@ -24,12 +24,10 @@ from ..files.disk import Bounds
 from ..files.sources import Source, describe_file
 from ..files.storage import place_of
 from . import names
-from .findings import OVERLAP, Findings, refuse_mixture
+from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from .footprints import Footprints
 
 __all__ = ["Collection", "Source", "open"]
 
@@ -214,8 +212,6 @@ class Collection:
 
     @functools.cached_property
     def _index(self) -> Footprints:
-        from .footprints import Footprints  # late: it brings SciPy
-
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:

@@ -41,20 +41,17 @@ TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
 FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
 """What to do where no point is ground."""
-
-
 _TOO_OFTEN = 3.0
 """Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
 
 
 def check_in_place(reading: Reading) -> None:
     """Raises: ParameterError if points would be removed from inputs."""
-    if reading.bounds is not None:
-        raise ParameterError(
-            "bounds with in_place=True would remove all points outside: name an output, or leave out one of the two"
-        )
-    if reading.aoi is not None:
-        raise ParameterError("aoi with in_place=True would remove all points outside: name an output")
+    for name in ("bounds", "aoi"):
+        if getattr(reading, name) is not None:
+            raise ParameterError(
+                f"{name} with in_place=True would remove all points outside: name an output, or leave out one of the two"
+            )
 
 
 def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collection, Reading]:

@@ -151,15 +151,18 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
     if out is None:
         return beside(sources, options, alone)
     place = place_of(out)
-    if place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place)):
-        if not alone:
-            raise ParameterError(
-                f"{place}: {len(sources):,} files are written into a folder, and this is the name of a file: name a folder as OUT"
-            )
-        _refuse_inputs([place], sources)
-        return beside([place], options, alone)
-    places = [place / name for name in target_names(list(uris))]
-    _refuse_inputs(places, sources)
+    one = place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place))
+    if one and not alone:
+        raise ParameterError(
+            f"{place}: {len(sources):,} files are written into a folder, and this is the name of a file: name a folder as OUT"
+        )
+    places = [place] if one else [place / name for name in target_names(list(uris))]
+    inputs = {_real(source) for source in sources}
+    for target in places:
+        if _real(target) in inputs:
+            raise OutputError(f"{target}: is an input; name another, or pass in_place=True to replace it")
+    if one:
+        return beside(places, options, alone)
     return Targets(places, place, Store(_local(options.work, place, place) / _HIDDEN))
 
 
@@ -199,13 +202,6 @@ def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
     if isinstance(local, Remote):
         raise ParameterError(f"work={work!r}: must be a local folder")
     return local
-
-
-def _refuse_inputs(places: Sequence[Place], sources: Sequence[Place]) -> None:
-    inputs = {_real(place) for place in sources}
-    for place in places:
-        if _real(place) in inputs:
-            raise OutputError(f"{place}: is an input; name another, or pass in_place=True to replace it")
 
 
 def _real(place: Place) -> str:

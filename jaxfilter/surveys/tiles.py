@@ -173,18 +173,12 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Re
     origin = np.min([cloud.origin for cloud in clouds], axis=0)
     shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
     columns: dict[str, Any] = {}
-    for name, empty in (
-        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("overlap", False),
-        ("reference", False), ("valid", True),
-    ):  # fmt: skip
+    for name in (*COLUMNS, "reference", "valid"):
         parts = [getattr(cloud, name) for cloud in clouds]
-        if any(part is not None for part in parts):
-            kind = next(part.dtype for part in parts if part is not None)
-            filled = [
-                np.full(len(cloud), empty, kind) if part is None else part
-                for cloud, part in zip(clouds, parts, strict=True)
-            ]
-            columns[name] = np.concatenate(filled)
+        if kinds := [part.dtype for part in parts if part is not None]:
+            empty = np.array(name in ("return_number", "number_of_returns", "valid"), kinds[0])
+            filled = zip(clouds, parts, strict=True)
+            columns[name] = np.concatenate([np.full(len(c), empty) if part is None else part for c, part in filled])
     return PointCloud(
         origin=origin,
         xyz=np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)]),
