@@ -133,7 +133,7 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     import pandas
 
     try:
-        rows = pandas.read_csv(path).rename(columns=lambda name: str(name).strip().lower())
+        rows = pandas.read_csv(path, dtype=str).rename(columns=lambda name: str(name).strip().lower())
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from error
     if missing := [name for name in "xyz" if name not in rows]:
@@ -151,12 +151,11 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     dz = (z - xyz[:, 2])[used] * collection.units.z
     name = next((one for one in _COVER if one in rows), _COVER[0])
     if name not in rows:
-        rows[name] = None
+        rows[name] = "not stated"
         notes.append(f"{path.name}: has no column {name}: all check points count as not vegetated")
-    covers = rows[name].astype(object).fillna("not stated").astype(str)[used]
-    plants = (covers.str.contains("|".join(_PLANTS), case=False) & ~covers.str.contains("non", case=False)).to_numpy(
-        bool
-    )
+    covers = rows[name].fillna("not stated")[used]
+    named = covers.str.contains("|".join(_PLANTS), case=False)
+    plants = (named & ~covers.str.contains("non", case=False)).to_numpy(bool)
     for edition, least in _LEAST.items():
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
@@ -193,7 +192,7 @@ def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
     """Raises: InputError for check points in another vertical datum than that of the model."""
     name = next((one for one in _DATUM if one in rows), None)
-    stated = [] if name is None else sorted({str(one).strip() for one in rows[name].dropna()})
+    stated = [] if name is None else sorted(set(rows[name].dropna().str.strip()))
     crs = model.crs if _vertical(model.crs) is not None else collection.crs
     known = _vertical(crs)
     for text in stated:
@@ -223,7 +222,7 @@ def _named(text: str) -> str:
     import pyproj
 
     try:
-        crs = pyproj.CRS.from_user_input(int(float(text)) if text.replace(".0", "").isdigit() else text)
+        crs = pyproj.CRS.from_user_input(int(float(text)) if text.removesuffix(".0").isdigit() else text)
     except pyproj.exceptions.CRSError:
         return text
     return _vertical(crs) or text

@@ -121,23 +121,11 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
         return Outcome(reason=" ".join(words.split()), full=_is_full(error), error=error)
 
 
-@dataclasses.dataclass(frozen=True)
-class Local:
-    """What a task that runs in the process of the run may use: threads, and a callback for its progress."""
-
-    threads: int | None = 1
-    progress: Progress = silent
-
-
-LOCAL: ContextVar[Local] = ContextVar("LOCAL", default=Local())  # noqa: B039
-"""That of the task that runs now."""
-
-
 class Here:
-    """This process, one task at a time."""
+    """This process, one task at a time, which may use threads, and a callback for its progress."""
 
-    def __init__(self, local: Local) -> None:
-        self._local = local
+    def __init__(self, threads: int | None = 1, progress: Progress = silent) -> None:
+        self.threads, self.progress = threads, progress
         self._waiting: list[tuple[Any, Callable[..., Any], tuple[Any, ...]]] = []
 
     def room(self) -> int:
@@ -151,7 +139,7 @@ class Here:
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Do what waits."""
         tag, function, arguments = self._waiting.pop()
-        before = LOCAL.set(self._local)
+        before = LOCAL.set(self)
         try:
             return [(tag, attempt(function, arguments))]
         finally:
@@ -159,6 +147,10 @@ class Here:
 
     def close(self) -> None:
         """Nothing is running."""
+
+
+LOCAL: ContextVar[Here] = ContextVar("LOCAL", default=Here())  # noqa: B039
+"""What the task that runs now may use."""
 
 
 def _is_full(error: BaseException | None) -> bool:

@@ -14,7 +14,7 @@ import psutil
 
 from ..core.errors import ParameterError
 from ..core.result import Progress, silent
-from .executors import Executor, Here, Local, Pool
+from .executors import Executor, Here, Pool
 from .plan import Plan
 from .report import Standing
 
@@ -87,7 +87,7 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
     count = workers_for(options, plan)
     if count > 1 and len(plan) > 1:
         return Pool(count)
-    return Here(Local(options.workers, progress))
+    return Here(options.workers, progress)
 
 
 def workers_for(options: RunOptions, plan: Plan) -> int:

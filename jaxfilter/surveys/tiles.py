@@ -97,7 +97,7 @@ class TileReader:
         return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole, core=tile.core))
 
     def _read(self, tile: Tile) -> Around:
-        clouds, files, records, cores = [], [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+        clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
         left_out: dict[int, str] = {}
         checksums: dict[int, int] = {}
         for number, source in zip(tile.files, tile.sources, strict=True):
@@ -123,10 +123,11 @@ class TileReader:
                 if self.reading.aoi is not None:
                     own &= points_within(self.reading.aoi, cloud)
                 cores.append(own)
-                files.append(np.full(len(cloud), number, np.int32))
+                numbers.append(number)
                 records.append(record)
-        file, record, core = (np.concatenate(column) for column in (files, records, cores))
-        return Around(joined(clouds, self.whole, self.reading), file, record, core, left_out, checksums)
+        file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
+        cloud, record, core = joined(clouds, self.whole, self.reading), np.concatenate(records), np.concatenate(cores)
+        return Around(cloud, file, record, core, left_out, checksums)
 
     def _box(self, window: Bounds | None, source: Source) -> Bounds | None:
         """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
