@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import dataclasses
 import functools
+import glob
 import itertools
 import math
 import operator
@@ -22,8 +23,9 @@ from ..core.reading import Reading
 from ..core.units import Stated, Units
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file
-from ..files.storage import place_of
-from . import names
+from ..files.storage import Remote, place_of
+from ..files.text import SUFFIXES as TEXT
+from ..files.writing import LAS_SUFFIXES
 from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
@@ -34,6 +36,8 @@ __all__ = ["Collection", "Source", "open"]
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
 _ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
 _ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
+Entry = str | Source
+"""The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
 
 class Collection:
@@ -329,20 +333,67 @@ def open(
     stated = Reading(units=units, crs=crs).stated
     unreadable: list[tuple[str, str]] = []
     repeated: dict[str, None] = {}
-    collection = Collection(_read(names.expand(what, stated), stated, unreadable, repeated), unreadable, repeated)
+    collection = Collection(_read(_expand(what, stated), stated, unreadable, repeated), unreadable, repeated)
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
 
 
+def _expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], stated: Stated) -> Iterator[Entry]:
+    """The files meant, those of each name in alphabetical order; ``stated``: of the coordinates of members.
+
+    Raises: InputError if a name stands for nothing that can be a member.
+    """
+    listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
+    if not listed:
+        raise InputError("no files are named")
+    for item in listed:
+        yield from _expanded(os.fspath(item), stated)
+
+
+def _expanded(name: str, stated: Stated) -> Iterable[Entry]:
+    place = place_of(name)
+    suffix = place.suffix.lower()
+    if suffix == ".vpc":
+        from .vpc import read_vpc
+
+        return read_vpc(place, stated)
+    if isinstance(place, Remote):
+        if suffix in (*LAS_SUFFIXES, *TEXT) and not any(c in name for c in "*["):
+            return [name]
+        return _some(name, place.listed(LAS_SUFFIXES))
+    place = Path(os.path.abspath(place))  # which other processes understand as well
+    if place.is_dir():
+        return _some(name, sorted(str(p) for p in place.iterdir() if _is_member(p)))
+    if not place.exists() and any(c in name for c in "*?["):
+        return _some(name, sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p), suffix)))
+    return [str(place)]
+
+
+def _is_member(path: Path, asked: str = "") -> bool:
+    """Files of LAS, and of text if a pattern asks for their suffix."""
+    known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
+    return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
+
+
+def _some(name: str, found: list[str]) -> list[str]:
+    if not found and any(c in name for c in "*?["):
+        raise InputError(f"{name}: matches no .las or .laz file")
+    if not found:
+        raise InputError(
+            f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"
+        )
+    return found
+
+
 def _read(
-    entries: Iterator[names.Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+    entries: Iterator[Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
 ) -> Iterator[Source]:
     """The sources of entries in their order; the headers of some are read at the same time."""
     seen: set[str] = set()
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(itertools.islice(entries, 64 * _THREADS)):
-            new: list[names.Entry] = []
+            new: list[Entry] = []
             for entry in batch:
                 uri = entry.uri if isinstance(entry, Source) else entry
                 if uri in seen:

@@ -103,8 +103,6 @@ class Plan:
 
     def largest(self) -> tuple[float, float]:
         """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
-        if not len(self):
-            return 0.0, 0.0
         more = 2 * (self.halo + self.lattice)
         return self.width + more * self.many[0], self.height + more * self.many[1]
 

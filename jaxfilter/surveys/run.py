@@ -173,28 +173,27 @@ class Run:
 
     def _take_tile(self, number: int, outcome: Outcome) -> list[int]:
         """Take in a tile; the files that are complete with it."""
-        standing, homes = self._standing, [int(f) for f in self.plan.home[number]]
+        standing, homes = self._standing, self.plan.home[number].tolist()
         standing.tiles_done += 1
         if outcome.reason is not None:
             self.report.state[number] = -1
             core = self.plan.core(number)
             self.report.set_aside.append({"tile": number, "core": core, "reason": outcome.reason})
-            for file in homes:
-                self._hopeless.setdefault(file, f"tile {number} was set aside: {outcome.reason}")
+            lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
         else:
             standing.points += outcome.value.points
             standing.read += outcome.value.read
             self._add(number, outcome.value)
-            for file, reason in outcome.value.unread.items():
-                self._hopeless.setdefault(file, reason)
+            lost = outcome.value.unread
+        for file, reason in lost.items():
+            self._hopeless.setdefault(file, reason)
         if not self.product.writes_files:
             return []
         self._missing[homes] -= 1
-        complete = [file for file in homes if self._missing[file] == 0 and not self._is_written[file]]
-        for file in complete:
-            if file in self._hopeless:
-                self._fail(file, self._hopeless[file])
-        return [file for file in complete if file not in self._hopeless]
+        complete = {file for file in homes if self._missing[file] == 0 and not self._is_written[file]}
+        for file in sorted(complete & self._hopeless.keys()):
+            self._fail(file, self._hopeless[file])
+        return sorted(complete - self._hopeless.keys())
 
     def _add(self, number: int, summary: Summary) -> None:
         self.report.add(summary)
