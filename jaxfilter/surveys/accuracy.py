@@ -239,10 +239,8 @@ def _doubt(collection: Collection) -> float | None:
         if doubt is None or doubt.data_type not in _FLOATS:
             return None
         for chunk, _ in read_records(header):
-            values = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size]).view(
-                _FLOATS[doubt.data_type]
-            )
-            total += float(np.nansum(values, dtype=np.float64))
+            column = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size])
+            total += float(np.nansum(column.view(_FLOATS[doubt.data_type]), dtype=np.float64))
     return total
 
 

@@ -38,9 +38,8 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
     try:
-        frame: Any = (
-            geopandas.read_file(name) if name != "aoi" else geopandas.GeoSeries(getattr(aoi, "geometry", [aoi]))
-        )
+        given = getattr(aoi, "geometry", [aoi])
+        frame: Any = geopandas.GeoSeries(given) if name == "aoi" else geopandas.read_file(name)
     except Exception as error:  # GDAL has many of its own
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):

@@ -129,11 +129,9 @@ class Footprints:
         named, count = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(covered) & ~covered)
         sizes = np.bincount(named.reshape(-1), minlength=count + 1)[1:]
         boxes = scipy.ndimage.find_objects(named)
-        found = [
-            [getattr(side, end) for end in ("start", "stop") for side in boxes[k]]
-            for k in np.argsort(-sizes, kind="stable")
-        ]
-        return [tuple((np.tile(low, 2) + cell * np.array(box)).tolist()) for box in found]  # type: ignore[misc]
+        largest_first = (boxes[k] for k in np.argsort(-sizes, kind="stable"))
+        found = ([[side.start for side in box], [side.stop for side in box]] for box in largest_first)
+        return [tuple((low + cell * np.array(ends)).ravel().tolist()) for ends in found]
 
 
 def refuse_mixture(uris: Sequence[str], wkts: Sequence[str | None], units: Sequence[Units]) -> None:

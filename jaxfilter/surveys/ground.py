@@ -68,10 +68,8 @@ class GroundProduct(Product):
         if self.reader.reading.aoi is not None and not around.core.any():
             summary.read, summary.unread = len(around.cloud), around.left_out
             return {}, summary
-        cloud, result = (
-            around.cloud,
-            self.filter(self._wider(tile, around.cloud), workers=local.threads, progress=local.progress),
-        )
+        cloud = around.cloud
+        result = self.filter(self._wider(tile, cloud), workers=local.threads, progress=local.progress)
         summary.seconds["filter"] = (done := time.perf_counter()) - read
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)

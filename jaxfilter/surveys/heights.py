@@ -24,7 +24,7 @@ from .labels import collected, packed
 from .options import RunOptions
 from .product import FileTask
 from .report import RunReport, Summary
-from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, source_of_ground
+from .surroundings import HALOS, GroundNeeded, GroundSource, source_of_ground
 from .survey import FIND_GROUND, survey_of_points
 from .targets import Targets
 from .tiles import Tile
@@ -40,7 +40,7 @@ class HeightProduct(GroundNeeded):
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Heights of the points of a tile. Raises: InputError if there is no ground within the widest halo."""
-        summary, heights, doubt, threads = Summary(), None, None, LOCAL.get().threads
+        summary, heights, threads = Summary(), None, LOCAL.get().threads
         kept: dict[str, np.ndarray] = {}
         for found in self.surroundings(tile, summary):
             around, start = found.around, time.perf_counter()
@@ -49,10 +49,9 @@ class HeightProduct(GroundNeeded):
                 heights = np.zeros(0)
                 break
             if found.usable.any():
-                doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
-                heights = heights_of(around.cloud, found.usable, own, workers=threads, look=doubt.look)
+                heights = heights_of(around.cloud, found.usable, own, workers=threads, look=found.doubt.look)
                 summary.seconds["heights"] += time.perf_counter() - start
-                if not doubt.count:
+                if not found.doubt.count:
                     break
         if heights is None:
             around_it = f"the tile {tile.core} and {HALOS[-1]:g} m around it"
@@ -68,7 +67,7 @@ class HeightProduct(GroundNeeded):
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
             summary.statuses[Status.CONVERGED.name] = 1
         summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None
-        summary.uncertain = 0 if doubt is None else doubt.count
+        summary.uncertain = found.doubt.count
         return packed(around, classed, {HEIGHT: heights}) | kept, summary
 
     def file(self, task: FileTask) -> None:
@@ -123,9 +122,5 @@ def heights(
     if wrong := [place for place in survey.targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
     return survey.run(
-        HeightProduct,
-        data=survey.collection.bounds,
-        classes_of_ground=classes,
-        grain=_GRAIN,
-        replace_z=replace_z,
+        HeightProduct, data=survey.collection.bounds, classes_of_ground=classes, grain=_GRAIN, replace_z=replace_z
     )

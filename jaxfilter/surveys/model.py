@@ -31,7 +31,7 @@ from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
 from .report import RunReport, Summary
 from .store import KEPT
-from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, source_of_ground
+from .surroundings import GroundNeeded, GroundSource, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
 from .targets import Targets, beside
 from .tiles import Tile
@@ -88,11 +88,10 @@ class RasterProduct(GroundNeeded):
         ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]
         arrays: dict[str, np.ndarray] = {_CORNER: np.array(ends)}
         for found in self.surroundings(tile, summary):
-            around, start, doubtful = found.around, time.perf_counter(), 0
+            around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
             own = around.own
             if min(grid.shape) < 1:  # points on the edge of the raster have no cell beyond
                 break
-            doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
             noise = None if found.result is None else found.result.low_noise
             threads, usable = LOCAL.get().threads, found.usable
             # A triangle is that of the whole if the circle through its corners holds no place that has data and was not read.

@@ -156,10 +156,8 @@ class Run:
         return done
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
-        return lambda last: (
-            self.product,
-            tile_of(self.plan, self.collection, number, patient=last and len(self.collection) > 1),
-        )
+        several = len(self.collection) > 1
+        return lambda last: (self.product, tile_of(self.plan, self.collection, number, patient=last and several))
 
     def _writing(self, number: int) -> Task:
         def arguments(last: bool) -> tuple[Product, FileTask]:

@@ -36,7 +36,7 @@ class Surroundings:
     """Points of a tile and around it; ``halo``: metres; ``result``: of the filter, if it was asked.
 
     ``ground``: bool[n], all that was found; ``near``: the box within which these are ground points of the whole, None =
-    everywhere.
+    everywhere; ``doubt``: counts what a surface through them may have otherwise than the whole.
     """
 
     around: Around
@@ -45,6 +45,7 @@ class Surroundings:
     ground: np.ndarray
     near: Bounds | None
     result: FilterResult | None
+    doubt: DoubtfulTriangles
 
     @property
     def usable(self) -> np.ndarray:
@@ -99,7 +100,8 @@ class GroundNeeded(Product):
                 result = self.filter(cloud, workers=local.threads, progress=local.progress)
                 summary.seconds["filter"] += time.perf_counter() - read
             ground = ground_by_class(around.cloud, self.classes_of_ground, tile) if result is None else result.ground
-            yield Surroundings(around, wide, halo, ground, near, result)
+            doubt = DoubtfulTriangles(around.cloud, self.data, near)
+            yield Surroundings(around, wide, halo, ground, near, result, doubt)
             if tile.core is None:
                 return
 

@@ -201,10 +201,9 @@ class Survey:
 
     def _everything(self) -> Tile:
         """All points, as the only tile of a run has them."""
-        used = [number for number, count in enumerate(self.collection.counts.tolist()) if count]
-        return Tile(
-            0, None, None, tuple(used), tuple(self.collection[n] for n in used), patient=len(self.collection) > 1
-        )
+        used = tuple(np.flatnonzero(self.collection.counts).tolist())
+        sources = tuple(self.collection[number] for number in used)
+        return Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
 
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""

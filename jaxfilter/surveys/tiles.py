@@ -180,15 +180,10 @@ def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Re
             empty = np.array(name in ("return_number", "number_of_returns", "valid"), kinds[0])
             filled = zip(clouds, parts, strict=True)
             columns[name] = np.concatenate([np.full(len(c), empty) if part is None else part for c, part in filled])
-    return PointCloud(
-        origin=origin,
-        xyz=np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)]),
-        candidate=np.concatenate([cloud.candidate for cloud in clouds]),
-        crs=first.crs,
-        units=first.units,
-        anchor=first.anchor,
-        whole=whole,
-        **columns,
+    xyz = np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)])
+    candidate = np.concatenate([cloud.candidate for cloud in clouds])
+    return dataclasses.replace(
+        first, origin=origin, xyz=xyz, candidate=candidate, source=None, whole=whole, core=None, **columns
     )
 
 

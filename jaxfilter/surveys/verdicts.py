@@ -274,11 +274,10 @@ class _Log:
         """Raises: InputError if it is damaged."""
         self.path = path
         try:
-            self.facts: dict[str, Any] = json.loads(path.read_text())
+            empty: dict[str, Any] = {"files": {}, "verdicts": []}
+            self.facts = json.loads(path.read_text()) if path.exists() else empty
             self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
             broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
-        except FileNotFoundError:
-            self.facts, self._known, broken = {"files": {}, "verdicts": []}, {}, {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
         self._broken = {name for name, words in broken.items() if words is not None}
