@@ -331,28 +331,22 @@ def open(
     Collection(2 files, 5033 points)
     """
     stated = Reading(units=units, crs=crs).stated
+    listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
+    if not listed:
+        raise InputError("no files are named")
+    entries = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed)
     unreadable: list[tuple[str, str]] = []
     repeated: dict[str, None] = {}
-    collection = Collection(_read(_expand(what, stated), stated, unreadable, repeated), unreadable, repeated)
+    collection = Collection(_read(entries, stated, unreadable, repeated), unreadable, repeated)
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
 
 
-def _expand(what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], stated: Stated) -> Iterator[Entry]:
-    """The files meant, those of each name in alphabetical order; ``stated``: of the coordinates of members.
-
-    Raises: InputError if a name stands for nothing that can be a member.
-    """
-    listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
-    if not listed:
-        raise InputError("no files are named")
-    for item in listed:
-        yield from _expanded(os.fspath(item), stated)
-
-
 def _expanded(name: str, stated: Stated) -> Iterable[Entry]:
-    place = place_of(name)
+    """The files that a name means, in alphabetical order; ``stated``: of the coordinates of members. Raises: InputError if there
+    are none."""
+    place, pattern = place_of(name), any(c in name for c in "*?[")
     suffix = place.suffix.lower()
     if suffix == ".vpc":
         from .vpc import read_vpc
@@ -361,29 +355,28 @@ def _expanded(name: str, stated: Stated) -> Iterable[Entry]:
     if isinstance(place, Remote):
         if suffix in (*LAS_SUFFIXES, *TEXT) and not any(c in name for c in "*["):
             return [name]
-        return _some(name, place.listed(LAS_SUFFIXES))
-    place = Path(os.path.abspath(place))  # which other processes understand as well
-    if place.is_dir():
-        return _some(name, sorted(str(p) for p in place.iterdir() if _is_member(p)))
-    if not place.exists() and any(c in name for c in "*?["):
-        return _some(name, sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p), suffix)))
-    return [str(place)]
-
-
-def _is_member(path: Path, asked: str = "") -> bool:
-    """Files of LAS, and of text if a pattern asks for their suffix."""
-    known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
-    return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
-
-
-def _some(name: str, found: list[str]) -> list[str]:
-    if not found and any(c in name for c in "*?["):
+        found = place.listed(LAS_SUFFIXES)
+    else:
+        place = Path(os.path.abspath(place))  # which other processes understand as well
+        if place.is_dir():
+            found = sorted(str(p) for p in place.iterdir() if _is_member(p))
+        elif pattern and not place.exists():
+            found = sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p), suffix))
+        else:
+            return [str(place)]
+    if not found and pattern:
         raise InputError(f"{name}: matches no .las or .laz file")
     if not found:
         raise InputError(
             f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"
         )
     return found
+
+
+def _is_member(path: Path, asked: str = "") -> bool:
+    """Files of LAS, and of text if a pattern asks for their suffix."""
+    known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
+    return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
 
 
 def _read(

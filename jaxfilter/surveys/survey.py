@@ -191,19 +191,16 @@ class Survey:
             return FILTERS[found["method"]](**found["fields"]), whole
         filter_, index = recipe.alone(), self.targets.store.index
         if self.options.tile is None and self.collection.count <= WHOLE:
-            if filter_ is None or recipe.by_data:
-                filter_ = recipe.on(TileReader(self.reading, whole, index).read(self._everything(), keep=True).cloud)
+            if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
+                used = tuple(np.flatnonzero(self.collection.counts).tolist())
+                sources = tuple(self.collection[number] for number in used)
+                everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
+                filter_ = recipe.on(TileReader(self.reading, whole, index).read(everything, keep=True).cloud)
             return filter_, whole
         sampler = Sampler(self.collection, self.reading, index)
         if filter_ is None or recipe.by_data:
             filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole
-
-    def _everything(self) -> Tile:
-        """All points, as the only tile of a run has them."""
-        used = tuple(np.flatnonzero(self.collection.counts).tolist())
-        sources = tuple(self.collection[number] for number in used)
-        return Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
 
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""

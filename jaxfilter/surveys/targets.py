@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -156,7 +157,7 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
         raise ParameterError(
             f"{place}: {len(sources):,} files are written into a folder, and this is the name of a file: name a folder as OUT"
         )
-    places = [place] if one else [place / name for name in target_names(list(uris))]
+    places = [place] if one else [place / name for name in target_names(uris)]
     inputs = {_real(source) for source in sources}
     for target in places:
         if _real(target) in inputs:
@@ -208,30 +209,24 @@ def _real(place: Place) -> str:
     return place.uri if isinstance(place, Remote) else os.path.realpath(place)
 
 
-def target_names(uris: list[str]) -> list[str]:
+def target_names(uris: Sequence[str]) -> list[str]:
     """The name of the output for each input: the input's, but plain LAZ for COPC.
 
     Raises: OutputError if two outputs would have one name.
     """
-    names = []
     seen: dict[str, str] = {}
     for uri in uris:
-        name = place_of(uri).name  # of a signed URL without the signature
-        if name.lower().endswith(".copc.laz"):
-            name = name[: -len(".copc.laz")] + ".laz"
+        name = re.sub(r"\.copc\.laz$", ".laz", place_of(uri).name, flags=re.IGNORECASE)  # no signature of a URL
         if name in seen:
             raise OutputError(f"{seen[name]} and {uri} would both be written as {name}: filter them into two folders")
         seen[name] = uri
-        names.append(name)
-    return names
+    return list(seen)
 
 
 def _held(folder: Place) -> list[str]:
     """Names in a folder, sorted. Raises OutputError."""
     try:
-        if isinstance(folder, Remote):
-            return folder.held()
-        return sorted(entry.name for entry in os.scandir(folder))
+        return folder.held() if isinstance(folder, Remote) else sorted(os.listdir(folder))
     except JaxfilterError as error:
         raise OutputError(str(error)) from error
     except OSError as error:
