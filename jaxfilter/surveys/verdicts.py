@@ -45,6 +45,8 @@ from .tiles import Tile, inside, part_of
 
 LOG = "verdicts.json"
 """Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""
+_CHANGED = f"{KEPT}changed"
+"""Name of the array of the numbers of the files of points that change."""
 _FEW = 200
 """Sites up to which one process is enough: others take longer to start."""
 
@@ -162,9 +164,7 @@ class VerdictProduct(Product):
         code = np.full(len(cloud), Finding.OTHER, np.uint8)
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
-        arrays = packed(some, Found(found.ground, code), {})
-        kept = {"files": np.unique(around.file[touched]), "changed": np.array(int(touched.sum()))}
-        return arrays | {f"{KEPT}{name}": values for name, values in kept.items()}, summary
+        return packed(some, Found(found.ground, code), {}) | {_CHANGED: around.file[touched]}, summary
 
     def file(self, task: FileTask) -> None:
         """Write a file whose points have changed. Raises: InputError, OutputError."""
@@ -176,11 +176,10 @@ class VerdictProduct(Product):
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
         assert isinstance(report, VerdictReport)
-        kept = [self.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
-        numbers = {file for arrays in kept for file in arrays.get(f"{KEPT}files", np.zeros(0, int)).tolist()}
-        written = {str(targets.places[number]) for number in numbers}
-        report.files = [name for name in report.files if name in written]
-        report.changed = sum(int(arrays.get(f"{KEPT}changed", 0)) for arrays in kept)
+        stored = (self.store.arrays(number, (_CHANGED,)) for number in np.flatnonzero(report.state != -1).tolist())
+        changed = [file for arrays in stored for files in arrays.values() for file in files.tolist()]
+        written = {str(targets.places[number]) for number in set(changed)}
+        report.files, report.changed = [name for name in report.files if name in written], len(changed)
         if not (report.set_aside or report.failed or report.left_out):
             _Log(targets.store.path.parent / LOG).add(self.new, collection)
 
