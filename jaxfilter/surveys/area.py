@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.reading import Reading
 from ..files.disk import Bounds
@@ -76,9 +75,3 @@ def within(area: shapely.Geometry | None, x: np.ndarray, y: np.ndarray) -> np.nd
 
     shapely.prepare(area)
     return np.asarray(shapely.intersects_xy(area, x, y))
-
-
-def points_within(area: shapely.Geometry, cloud: PointCloud) -> np.ndarray:
-    """bool[n]: points in an area, to a millimetre, by their quantised coordinates."""
-    x, y = (cloud.origin[axis] + cloud.xyz[:, axis].astype(np.float64) / cloud.units.xy for axis in range(2))
-    return within(area, x, y)

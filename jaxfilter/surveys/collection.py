@@ -203,11 +203,10 @@ class Collection:
         >>> len(jf.open("survey", units="m").clipped((512000, 5403000, 512010, 5403010)))
         1
         """
-        (x0, y0, x1, y1), sources = box, []
+        sources = []
         for number in self.within(box).tolist() if len(self) > 1 else range(len(self)):
             source = self[number]
-            west, south, east, north = source.bounds
-            bounds = (max(west, x0), max(south, y0), min(east, x1), min(north, y1))
+            bounds = common(source.bounds, box)
             meets = bounds[0] <= bounds[2] and bounds[1] <= bounds[3]
             sources.append(dataclasses.replace(source, bounds=bounds) if meets else source)
         if not sources:
@@ -304,6 +303,12 @@ class Collection:
         if left_out:
             warn(f"{path}: {left_out} files without points are left out")
         return write_vpc(self, Path(path), overwrite)
+
+
+def common(box: Bounds, limits: Bounds) -> Bounds:
+    """What two boxes share; its low edges are not below the high ones where that is nothing."""
+    (x0, y0, x1, y1), (west, south, east, north) = box, limits
+    return max(x0, west), max(y0, south), min(x1, east), min(y1, north)
 
 
 def open(

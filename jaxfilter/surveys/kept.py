@@ -17,11 +17,11 @@ from ..files.vectors import write_features
 from ..terrain.breaklines import table_of_water, write_breaklines
 from ..terrain.levels import WaterRuns
 from .area import within
-from .collection import Collection
+from .collection import Collection, common
 from .product import Product
 from .report import RunReport
 from .store import KEPT
-from .tiles import Around, Tile, common
+from .tiles import Around, Tile
 
 
 def suspects_in(

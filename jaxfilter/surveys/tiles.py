@@ -20,7 +20,8 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
-from .area import points_within
+from .area import within
+from .collection import common
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,14 +115,14 @@ class TileReader:
             cloud, record = window.cloud, window.record
             if tile.window is None and cloud.source.checksum is not None:
                 checksums[number] = cloud.source.checksum
-            within = inside(cloud, tile.window)
-            if not within.all():
-                cloud, record = part_of(cloud, within), record[within]
+            there = inside(cloud, tile.window)
+            if not there.all():
+                cloud, record = part_of(cloud, there), record[there]
             if len(cloud):
                 clouds.append(cloud)
                 own = inside(cloud, tile.core)
                 if self.reading.aoi is not None:
-                    own &= points_within(self.reading.aoi, cloud)
+                    own &= within(self.reading.aoi, *cloud.coordinates()[:, :2].T)
                 cores.append(own)
                 numbers.append(number)
                 records.append(record)
@@ -142,13 +143,6 @@ class TileReader:
 
 _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
-
-
-def common(box: Bounds, limits: Bounds) -> Bounds:
-    """What two boxes share; its low edges are not below the high ones where that is nothing."""
-    low = (max(v, limit) for v, limit in zip(box[:2], limits[:2], strict=True))
-    high = (min(v, limit) for v, limit in zip(box[2:], limits[2:], strict=True))
-    return (*low, *high)  # type: ignore[return-value]
 
 
 def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
