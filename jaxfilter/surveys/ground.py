@@ -23,10 +23,9 @@ from ..terrain.levels import water_of
 from .collection import Collection
 from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
-from .labels import collected, packed
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .product import Cut, FileTask, Product
+from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
 from .survey import survey_of_points
 from .targets import Targets
@@ -99,7 +98,7 @@ class GroundProduct(Product):
 
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
-        cloud, found, columns = collected(self, task, dict.fromkeys(self.extra, np.float32))
+        cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
         write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, in_place=task.in_place)
 

@@ -20,9 +20,8 @@ from .collection import Collection
 from .executors import LOCAL
 from .ground import summarise
 from .kept import list_places, suspects_in
-from .labels import collected, packed
 from .options import RunOptions
-from .product import FileTask
+from .product import FileTask, packed
 from .report import RunReport, Summary
 from .surroundings import HALOS, GroundNeeded, GroundSource, source_of_ground
 from .survey import FIND_GROUND, survey_of_points
@@ -75,7 +74,7 @@ class HeightProduct(GroundNeeded):
 
         Raises: InputError, OutputError.
         """
-        cloud, found, quantities = collected(self, task, {HEIGHT: np.float64})
+        cloud, found, quantities = self.collected(task, {HEIGHT: np.float64})
         result = found if self.classes_of_ground is None else None
         additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
         write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)

@@ -32,10 +32,9 @@ from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, rea
 from ..terrain.layer import extent_of
 from .collection import Collection
 from .kept import list_places, suspects_in
-from .labels import CANDIDATE, found_in, gathered, packed
 from .measures import Recipe
 from .options import RunOptions
-from .product import Cut, FileTask, Product
+from .product import CANDIDATE, Cut, FileTask, Product, found_in, gathered, packed
 from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import ground_by_class
