@@ -45,19 +45,15 @@ class Executor(Protocol):
 
     def room(self) -> int:
         """How many further tasks may be submitted now."""
-        ...
 
     def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Begin a task, which is known by its tag; only while there is room."""
-        ...
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Tasks that have ended; waits so long for the first of them. A worker that died is an outcome."""
-        ...
 
     def close(self) -> None:
         """Stop at once whatever is running."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)

@@ -55,12 +55,11 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
 
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
-    base = str(place).rpartition("/")[0] if isinstance(place, Remote) else os.path.dirname(os.path.abspath(place))
     known: dict[Any, tuple[Reference, str | None]] = {}
     with reading_errors(place), opened(place, sequential=True) as (file, _):
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
-                yield _member(item, base, isinstance(place, Remote), known, asked, str(place))
+                yield _member(item, place, known, asked)
             except _ODD as error:
                 if isinstance(error, InputError):
                     raise
@@ -102,16 +101,12 @@ def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _member(
-    item: dict[str, Any],
-    base: str,
-    remote: bool,
-    known: dict[Any, tuple[Reference, str | None]],
-    asked: Stated,
-    name: str,
+    item: dict[str, Any], place: Place, known: dict[Any, tuple[Reference, str | None]], asked: Stated
 ) -> str | Source:
+    """The member that an item describes; ``known``: systems of items before, by how these state them."""
     assets = item["assets"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
-    uri, facts = _resolved(asset["href"], base, remote, name), item["properties"]
+    uri, facts = _resolved(asset["href"], place), item["properties"]
     kinds = (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las"))
     kind = next((kind for kind, end in kinds if uri.lower().endswith(end)), None)
     box, count = facts.get("proj:bbox"), facts.get("pc:count")
@@ -121,7 +116,7 @@ def _member(
     stated = json.dumps(key) if isinstance(key, dict) else key
     if stated not in known:
         text = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
-        reference = asked.of(reference_of({WKT: text.encode()}, name), name)
+        reference = asked.of(reference_of({WKT: text.encode()}, str(place)), str(place))
         known[stated] = reference, None if reference.crs is None else reference.crs.to_wkt()
     reference, wkt = known[stated]
     if reference.problem is not None:
@@ -142,18 +137,20 @@ def _member(
     )
 
 
-def _resolved(href: str, base: str, remote: bool, name: str) -> str:
+def _resolved(href: str, place: Place) -> str:
     """A name relative to the folder of the .vpc, or as it is. Raises InputError for other stores than :data:`_SCHEMES`."""
     scheme, mark, _ = href.partition("://")
     if "::" in href or (mark and scheme.lower() not in _SCHEMES):
         raise InputError(
-            f"{name}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
+            f"{place}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
             "correct the name, or copy that file"
         )
     if mark or os.path.isabs(href):
         return href
     path = href.removeprefix("./")
-    return f"{base}/{path}" if remote else os.path.normpath(f"{base}/{path}")
+    if isinstance(place, Remote):
+        return f"{place.uri.rpartition('/')[0]}/{path}"
+    return os.path.abspath(os.path.join(os.path.dirname(place), path))
 
 
 def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
