@@ -117,7 +117,11 @@ class Survey:
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")
                 raise
-            self._leave(run.report)
+            if targets.folder is not None:
+                run.report.write(targets.folder / REPORT)
+                run.report.draw(targets.folder / MAP)
+            if run.report.complete:
+                store.discard() if targets.folder is None else store.drop_index()
         return run.report
 
     def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
@@ -228,15 +232,6 @@ class Survey:
                 identity = kept["identity"]
             found.update(json.dumps([source.uri, source.count, identity]).encode())
         return found.hexdigest()
-
-    def _leave(self, report: RunReport) -> None:
-        """Put the report beside the files, and remove what is not needed any more."""
-        targets = self.targets
-        if targets.folder is not None:
-            report.write(targets.folder / REPORT)
-            report.draw(targets.folder / MAP)
-        if report.complete:
-            targets.store.discard() if targets.folder is None else targets.store.drop_index()
 
 
 def survey_of_points(
