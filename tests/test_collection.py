@@ -19,7 +19,7 @@ from jaxfilter.cli import main
 from jaxfilter.files.sources import Source
 from jaxfilter.surveys import vpc
 from jaxfilter.surveys.collection import Collection
-from jaxfilter.surveys.footprints import Footprints
+from jaxfilter.surveys.findings import Footprints
 
 WKT = pyproj.CRS.from_epsg(32632).to_wkt()
 

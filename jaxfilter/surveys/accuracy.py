@@ -39,6 +39,7 @@ EDITIONS = {
 _LEAST = {"2014": 20, "2023": 30}
 _COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum", "vertical_crs")
 _PLANTS = ("veg", "forest", "tree", "wood", "brush", "shrub", "crop", "weed", "tall", "vva")
+_FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,"><title>{title} – accuracy</title><style>{style}</style></head>
@@ -132,7 +133,7 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     import pandas
 
     try:
-        rows = pandas.read_csv(path).rename(columns=lambda name: str(name).strip().lower())
+        rows = pandas.read_csv(path, dtype=str).rename(columns=lambda name: str(name).strip().lower())
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from error
     if missing := [name for name in "xyz" if name not in rows]:
@@ -140,35 +141,28 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     xyz = rows[["x", "y", "z"]].apply(pandas.to_numeric, errors="coerce").to_numpy(np.float64)
     _same_datum(path, rows, model, collection, notes)
     z, inside = _sampled(model, xyz[:, :2])
-    outside = [int(row) + 2 for row in np.flatnonzero(~inside)]
-    unknown = [int(row) + 2 for row in np.flatnonzero(inside & ~np.isfinite(z - xyz[:, 2]))]
-    for lines, words in (
-        (outside, "lie outside of the model"),
-        (unknown, "lie where the model has no height, or have none"),
-    ):
-        if lines:
-            notes.append(
-                f"{path.name}: {len(lines)} check points {words}, and do not count: lines {', '.join(map(str, lines))}"
-            )
     used = np.isfinite(z - xyz[:, 2])
+    outside, unknown = (np.flatnonzero(rest) + 2 for rest in (~inside, inside & ~used))
+    kinds = (outside, "lie outside of the model"), (unknown, "lie where the model has no height, or have none")
+    for lines, words in kinds:
+        if len(lines):
+            which = ", ".join(map(str, lines))
+            notes.append(f"{path.name}: {len(lines)} check points {words}, and do not count: lines {which}")
     dz = (z - xyz[:, 2])[used] * collection.units.z
-    name = next((one for one in _COVER if one in rows), None)
-    cover = (
-        np.full(len(dz), "not stated") if name is None else rows[name].fillna("not stated").astype(str).to_numpy()[used]
-    )
-    plants = np.array(
-        [any(word in one.lower() for word in _PLANTS) and "non" not in one.lower() for one in cover], bool
-    )
-    if name is None:
-        notes.append(f"{path.name}: has no column {_COVER[0]}: all check points count as not vegetated")
+    name = next((one for one in _COVER if one in rows), _COVER[0])
+    if name not in rows:
+        rows[name] = "not stated"
+        notes.append(f"{path.name}: has no column {name}: all check points count as not vegetated")
+    covers = rows[name].fillna("not stated")[used]
+    named = covers.str.contains("|".join(_PLANTS), case=False)
+    plants = (named & ~covers.str.contains("non", case=False)).to_numpy(bool)
     for edition, least in _LEAST.items():
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
-    by_cover = {one: _figures(dz[cover == one]) for one in sorted(set(cover.tolist()))}
     return {
         "nva": _figures(dz[~plants]),
         "vva": _figures(dz[plants]),
-        "by_cover": by_cover,
+        "by_cover": {one: _figures(dz[covers == one]) for one in sorted(set(covers))},
         "outside": len(outside),
         "without_height": len(unknown),
     }
@@ -198,16 +192,15 @@ def _sampled(model: Raster, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, notes: list[str]) -> None:
     """Raises: InputError for check points in another vertical datum than that of the model."""
     name = next((one for one in _DATUM if one in rows), None)
-    stated = [] if name is None else sorted({str(one).strip() for one in rows[name].dropna()})
+    stated = [] if name is None else sorted(set(rows[name].dropna().str.strip()))
     crs = model.crs if _vertical(model.crs) is not None else collection.crs
     known = _vertical(crs)
     for text in stated:
-        datum = _named(text)
         if known is None:
             notes.append(
                 f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
             )
-        elif datum != known:
+        elif (datum := _named(text)) != known:
             raise InputError(
                 f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "
                 "such as with cs2cs of PROJ"
@@ -229,7 +222,7 @@ def _named(text: str) -> str:
     import pyproj
 
     try:
-        crs = pyproj.CRS.from_user_input(int(float(text)) if text.replace(".0", "").isdigit() else text)
+        crs = pyproj.CRS.from_user_input(int(float(text)) if text.removesuffix(".0").isdigit() else text)
     except pyproj.exceptions.CRSError:
         return text
     return _vertical(crs) or text
@@ -242,19 +235,12 @@ def _doubt(collection: Collection) -> float | None:
         if source.format == "text":
             return None
         header = open_las(source.place).header
-        found = [
-            one
-            for one in header.extra_dimensions() or ()
-            if one.name == "doubt" and one.data_type in (FLOAT32, FLOAT64)
-        ]
-        if not found:
+        doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
+        if doubt is None or doubt.data_type not in _FLOATS:
             return None
-        (one,) = found
         for chunk, _ in read_records(header):
-            values = np.ascontiguousarray(chunk[:, one.start : one.start + one.size]).view(
-                "<f4" if one.size == 4 else "<f8"
-            )
-            total += float(np.nansum(values, dtype=np.float64))
+            column = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size])
+            total += float(np.nansum(column.view(_FLOATS[doubt.data_type]), dtype=np.float64))
     return total
 
 

@@ -1,21 +1,22 @@
 """The area of interest of a survey: points in it are written, and those around it take part.
 
-Imported where there is one: Shapely takes a while.
+Shapely is imported where there is one: it takes a while.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import shapely
 
-from ..core.cloud import PointCloud
 from ..core.errors import InputError, ParameterError, warn
 from ..core.reading import Reading
 from ..files.disk import Bounds
 from .collection import Collection
+
+if TYPE_CHECKING:
+    import shapely
 
 
 def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
@@ -25,6 +26,7 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
     are cut by bounds only, and with bounds. Warns: if it is transformed, or repaired.
     """
     import geopandas
+    import shapely
 
     aoi = reading.aoi
     name = os.fspath(aoi) if isinstance(aoi, (str, os.PathLike)) else "aoi"
@@ -35,9 +37,8 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
     try:
-        frame: Any = (
-            geopandas.read_file(name) if name != "aoi" else geopandas.GeoSeries(getattr(aoi, "geometry", [aoi]))
-        )
+        given = getattr(aoi, "geometry", [aoi])
+        frame: Any = geopandas.GeoSeries(given) if name == "aoi" else geopandas.read_file(name)
     except Exception as error:  # GDAL has many of its own
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
@@ -61,16 +62,16 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
 
 def meeting(area: shapely.Geometry, boxes: np.ndarray) -> np.ndarray:
     """bool[n]: closed boxes f64[n, 4] that share a place with an area."""
+    import shapely
+
     return np.asarray(shapely.intersects(area, shapely.box(*boxes.T)))
 
 
-def within(area: shapely.Geometry, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """bool: places in an area or on its border, file coordinates."""
+def within(area: shapely.Geometry | None, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """bool: places in an area or on its border, file coordinates; all, if there is none."""
+    if area is None:
+        return np.ones(np.shape(x), bool)
+    import shapely
+
     shapely.prepare(area)
     return np.asarray(shapely.intersects_xy(area, x, y))
-
-
-def points_within(area: shapely.Geometry, cloud: PointCloud) -> np.ndarray:
-    """bool[n]: points in an area, to a millimetre, by their quantised coordinates."""
-    x, y = (cloud.origin[axis] + cloud.xyz[:, axis].astype(np.float64) / cloud.units.xy for axis in range(2))
-    return within(area, x, y)

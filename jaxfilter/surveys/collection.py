@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import dataclasses
 import functools
+import glob
 import itertools
 import math
 import operator
@@ -22,20 +23,21 @@ from ..core.reading import Reading
 from ..core.units import Stated, Units
 from ..files.disk import Bounds
 from ..files.sources import Source, describe_file
-from ..files.storage import place_of
-from . import names
-from .findings import OVERLAP, Findings, refuse_mixture
+from ..files.storage import Remote, place_of
+from ..files.text import SUFFIXES as TEXT
+from ..files.writing import LAS_SUFFIXES
+from .findings import OVERLAP, Findings, Footprints, refuse_mixture
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from .footprints import Footprints
 
 __all__ = ["Collection", "Source", "open"]
 
 _THREADS = 16  # headers that are read at a time: what waits is the disk, or a server
 _ROWS = {"bounds": 4, "z": 2}  # fields of several numbers
 _ARRAYS = ("bounds", "z", "count")  # fields that are held as arrays
+Entry = str | Source
+"""The name of a file whose header is to be read, or what a virtual point cloud says of it."""
 
 
 class Collection:
@@ -52,10 +54,7 @@ class Collection:
     """
 
     def __init__(
-        self,
-        sources: Iterable[Source],
-        unreadable: Iterable[tuple[str, str]] = (),
-        repeated: Iterable[str] = (),
+        self, sources: Iterable[Source], unreadable: Iterable[tuple[str, str]] = (), repeated: Iterable[str] = ()
     ) -> None:
         columns: dict[str, Any] = {field.name: [] for field in dataclasses.fields(Source)}
         columns |= {name: array.array("q" if name == "count" else "d") for name in _ARRAYS}
@@ -204,11 +203,10 @@ class Collection:
         >>> len(jf.open("survey", units="m").clipped((512000, 5403000, 512010, 5403010)))
         1
         """
-        (x0, y0, x1, y1), sources = box, []
+        sources = []
         for number in self.within(box).tolist() if len(self) > 1 else range(len(self)):
             source = self[number]
-            west, south, east, north = source.bounds
-            bounds = (max(west, x0), max(south, y0), min(east, x1), min(north, y1))
+            bounds = common(source.bounds, box)
             meets = bounds[0] <= bounds[2] and bounds[1] <= bounds[3]
             sources.append(dataclasses.replace(source, bounds=bounds) if meets else source)
         if not sources:
@@ -217,8 +215,6 @@ class Collection:
 
     @functools.cached_property
     def _index(self) -> Footprints:
-        from .footprints import Footprints  # late: it brings SciPy
-
         return Footprints(self.footprints)
 
     def within(self, box: Bounds) -> np.ndarray:
@@ -309,6 +305,12 @@ class Collection:
         return write_vpc(self, Path(path), overwrite)
 
 
+def common(box: Bounds, limits: Bounds) -> Bounds:
+    """What two boxes share; its low edges are not below the high ones where that is nothing."""
+    (x0, y0, x1, y1), (west, south, east, north) = box, limits
+    return max(x0, west), max(y0, south), min(x1, east), min(y1, north)
+
+
 def open(
     what: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
     *,
@@ -334,22 +336,62 @@ def open(
     Collection(2 files, 5033 points)
     """
     stated = Reading(units=units, crs=crs).stated
+    listed = [what] if isinstance(what, (str, os.PathLike)) else list(what)
+    if not listed:
+        raise InputError("no files are named")
+    entries = itertools.chain.from_iterable(_expanded(os.fspath(one), stated) for one in listed)
     unreadable: list[tuple[str, str]] = []
     repeated: dict[str, None] = {}
-    collection = Collection(_read(names.expand(what, stated), stated, unreadable, repeated), unreadable, repeated)
+    collection = Collection(_read(entries, stated, unreadable, repeated), unreadable, repeated)
     if not len(collection):
         raise InputError(unreadable[0][1] if unreadable else f"{what}: names no files")
     return collection
 
 
+def _expanded(name: str, stated: Stated) -> Iterable[Entry]:
+    """The files that a name means, in alphabetical order; ``stated``: of the coordinates of members. Raises: InputError if there
+    are none."""
+    place, pattern = place_of(name), any(c in name for c in "*?[")
+    suffix = place.suffix.lower()
+    if suffix == ".vpc":
+        from .vpc import read_vpc
+
+        return read_vpc(place, stated)
+    if isinstance(place, Remote):
+        if suffix in (*LAS_SUFFIXES, *TEXT) and not any(c in name for c in "*["):
+            return [name]
+        found = place.listed(LAS_SUFFIXES)
+    else:
+        place = Path(os.path.abspath(place))  # which other processes understand as well
+        if place.is_dir():
+            found = sorted(str(p) for p in place.iterdir() if _is_member(p))
+        elif pattern and not place.exists():
+            found = sorted(p for p in glob.glob(str(place), recursive=True) if _is_member(Path(p), suffix))
+        else:
+            return [str(place)]
+    if not found and pattern:
+        raise InputError(f"{name}: matches no .las or .laz file")
+    if not found:
+        raise InputError(
+            f"{name}: holds no .las or .laz file; for those in folders below, name {name.rstrip('/')}/**/*.laz"
+        )
+    return found
+
+
+def _is_member(path: Path, asked: str = "") -> bool:
+    """Files of LAS, and of text if a pattern asks for their suffix."""
+    known = (*LAS_SUFFIXES, asked) if asked in TEXT else LAS_SUFFIXES
+    return path.suffix.lower() in known and not path.name.startswith(".") and path.is_file()
+
+
 def _read(
-    entries: Iterator[names.Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
+    entries: Iterator[Entry], stated: Stated, unreadable: list[tuple[str, str]], repeated: dict[str, None]
 ) -> Iterator[Source]:
     """The sources of entries in their order; the headers of some are read at the same time."""
     seen: set[str] = set()
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(itertools.islice(entries, 64 * _THREADS)):
-            new: list[names.Entry] = []
+            new: list[Entry] = []
             for entry in batch:
                 uri = entry.uri if isinstance(entry, Source) else entry
                 if uri in seen:

@@ -18,7 +18,6 @@ _AHEAD = 2
 """Bundles in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
 _LASTS, _MOST = 1.0, 100
 """A bundle begins no further task after so many seconds, and holds no more tasks than this."""
-_ASK = 1.0  # seconds between questions for the workers there are
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -49,34 +48,30 @@ class Cluster:
         self._client = client
         self._run = uuid.uuid4().hex[:12]
         self._waiting: collections.deque[tuple[Any, Call]] = collections.deque()
-        self._suspects: collections.deque[tuple[Any, Call]] = collections.deque()
-        """Tasks of bundles that were lost: each is tried alone."""
-        self._lost: set[Any] = set()
-        """Tags of tasks that were lost alone."""
+        self._suspects: set[Any] = set()
+        """Tags of tasks that were lost, with others or alone: from then on each is tried alone."""
         self._flying: dict[str, tuple[list[tuple[Any, Call]], Any]] = {}
         self._most, self._size = most, 1
         self.submissions = 0
         """Bundles that were given to the scheduler so far."""
-        self._known: list[int] = []
-        self._asked = -math.inf
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
-        threads = self._threads()
-        if threads and max(threads) > 1:
+        if max(self._look(), default=1) > 1:
             warn(
                 "workers of the cluster have several threads: start them with --nthreads 1, so that memory is as planned"
             )
 
     def room(self) -> int:
         """Tasks that the workers there are now may be given."""
-        given = len(self._waiting) + len(self._suspects) + sum(len(bundle) for bundle, _ in self._flying.values())
-        return self._bundles() * self._size - given
+        given = len(self._waiting) + sum(len(bundle) for bundle, _ in self._flying.values())
+        return self._bundles * self._size - given
 
     def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Put a task, whose tag can be hashed, into the next bundle."""
-        (self._suspects if tag in self._lost else self._waiting).append((tag, (function, arguments)))
+        self._waiting.append((tag, (function, arguments)))
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Tasks that have ended, see :class:`jaxfilter.surveys.executors.Executor`."""
+        self._look()
         self._send()
         found: list[tuple[Any, Outcome]] = []
         try:
@@ -92,12 +87,13 @@ class Cluster:
     def _send(self) -> None:
         """Give what waits to the scheduler, in one message, as far as there is room for further bundles."""
         bundles: dict[str, list[tuple[Any, Call]]] = {}
-        free = self._bundles() - len(self._flying)
-        size = min(self._size, math.ceil(len(self._waiting) / max(free - len(self._suspects), 1)))
-        while len(bundles) < free and (self._suspects or self._waiting):
+        free = self._bundles - len(self._flying)
+        size = min(self._size, math.ceil(len(self._waiting) / max(free, 1)))
+        while len(bundles) < free and self._waiting:
             self.submissions += 1
-            source, number = (self._suspects, 1) if self._suspects else (self._waiting, size)
-            bundle = [source.popleft() for _ in range(min(number, len(source)))]
+            bundle = [self._waiting.popleft()]
+            while len(bundle) < size and self._waiting and not {bundle[0][0], self._waiting[0][0]} & self._suspects:
+                bundle.append(self._waiting.popleft())
             bundles[f"jaxfilter-{self._run}-{self.submissions}"] = bundle
         if not bundles:
             return
@@ -113,10 +109,10 @@ class Cluster:
         try:
             outcomes, seconds = future.result()
         except Exception as error:  # KilledWorker, CancelledError, what cannot be pickled
+            self._suspects.update(tag for tag, _ in bundle)
             if len(bundle) > 1:  # what kills workers is told from what was with it
-                self._suspects += bundle
+                self._waiting.extendleft(reversed(bundle))
                 return []
-            self._lost.add(bundle[0][0])
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
             return [(bundle[0][0], Outcome(reason=reason))]
         if len(outcomes) < len(bundle):
@@ -131,21 +127,16 @@ class Cluster:
         flying = [future for _, future in self._flying.values()]
         self._flying = {}
         self._waiting.clear()
-        self._suspects.clear()
         if flying:
             self._client.cancel(flying)
         if self._own:
             self._client.close()
 
-    def _bundles(self) -> int:
-        """That may be in flight."""
-        return max(1, _AHEAD * sum(self._threads()))
-
-    def _threads(self) -> list[int]:
-        """Of each worker, as of a second ago at most: it is a question to the scheduler, and asked before every task."""
-        if time.monotonic() - self._asked > _ASK:
-            self._known, self._asked = list(self._client.nthreads().values()), time.monotonic()
-        return self._known
+    def _look(self) -> list[int]:
+        """The threads of each worker there is now, which decide how many bundles may be in flight."""
+        threads = list(self._client.nthreads().values())
+        self._bundles = max(1, _AHEAD * sum(threads))
+        return threads
 
 
 def together(bundle: bytes) -> tuple[list[Outcome], float]:

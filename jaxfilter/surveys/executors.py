@@ -45,19 +45,15 @@ class Executor(Protocol):
 
     def room(self) -> int:
         """How many further tasks may be submitted now."""
-        ...
 
     def submit(self, tag: Any, function: Callable[..., Any], *arguments: Any) -> None:
         """Begin a task, which is known by its tag; only while there is room."""
-        ...
 
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Tasks that have ended; waits so long for the first of them. A worker that died is an outcome."""
-        ...
 
     def close(self) -> None:
         """Stop at once whatever is running."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,14 +83,13 @@ def carried_out(
 
     Raises: OutputError when a disk is full.
     """
-    running, tries = 0, collections.Counter[tuple[str, int]]()
+    running, tries = 0, collections.Counter[Task]()
     while True:
         while executor.room() > 0:
             task = now.popleft() if now else next(todo, None)
             if task is None:
                 break
-            last = tries[task.function.__name__, task.number] >= retries
-            executor.submit(task, task.function, *task.arguments(last))
+            executor.submit(task, task.function, *task.arguments(tries[task] >= retries))
             running += 1
         if not running:
             return
@@ -102,12 +97,10 @@ def carried_out(
             running -= 1
             if outcome.full:
                 raise OutputError(f"{outcome.reason}; make room, then pass resume=True to go on")
-            key = task.function.__name__, task.number
-            if outcome.reason is not None and tries[key] < retries:
-                tries[key] += 1
+            if outcome.reason is not None and tries[task] < retries:
+                tries[task] += 1
                 now.appendleft(task)
                 continue
-            del tries[key]
             yield task, outcome
         tick()
 
@@ -124,23 +117,11 @@ def attempt(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome
         return Outcome(reason=" ".join(words.split()), full=_is_full(error), error=error)
 
 
-@dataclasses.dataclass(frozen=True)
-class Local:
-    """What a task that runs in the process of the run may use: threads, and a callback for its progress."""
-
-    threads: int | None = 1
-    progress: Progress = silent
-
-
-LOCAL: ContextVar[Local] = ContextVar("LOCAL", default=Local())  # noqa: B039
-"""That of the task that runs now."""
-
-
 class Here:
-    """This process, one task at a time."""
+    """This process, one task at a time, which may use threads, and a callback for its progress."""
 
-    def __init__(self, local: Local) -> None:
-        self._local = local
+    def __init__(self, threads: int | None = 1, progress: Progress = silent) -> None:
+        self.threads, self.progress = threads, progress
         self._waiting: list[tuple[Any, Callable[..., Any], tuple[Any, ...]]] = []
 
     def room(self) -> int:
@@ -154,7 +135,7 @@ class Here:
     def completed(self, seconds: float) -> list[tuple[Any, Outcome]]:
         """Do what waits."""
         tag, function, arguments = self._waiting.pop()
-        before = LOCAL.set(self._local)
+        before = LOCAL.set(self)
         try:
             return [(tag, attempt(function, arguments))]
         finally:
@@ -162,6 +143,10 @@ class Here:
 
     def close(self) -> None:
         """Nothing is running."""
+
+
+LOCAL: ContextVar[Here] = ContextVar("LOCAL", default=Here())  # noqa: B039
+"""What the task that runs now may use."""
 
 
 def _is_full(error: BaseException | None) -> bool:

@@ -6,7 +6,7 @@ import dataclasses
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +22,14 @@ from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
 from .executors import LOCAL
-from .labels import collected, packed
+from .kept import WaterWanted, kept_water, list_places, list_water, suspects_in
 from .measures import Recipe, recipe_of
 from .options import RunOptions
-from .places import list_places, suspects_in
-from .product import FileTask, Product
+from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
-from .survey import Cut, Survey, open_files
-from .targets import Targets, targets_of
-from .tiles import Around, Tile, TileReader, part_of
-from .water import WaterWanted, kept_water, list_water
+from .survey import survey_of_points
+from .targets import Targets
+from .tiles import Around, Tile, part_of
 
 _REACH = 40.0
 """Metres around a tile that high noise and heights of plants depend on, as their steps say."""
@@ -47,14 +45,18 @@ class GroundProduct(Product):
         into_text: the output is text, which has classes only if the lines of the input had.
     """
 
-    NAME = "ground"
-    COLUMNS: ClassVar[tuple[str, ...]] = ()
-    """Names of further columns, which ``columns`` of a subclass makes."""
     classes: Classes
     extra: tuple[str, ...]
     review: Path | None
     water: WaterWanted
     into_text: bool
+
+    def cut(self) -> Cut:
+        """With a halo for the filter, and for what classes besides ground depend on."""
+        assert self.filter is not None
+        halo = self.filter.halo() if self.halo is None else self.halo
+        halo += _REACH * (self.classes.vegetation is not None)
+        return Cut(max(halo, _REACH * (self.classes.high_noise is not None)), self.filter.lattice())
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Label the points of a tile. Raises: InputError, ParameterError."""
@@ -65,10 +67,8 @@ class GroundProduct(Product):
         if self.reader.reading.aoi is not None and not around.core.any():
             summary.read, summary.unread = len(around.cloud), around.left_out
             return {}, summary
-        cloud, result = (
-            around.cloud,
-            self.filter(self._wider(tile, around.cloud), workers=local.threads, progress=local.progress),
-        )
+        cloud = around.cloud
+        result = self.filter(self._wider(tile, cloud), workers=local.threads, progress=local.progress)
         summary.seconds["filter"] = (done := time.perf_counter()) - read
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
@@ -98,11 +98,9 @@ class GroundProduct(Product):
 
     def file(self, task: FileTask) -> None:
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
-        found = collected(self, task, dict.fromkeys((*self.extra, *self.COLUMNS), np.float32))
-        additions = Additions(columns=found.quantities)
-        write_cloud(
-            task.target, found.cloud, found.found, self.classes, additions, overwrite=True, in_place=task.in_place
-        )
+        cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
+        additions = Additions(columns=columns)
+        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, in_place=task.in_place)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""
@@ -173,19 +171,12 @@ def ground(
     for path in (listed, outlined):
         if path is not None:
             check_suffix(path)
-    collection = open_files(what, out, reading, run)
-    targets = targets_of(None if run.in_place else out, collection.uris, run)
-    survey, quantities = Survey(collection, targets, recipe, reading, run), tuple(Additions(extra).extra)
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> GroundProduct:
-        text = all(place.suffix.lower() in TEXT for place in targets.places)
-        return GroundProduct(
-            reader, targets.store.path, filter_, classes, quantities, listed, WaterWanted(path=outlined), text
-        )
-
-    def cut_for(filter_: Filter | None, halo: float | None) -> Cut:
-        assert filter_ is not None
-        around = (filter_.halo() if halo is None else halo) + _REACH * (classes.vegetation is not None)
-        return Cut(max(around, _REACH * (classes.high_noise is not None)), filter_.lattice())
-
-    return survey.run(cut_for, product_for)
+    survey = survey_of_points(what, out, recipe, reading, run)
+    return survey.run(
+        GroundProduct,
+        classes=classes,
+        extra=tuple(Additions(extra).extra),
+        review=listed,
+        water=WaterWanted(path=outlined),
+        into_text=all(place.suffix.lower() in TEXT for place in survey.targets.places),
+    )

@@ -11,7 +11,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, ParameterError
-from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import Status
 from ..files.classes import Classes, findings_of
@@ -20,15 +19,14 @@ from ..terrain.models import heights_of
 from .collection import Collection
 from .executors import LOCAL
 from .ground import summarise
-from .labels import collected, packed
+from .kept import list_places, suspects_in
 from .options import RunOptions
-from .places import places_in, suspects_in
-from .product import FileTask
+from .product import FileTask, packed
 from .report import RunReport, Summary
-from .surroundings import HALOS, DoubtfulTriangles, GroundNeeded, GroundSource, cut_around, source_of_ground
-from .survey import FIND_GROUND, Survey, open_files
-from .targets import Targets, targets_of
-from .tiles import Tile, TileReader
+from .surroundings import HALOS, GroundNeeded, GroundSource, source_of_ground
+from .survey import FIND_GROUND, survey_of_points
+from .targets import Targets
+from .tiles import Tile
 
 _GRAIN = 1.0  # metres
 
@@ -37,12 +35,11 @@ _GRAIN = 1.0  # metres
 class HeightProduct(GroundNeeded):
     """Files with the height of every point; ``replace_z``: in place of Z."""
 
-    NAME = "heights"
     replace_z: bool
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Heights of the points of a tile. Raises: InputError if there is no ground within the widest halo."""
-        summary, heights, doubt, threads = Summary(), None, None, LOCAL.get().threads
+        summary, heights, threads = Summary(), None, LOCAL.get().threads
         kept: dict[str, np.ndarray] = {}
         for found in self.surroundings(tile, summary):
             around, start = found.around, time.perf_counter()
@@ -51,10 +48,9 @@ class HeightProduct(GroundNeeded):
                 heights = np.zeros(0)
                 break
             if found.usable.any():
-                doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
-                heights = heights_of(around.cloud, found.usable, own, workers=threads, look=doubt.look)
+                heights = heights_of(around.cloud, found.usable, own, workers=threads, look=found.doubt.look)
                 summary.seconds["heights"] += time.perf_counter() - start
-                if not doubt.count:
+                if not found.doubt.count:
                     break
         if heights is None:
             around_it = f"the tile {tile.core} and {HALOS[-1]:g} m around it"
@@ -70,7 +66,7 @@ class HeightProduct(GroundNeeded):
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
             summary.statuses[Status.CONVERGED.name] = 1
         summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None
-        summary.uncertain = 0 if doubt is None else doubt.count
+        summary.uncertain = found.doubt.count
         return packed(around, classed, {HEIGHT: heights}) | kept, summary
 
     def file(self, task: FileTask) -> None:
@@ -78,14 +74,14 @@ class HeightProduct(GroundNeeded):
 
         Raises: InputError, OutputError.
         """
-        found = collected(self, task, {HEIGHT: np.float64})
-        result = found.found if self.classes_of_ground is None else None
-        additions = Additions.of_heights(found.quantities[HEIGHT], self.replace_z)
-        write_cloud(task.target, found.cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
+        cloud, found, quantities = self.collected(task, {HEIGHT: np.float64})
+        result = found if self.classes_of_ground is None else None
+        additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
+        write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at. Raises: InputError."""
-        report.places = [place.facts() for place in places_in(self, report, collection.metre)]
+        list_places(self, report, collection, None, False)
 
     def facts(self) -> dict[str, Any]:
         """Classes of ground points, and where heights go."""
@@ -121,16 +117,9 @@ def heights(
     (2, True, True)
     """
     recipe, classes = source_of_ground(ground)
-    collection = open_files(what, out, reading, run)
-    targets = targets_of(None if run.in_place else out, collection.uris, run)
-    if wrong := [place for place in targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
+    survey = survey_of_points(what, out, recipe, reading, run)
+    if wrong := [place for place in survey.targets.places if place.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: heights need .las or .laz")
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> HeightProduct:
-        return HeightProduct(
-            reader, targets.store.path, filter_, collection.bounds, classes, _GRAIN, run.halo, replace_z
-        )
-
-    return Survey(collection, targets, recipe, reading, run).run(
-        lambda filter_, halo: cut_around(filter_, _GRAIN, halo), product_for
+    return survey.run(
+        HeightProduct, data=survey.collection.bounds, classes_of_ground=classes, grain=_GRAIN, replace_z=replace_z
     )

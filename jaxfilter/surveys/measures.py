@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from ..core.params import declared
 from ..core.points import canonical_points
 from ..core.reading import Reading
 from ..files.blocks import Changed
+from ..files.disk import Bounds
 from ..files.windows import read_window
 from .collection import Collection
 from .tiles import joined
@@ -78,10 +78,12 @@ def recipe_of(filter_: Any) -> Recipe:
     raise ParameterError(f"filter_={filter_!r}: is no filter; pass one, such as jaxfilter.SMRF()")
 
 
-def whole_of(measures: Mapping[str, Any]) -> Whole:
-    """Measures of a scene from plain values, as ``run.json`` has them."""
-    values: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in measures.items()}
-    return Whole(**values)
+def middle(box: Bounds, share: float, metre: float) -> Bounds:
+    """The middle of a closed box with this share of its area, half open; ``metre``: metres per unit."""
+    x0, y0, x1, y1 = box
+    side, slack = math.sqrt(min(1.0, share)), 0.001 / metre
+    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, side * (x1 - x0) / 2, side * (y1 - y0) / 2
+    return x - width, y - height, x + width + slack, y + height + slack
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,11 +111,7 @@ class Sampler:
         clouds = []
         for number in dict.fromkeys(picked.tolist()):
             source = collection[number]
-            x0, y0, x1, y1 = source.bounds
-            share = math.sqrt(min(1.0, each / source.count))
-            x, y, half, side = (x0 + x1) / 2, (y0 + y1) / 2, share * (x1 - x0) / 2, share * (y1 - y0) / 2
-            slack = 0.001 / source.metre  # the box is half open
-            box = None if entire else (x - half, y - side, x + half + slack, y + side + slack)
+            box = None if entire else middle(source.bounds, each / source.count, source.metre)
             try:
                 window = read_window(source, box, self.index, self.reading)
             except Changed:

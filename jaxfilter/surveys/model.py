@@ -13,7 +13,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError
-from ..core.filter import Filter
 from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.storage import Place, place_of
@@ -25,16 +24,17 @@ from ..terrain.levels import water_of
 from ..terrain.lines import contour_tables
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_mosaic
+from .area import within
 from .collection import Collection
 from .executors import LOCAL
+from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
 from .report import RunReport, Summary
 from .store import KEPT
-from .surroundings import DoubtfulTriangles, GroundNeeded, GroundSource, Surroundings, cut_around, source_of_ground
+from .surroundings import GroundNeeded, GroundSource, source_of_ground
 from .survey import FIND_GROUND, Survey, open_files
-from .targets import Targets, target_of, targets_beside
-from .tiles import Tile, TileReader
-from .water import WaterWanted, kept_water, list_water
+from .targets import Targets, beside
+from .tiles import Tile
 
 _CORNER = f"{KEPT}corner"
 _WIDE = f"{KEPT}wide_"
@@ -66,7 +66,7 @@ class RasterProduct(GroundNeeded):
         water: how tiles come to know of it.
     """
 
-    NAME, REPORT = "rasters", TerrainReport
+    REPORT = TerrainReport
     grid: RasterGrid
     layers: tuple[Layer, ...]
     interpolation: Interpolation
@@ -75,7 +75,7 @@ class RasterProduct(GroundNeeded):
     @property
     def reach(self) -> float:
         """As far as the layers look."""
-        return _reach(self.layers, self.grain)
+        return max(layer.cells.reach(self.grain) for layer in self.layers)
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Values of the cells of a tile. Raises: InputError."""
@@ -88,17 +88,16 @@ class RasterProduct(GroundNeeded):
         ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]
         arrays: dict[str, np.ndarray] = {_CORNER: np.array(ends)}
         for found in self.surroundings(tile, summary):
-            around, start, doubtful = found.around, time.perf_counter(), 0
+            around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
             own = around.own
             if min(grid.shape) < 1:  # points on the edge of the raster have no cell beyond
                 break
-            doubt = DoubtfulTriangles(around.cloud, self.data, found.near)
-            site = self._site(found, wide, doubt)
-            wanted: Any = True
-            if (area := self.reader.reading.aoi) is not None:
-                from .area import within
-
-                wanted = within(area, *np.meshgrid(*grid.centres()))
+            noise = None if found.result is None else found.result.low_noise
+            threads, usable = LOCAL.get().threads, found.usable
+            # A triangle is that of the whole if the circle through its corners holds no place that has data and was not read.
+            strict = found.near is None and bool(usable.any())
+            site = Site(around.cloud, usable, wide, noise, self.interpolation, threads, doubt.look, strict)
+            wanted = within(self.reader.reading.aoi, *np.meshgrid(*grid.centres()))
             for layer in _cells(self.layers):
                 values = site.of(layer)[row : row + grid.rows, column : column + grid.columns]
                 values = np.where(wanted, values, np.float32(np.nan))
@@ -106,7 +105,8 @@ class RasterProduct(GroundNeeded):
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
             arrays |= kept_water(around.cloud, water, tile)
             if water is not None or self.water.known:
-                arrays |= {_WIDE + layer.NAME: site.of(layer) for layer in _parts(self.layers)}
+                made_of = {part for layer in _cells(self.layers) if Dtm() in layer.parts for part in layer.parts}
+                arrays |= {_WIDE + part.NAME: site.of(part) for part in made_of}
             summary.seconds["interpolate"] += time.perf_counter() - start
             unknown = doubt.reaches and not doubt.looked and any(layer.SURFACE for layer in self.layers)
             doubtful = grid.rows * grid.columns if unknown else doubt.count
@@ -117,18 +117,11 @@ class RasterProduct(GroundNeeded):
         summary.halos[found.halo] = 1
         return arrays, summary
 
-    def _site(self, found: Surroundings, grid: RasterGrid, doubt: DoubtfulTriangles) -> Site:
-        """A triangle is that of the whole if the circle through its corners holds no place that has data and was not read."""
-        noise = None if found.result is None else found.result.low_noise
-        threads, ground = LOCAL.get().threads, found.usable
-        strict = found.near is None and bool(ground.any())
-        return Site(found.around.cloud, ground, grid, noise, self.interpolation, threads, doubt.look, strict)
-
     def facts(self) -> dict[str, Any]:
         """What ground is, the cells, the layers, and the interpolation."""
         layers = {layer.NAME: dataclasses.asdict(layer) for layer in self.layers}
         facts = super().facts() | {"grid": dataclasses.asdict(self.grid), "layers": layers}
-        return {self.NAME: facts, "interpolation": dataclasses.asdict(self.interpolation)}
+        return {"rasters": facts, "interpolation": dataclasses.asdict(self.interpolation)}
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Write the rasters, and lines. Raises: InputError if no point is ground; OutputError."""
@@ -148,7 +141,7 @@ class RasterProduct(GroundNeeded):
             if isinstance(layer, Contours):
                 model = rasters.get(layer.cells)
                 if not isinstance(model, Path):
-                    model = self.folder / "model.tif"
+                    model = self.store.path / "model.tif"
                     known.append(self._write(layer.cells, model, report, collection, True))
                 tables = contour_tables(strips_of(model), layer.interval, grid.transform, collection.crs)
                 write_features(places[layer], tables, layer.NAME, overwrite=replace)
@@ -156,14 +149,7 @@ class RasterProduct(GroundNeeded):
         report.files = [str(place) for place in targets.places]
         report.seconds["write"] += time.perf_counter() - start
 
-    def _write(
-        self,
-        layer: Layer,
-        place: Place,
-        report: RunReport,
-        collection: Collection,
-        replace: bool,
-    ) -> int:
+    def _write(self, layer: Layer, place: Place, report: RunReport, collection: Collection, replace: bool) -> int:
         """Write a raster out of tiles; the number of its cells that have a value. Raises: OutputError."""
         levels, units = report.water, collection.units
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
@@ -191,15 +177,6 @@ class RasterProduct(GroundNeeded):
 def _cells(layers: tuple[Layer, ...]) -> list[Layer]:
     """The layers whose cells are needed, each once."""
     return list(dict.fromkeys(layer.cells for layer in layers))
-
-
-def _parts(layers: tuple[Layer, ...]) -> set[Layer]:
-    """What layers are made of that change with the level of water."""
-    return {part for layer in _cells(layers) if Dtm() in layer.parts for part in layer.parts}
-
-
-def _reach(layers: tuple[Layer, ...], side: float) -> float:
-    return max(layer.cells.reach(side) for layer in layers)
 
 
 def terrain_model(
@@ -258,33 +235,20 @@ def make_rasters(
     for layer, place in outputs.items():
         (check_target if layer.SUFFIX == ".tif" else check_suffix)(place)
     recipe, classes = source_of_ground(ground)
-    bounds, whole = reading.bounds, dataclasses.replace(reading, bounds=None, aoi=None)
-    collection = open_files(what, None, whole, dataclasses.replace(run, in_place=True))
-    if reading.aoi is not None:
-        from .area import area_of
-
-        whole = dataclasses.replace(whole, aoi=area_of(reading, collection))
-        bounds = whole.aoi.bounds
+    collection, reading = open_files(what, reading, clip=False)
+    bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds
     if bounds is None and not collection.count:
         raise InputError(f"{collection.name}: holds no points, which would say where the raster lies: pass bounds=")
     grid = RasterGrid.over(collection.bounds if bounds is None else bounds, cell, collection.metre, math.inf)
-    alone, grain = len(collection) == 1, cell * collection.metre
-    targets = targets_beside(places, run) if len(places) > 1 else target_of(places[0], alone, run)
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> RasterProduct:
-        return RasterProduct(
-            reader,
-            targets.store.path,
-            filter_,
-            collection.bounds,
-            classes,
-            grain,
-            run.halo,
-            grid,
-            layers,
-            interpolation,
-            water if interpolation.level_water else WaterWanted(False),
-        )
-
-    survey = Survey(collection, targets, recipe, whole, run)
-    return survey.run(lambda filter_, halo: cut_around(filter_, grain, halo, _reach(layers, grain)), product_for)
+    targets = beside(places, run, len(collection) == 1, "products" if len(places) > 1 else "")
+    survey = Survey(collection, targets, recipe, dataclasses.replace(reading, bounds=None), run)
+    return survey.run(
+        RasterProduct,
+        data=collection.bounds,
+        classes_of_ground=classes,
+        grain=cell * collection.metre,
+        grid=grid,
+        layers=layers,
+        interpolation=interpolation,
+        water=water if interpolation.level_water else WaterWanted(False),
+    )

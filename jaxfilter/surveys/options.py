@@ -14,7 +14,7 @@ import psutil
 
 from ..core.errors import ParameterError
 from ..core.result import Progress, silent
-from .executors import Executor, Here, Local, Pool
+from .executors import Executor, Here, Pool
 from .plan import Plan
 from .report import Standing
 
@@ -73,15 +73,6 @@ class RunOptions:
             raise ParameterError(f"memory={self.memory!r}: must be > 0 bytes")
 
 
-def check_memory(options: RunOptions, plan: Plan) -> None:
-    """Raises: ParameterError if the memory does not suffice for one worker."""
-    if options.memory is not None and options.memory < need(plan):
-        raise ParameterError(
-            f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
-            "more, or tile= with less"
-        )
-
-
 def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:
     """What does the work: what is given, a cluster, this process, or several. ``progress``: of filters in this process.
 
@@ -96,7 +87,7 @@ def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -
     count = workers_for(options, plan)
     if count > 1 and len(plan) > 1:
         return Pool(count)
-    return Here(Local(options.workers, progress))
+    return Here(options.workers, progress)
 
 
 def workers_for(options: RunOptions, plan: Plan) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from ..core.errors import InputError, ParameterError
 from ..files.disk import Bounds
 
-MOST_TILES = 20_000_000
+MOST_TILES, _ROW = 20_000_000, 1 << 32
 _LARGEST_SIDE = 100_000.0  # metres
 _ROUNDS = 12
 _ROUNDED = 0.01
@@ -103,8 +103,6 @@ class Plan:
 
     def largest(self) -> tuple[float, float]:
         """Width and height that no window exceeds, file units, those at the edge of the data not counted beyond it."""
-        if not len(self):
-            return 0.0, 0.0
         more = 2 * (self.halo + self.lattice)
         return self.width + more * self.many[0], self.height + more * self.many[1]
 
@@ -129,20 +127,26 @@ class Plan:
 def plan_boxes(bounds: np.ndarray, counts: np.ndarray, boxes: np.ndarray) -> Plan:
     """Tiles that lie anywhere. ``boxes``: f64[t, 2, 4], core and window of each, file units; ``bounds``, ``counts``: of files, as
     in :func:`plan_tiles`."""
-    points, files = np.zeros(len(boxes)), bounds + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]
-    pairs: list[list[np.ndarray]] = [[], []]  # of a tile, and a file that its core, or its window, meets
-    for number, box in enumerate(boxes):
-        for kind, one in zip(pairs, box, strict=True):
-            near = np.flatnonzero((files[:, :2] <= one[2:]).all(1) & (files[:, 2:] >= one[:2]).all(1) & (counts > 0))
-            kind.append(np.stack([np.full(len(near), number), near]))
-        low, high = np.maximum(bounds[near, :2], box[1, :2]), np.minimum(bounds[near, 2:], box[1, 2:])
-        share = (high - low).clip(0).prod(axis=1) / (bounds[near, 2:] - bounds[near, :2]).clip(1e-12).prod(axis=1)
-        points[number] = share @ counts[near]
-    (own, file), (tile, near) = (np.concatenate(kind, axis=1) for kind in pairs)
-    home, near_by = Lists.of(own, file, len(boxes)), Lists.of(tile, near, len(boxes))
-    width, height = (boxes[:, 1, 2:] - boxes[:, 1, :2]).max(axis=0).tolist()
-    turned, many = home.turned(len(bounds)), (True, True)
-    return Plan(width, height, 0.0, 0.0, boxes[:, 0], boxes[:, 1], points, near_by, home, turned, many)
+    import shapely
+
+    used = np.flatnonzero(counts > 0)
+    tree = shapely.STRtree(shapely.box(*(bounds[used] + [-_ROUNDED, -_ROUNDED, _ROUNDED, _ROUNDED]).T))
+    cores, windows = boxes[:, 0], boxes[:, 1]
+    pairs = [tree.query(shapely.box(*kind.T)) for kind in (cores, windows)]
+    home, near = (Lists.of(tile, used[file], len(boxes)) for tile, file in pairs)
+    width, height = (windows[:, 2:] - windows[:, :2]).max(axis=0).tolist()
+    points, turned = _expected(bounds, counts, windows, near), home.turned(len(bounds))
+    return Plan(width, height, 0.0, 0.0, cores, windows, points, near, home, turned, (True, True))
+
+
+def _expected(bounds: np.ndarray, counts: np.ndarray, windows: np.ndarray, near: Lists) -> np.ndarray:
+    """f64[t]: points in windows, f64[t, 4], by the densities of the files that are near."""
+    tile = np.repeat(np.arange(len(near)), np.diff(near.start))
+    file, shares = bounds[near.member], np.ones(len(tile))
+    for low, high in ((0, 2), (1, 3)):
+        overlap = np.minimum(file[:, high], windows[tile, high]) - np.maximum(file[:, low], windows[tile, low])
+        shares *= np.clip(overlap, 0, None) / np.maximum(file[:, high] - file[:, low], 1e-12)
+    return np.bincount(tile, shares * counts[near.member], minlength=len(near))
 
 
 def window_around(core: Bounds, halo: float, lattice: float) -> Bounds:
@@ -227,56 +231,34 @@ def _tiles(
     start, size = np.tile(np.array(origin), 2), np.array(sides)
     slack = min(1e-6 * size.min(), _ROUNDED / 2)
     box = bounds[used] - start + [-slack, -slack, slack, slack]
-    key, file, frame = _covered(box, used, size)
+    key, file = _covered(box, used, size)
     tiles = np.unique(key)
     home = Lists.of(np.searchsorted(tiles, key), file, len(tiles))
-    cell = np.stack([tiles % frame.columns + frame.west, tiles // frame.columns + frame.south], axis=1)
+    row = (tiles + _ROW // 2) // _ROW
+    cell = np.stack([tiles - row * _ROW, row], axis=1)
     wide = reach + lattice
-    key, file, _ = _covered(box + [-wide, -wide, wide, wide], used, size, frame)
+    key, file = _covered(box + [-wide, -wide, wide, wide], used, size)
     at = np.minimum(np.searchsorted(tiles, key), max(len(tiles) - 1, 0))
     kept = tiles[at] == key if len(tiles) else np.zeros(0, bool)
     near = Lists.of(at[kept], file[kept], len(tiles))
-    tile = np.repeat(np.arange(len(tiles)), np.diff(near.start))
-    shares = np.ones(len(tile))
-    for axis in range(2):
-        low, high = bounds[near.member, axis], bounds[near.member, axis + 2]
-        west = start[axis] + cell[tile, axis] * size[axis] - halo
-        overlap = np.minimum(high, west + size[axis] + 2 * halo) - np.maximum(low, west)
-        shares *= np.clip(overlap, 0, None) / np.maximum(high - low, 1e-12)
-    points = np.bincount(tile, np.minimum(shares, 1.0) * counts[near.member], minlength=len(tiles))
     cores = start + np.concatenate([cell, cell + 1], axis=1) * np.tile(size, 2)
+    points = _expected(bounds, counts, cores + [-halo, -halo, halo, halo], near)
     (width, height), turned = size.tolist(), home.turned(len(bounds))
     many = tuple((np.ptp(cell, axis=0) > 0).tolist()) if len(cell) else (False, False)
     windows = _windows(cores, halo, lattice)
     return Plan(width, height, halo, lattice, cores, windows, points, near, home, turned, many)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Frame:
-    """The cells that the keys of tiles count: ``columns`` to a row, from (``west``, ``south``)."""
-
-    west: int
-    south: int
-    columns: int
-
-
-def _covered(
-    box: np.ndarray, used: np.ndarray, size: np.ndarray, frame: _Frame | None = None
-) -> tuple[np.ndarray, np.ndarray, _Frame]:
-    """i64[p], i32[p]: all pairs of a cell of f64[2] sides and a file whose box, f64[k, 4], it meets; ``used``: its number.
+def _covered(box: np.ndarray, used: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """i64[p], i32[p]: all pairs of a cell of f64[2] sides, row times :data:`_ROW` and column, and a file whose box, f64[k, 4], it
+    meets; ``used``: its number.
 
     Raises: InputError for too many pairs.
     """
     low, high = (np.floor(box[:, ends] / size).astype(np.int64) for ends in ([0, 1], [2, 3]))
-    if frame is None:
-        west, south = low.min(axis=0) if len(low) else (0, 0)
-        east = high[:, 0].max() if len(high) else 0
-        frame = _Frame(int(west) - 1, int(south) - 1, int(east - west) + 3)
-    first, last = frame.west, frame.west + frame.columns - 1
-    low[:, 0], high[:, 0] = np.clip(low[:, 0], first, last), np.clip(high[:, 0], first, last)
     wide, tall = (high - low + 1).T
     pairs = wide * tall
-    if len(pairs) and pairs.sum() > 2 * MOST_TILES:
+    if len(pairs) and (pairs.sum() > 2 * MOST_TILES or max(-low.min(), high.max()) >= _ROW // 2):
         raise InputError(
             f"tiles of {size[0]:g} x {size[1]:g} units make {int(pairs.sum()):,} of them, and one file alone covers "
             f"{int(pairs.max()):,}: pass tile= with more, or remove stray points far from the rest"
@@ -284,5 +266,4 @@ def _covered(
     owner = np.repeat(np.arange(len(used)), pairs)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(pairs) - pairs, pairs)
     row, column = np.divmod(step, wide[owner])
-    key = (low[owner, 1] + row - frame.south) * frame.columns + low[owner, 0] + column - frame.west
-    return key, used[owner].astype(np.int32), frame
+    return (low[owner, 1] + row) * _ROW + low[owner, 0] + column, used[owner].astype(np.int32)

@@ -1,24 +1,32 @@
-"""What is made of every tile, and of every file whose tiles are done."""
+"""What is made of every tile, and of every file whose tiles are done; and labels of tiles, on their way into files."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ..core.cloud import PointCloud
+from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
+from ..files.classes import Found
 from ..files.disk import Seal
 from ..files.sources import Source
 from ..files.storage import Place
+from ..files.windows import file_cloud
 from .collection import Collection
 from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
 from .store import Store
 from .targets import Targets
-from .tiles import Tile, TileReader
+from .tiles import Around, Tile, TileReader
+
+CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
+"""Bits of a label, and the bit at which the number of what was found begins."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,21 +41,37 @@ class FileTask:
 
 
 @dataclasses.dataclass(frozen=True)
+class Cut:
+    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
+    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
+    themselves, f64[t, 2, 4], see :func:`jaxfilter.surveys.plan.plan_boxes`."""
+
+    halo: float
+    lattice: float
+    reach: float | None = None
+    boxes: np.ndarray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Product:
-    """What is made of every tile. A subclass says how, in ``tile``; ``NAME`` tells runs apart, ``REPORT`` is what is said
-    in the end.
+    """What is made of every tile. A subclass says how, in ``tile``; ``REPORT`` is what is said in the end.
 
     Attributes:
         reader: of the points.
-        folder: of the run, which all processes see.
+        store: what is kept of the run, in a folder which all processes see.
         filter: that finds the ground; None if classes say what it is.
+        halo: metres around each tile that the filter sees as well; None = as the filter says.
     """
 
-    NAME: ClassVar[str] = ""
     REPORT: ClassVar[type[RunReport]] = RunReport
     reader: TileReader
-    folder: Path
+    store: Store
     filter: Filter | None
+    halo: float | None
+
+    def cut(self) -> Cut:
+        """The tiles that it is made in."""
+        raise NotImplementedError
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Arrays that are kept until the output is written, by name, and a summary. Raises: InputError, ParameterError."""
@@ -60,6 +84,28 @@ class Product:
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Make the one output of all tiles, and complete the report of the run. Raises: InputError, OutputError."""
 
+    def collected(self, task: FileTask, kinds: Mapping[str, type]) -> tuple[PointCloud, Found, dict[str, np.ndarray]]:
+        """What stands for the points of a file, what tiles have found of them, and f[n]: quantities of such ``kinds``.
+
+        Raises: InputError if a point has no label.
+        """
+        source, index, reading = task.source, self.reader.index, self.reader.reading
+        label, quantities, checksum = gathered(self.store, task, kinds)
+        rows = label > 0
+        if reading.bounds is not None or reading.aoi is not None:
+            label, quantities = label[rows], {name: values[rows] for name, values in quantities.items()}
+        elif missing := int(np.count_nonzero(~rows)):
+            raise InputError(
+                f"{source.uri}: {missing:,} of {source.count:,} points lie outside of the bounds in its header, so no tile "
+                "holds them: correct the header"
+            )
+        candidate = (label & CANDIDATE) > 0
+        if reading.aoi is None:
+            cloud = file_cloud(source, candidate, index, bounds=reading.bounds, checksum=checksum)
+        else:  # the checksum is of all points
+            cloud = file_cloud(source, candidate, index, rows=rows)
+        return cloud, found_in(label), quantities
+
     @property
     def writes_files(self) -> bool:
         """Whether there is an output for each input."""
@@ -68,11 +114,6 @@ class Product:
     def facts(self) -> dict[str, Any]:
         """What decides on the outcome besides files, filter, reading and tiles."""
         return {}
-
-    @property
-    def store(self) -> Store:
-        """What is kept of the run."""
-        return Store(self.folder)
 
 
 def do_tile(product: Product, tile: Tile) -> Summary:
@@ -111,3 +152,51 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
     low = points.xyz[points.member[member & counts[points.member]], 2]
     cloud = around.cloud
     return float(cloud.origin[2] + float(low.min()) / cloud.units.z) if len(low) else None
+
+
+def packed(around: Around, found: Found, quantities: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays of the core of a tile, file by file: records i64[k] (or the first of k in succession), labels u8[k], and
+    quantities f[k].
+
+    ``found``: of all points of the tile; ``quantities``: f[k], of those of the core.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    own = around.own
+    label = around.cloud.candidate[own] * np.uint8(CANDIDATE) | found.ground[own] * np.uint8(GROUND)
+    label |= found.code[own] << np.uint8(_CODE)
+    file = around.file[own]  # ascending
+    edges = [*np.flatnonzero(np.diff(file, prepend=-1)).tolist(), len(own)]
+    for start, stop in itertools.pairwise(edges):
+        one, record = file[start], around.record[own[start:stop]]
+        if record[-1] - record[0] == len(record) - 1:
+            record = record[:1]  # the first of all that follow it
+        arrays[f"record_{one}"], arrays[f"label_{one}"] = record, label[start:stop]
+        arrays[f"checksum_{one}"] = np.array(around.checksums.get(int(one), -1))
+        arrays |= {f"{name}_{one}": values[start:stop] for name, values in quantities.items()}
+    return arrays
+
+
+def found_in(label: np.ndarray) -> Found:
+    """What labels u8[n] say of points."""
+    return Found((label & GROUND) > 0, (label & ~np.uint8(_STORED)) >> np.uint8(_CODE))
+
+
+def gathered(
+    store: Store, task: FileTask, kinds: Mapping[str, type]
+) -> tuple[np.ndarray, dict[str, np.ndarray], int | None]:
+    """u8[n]: the labels of all points of a file, 0 where there is none; f[n]: quantities; and the checksum of the points, if
+    they were read in one piece."""
+    checksum = -1
+    label = np.zeros(task.source.count, np.uint8)
+    quantities: dict[str, np.ndarray] = {name: np.full(task.source.count, np.nan, kind) for name, kind in kinds.items()}
+    for number in task.tiles:
+        stored = store.arrays(number)
+        if f"record_{task.number}" not in stored:
+            continue
+        checksum = int(stored[f"checksum_{task.number}"])
+        found, record = stored[f"label_{task.number}"], stored[f"record_{task.number}"]
+        rows = record if len(record) == len(found) else slice(record[0], record[0] + len(found))
+        label[rows] = found | np.uint8(_STORED)
+        for name, values in quantities.items():
+            values[rows] = stored[f"{name}_{task.number}"]
+    return label, quantities, None if checksum < 0 else checksum

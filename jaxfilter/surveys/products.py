@@ -16,12 +16,12 @@ from ..files.storage import Place, place_of
 from ..files.vectors import check_suffix
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
+from .kept import WaterWanted
 from .measures import Recipe
 from .model import TerrainReport, make_rasters
 from .options import RunOptions
 from .report import RunReport
 from .surroundings import GroundSource
-from .water import WaterWanted
 
 CLASSIFIED, PAGE = "classified", "survey.html"
 
@@ -98,33 +98,31 @@ def products(
     if outlined is not None:
         check_suffix(outlined)
     water = WaterWanted(path=outlined)
-    if ground is None or isinstance(ground, Filter | Recipe):
-        classified = classify(what, f"{folder / CLASSIFIED}/", ground, reading=reading, classes=classes, run=run)
+    source: GroundSource = Recipe() if ground is None else ground
+    if isinstance(source, Filter | Recipe):
+        classified = classify(what, f"{folder / CLASSIFIED}/", source, reading=reading, classes=classes, run=run)
         if reading.aoi is None:
             water = WaterWanted(False, classified.water is not None, classified.water, outlined)
-    if run.dry_run:
-        tried: GroundSource = (
-            Recipe() if ground is None else ground
-        )  # the rasters look for the ground again: more is not known before there are classes
-        return Products(
-            classified, make_rasters(what, outputs, tried, cell=cell, reading=reading, run=run), folder / PAGE
-        )
+    if run.dry_run:  # the rasters look for the ground again: more is not known before there are classes
+        tried = make_rasters(what, outputs, source, cell=cell, reading=reading, run=run)
+        return Products(classified, tried, folder / PAGE)
     if classified is not None and not classified.files:
         reasons = [one["reason"] for one in (*classified.set_aside, *classified.failed)]
         raise InputError(f"{folder / CLASSIFIED}: no file could be classified: {'; '.join(reasons[:1])}")
-    if reading.aoi is not None:  # the rasters need the ground around the area, which is in no classified file
-        ground = Recipe() if ground is None else ground
-    elif classified is not None:
+    if classified is not None and reading.aoi is None:  # around an area there is ground that is in no classified file
         what = classified.files
-        ground = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
+        source = tuple(sorted({classes.ground_class, classes.water or classes.ground_class}))
         reading = Reading(units=reading.units, crs=reading.crs, bounds=reading.bounds)
-    assert ground is not None
     anew = dataclasses.replace(run, overwrite=run.overwrite or run.resume)
-    rasters = make_rasters(what, outputs, ground, cell=cell, reading=reading, run=anew, water=water)
+    rasters = make_rasters(what, outputs, source, cell=cell, reading=reading, run=anew, water=water)
     measured = (rasters if classified is None else classified).method or "classes of the files"
-    facts = [
-        *(("points", rasters.points), ("ground", rasters.ground), ("found by", measured), ("tiles", rasters.tiles)),
-        ("cells", f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"),
-    ]
-    write_survey_page(folder / PAGE, folder.name, outputs, facts, overwrite=anew.overwrite)
+    size = f"{rasters.rows:,} x {rasters.columns:,} of {cell:g}"
+    facts = {
+        "points": rasters.points,
+        "ground": rasters.ground,
+        "found by": measured,
+        "tiles": rasters.tiles,
+        "cells": size,
+    }
+    write_survey_page(folder / PAGE, folder.name, outputs, facts.items(), overwrite=anew.overwrite)
     return Products(classified, rasters, folder / PAGE)

@@ -187,9 +187,8 @@ class RunReport(Summary):
         aside = [tuple(core) for core in self.cores[self.state < 0].tolist()]
         one = len(self.cores) == 1  # a scale of one colour would say nothing
         ax = footprints(self.cores, None if one else shares, label="ground, % of the points", gaps=aside)
-        found = (
-            f"{self.ground:,} of {self.points:,} points are ground ({100 * self.ground / max(self.points, 1):.1f} %)"
-        )
+        share = 100 * self.ground / max(self.points, 1)
+        found = f"{self.ground:,} of {self.points:,} points are ground ({share:.1f} %)"
         parts = (f"tiles: {self.tiles:,}", f"set aside: {len(aside):,}", f"files: {len(self.files):,}")
         ax.set_title(f"{found}\n{self.method or 'ground by class'}; {', '.join(parts)}", fontsize=8)
         if self.places:

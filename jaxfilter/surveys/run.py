@@ -16,6 +16,7 @@ import numpy as np
 from ..core.errors import OutputError
 from ..core.filter import lowest_among
 from ..files.disk import Seal
+from .area import meeting
 from .collection import Collection
 from .executors import RETRIES, Executor, Outcome, Task, carried_out
 from .options import RunOptions, executor_for
@@ -49,8 +50,6 @@ class Run:
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
         if (aoi := product.reader.reading.aoi) is not None:  # nothing of other files is wanted
-            from .area import meeting
-
             for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
                 self._is_written[file] = True
                 self._need_no_more(file)
@@ -144,7 +143,8 @@ class Run:
             self._need_no_more(file)
         done = np.zeros(len(plan), bool)
         for number, found in known.items():
-            done[number] = not self._needed(number) or store.summary(number, with_arrays=True) is not None
+            used = not self.product.writes_files or bool(self._unwritten[number] > 0)  # by a file, or at the end
+            done[number] = not used or store.summary(number, with_arrays=True) is not None
             if done[number]:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
@@ -156,10 +156,8 @@ class Run:
         return done
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
-        return lambda last: (
-            self.product,
-            tile_of(self.plan, self.collection, number, patient=last and len(self.collection) > 1),
-        )
+        several = len(self.collection) > 1
+        return lambda last: (self.product, tile_of(self.plan, self.collection, number, patient=last and several))
 
     def _writing(self, number: int) -> Task:
         def arguments(last: bool) -> tuple[Product, FileTask]:
@@ -173,28 +171,27 @@ class Run:
 
     def _take_tile(self, number: int, outcome: Outcome) -> list[int]:
         """Take in a tile; the files that are complete with it."""
-        standing, homes = self._standing, [int(f) for f in self.plan.home[number]]
+        standing, homes = self._standing, self.plan.home[number].tolist()
         standing.tiles_done += 1
         if outcome.reason is not None:
             self.report.state[number] = -1
             core = self.plan.core(number)
             self.report.set_aside.append({"tile": number, "core": core, "reason": outcome.reason})
-            for file in homes:
-                self._hopeless.setdefault(file, f"tile {number} was set aside: {outcome.reason}")
+            lost = dict.fromkeys(homes, f"tile {number} was set aside: {outcome.reason}")
         else:
             standing.points += outcome.value.points
             standing.read += outcome.value.read
             self._add(number, outcome.value)
-            for file, reason in outcome.value.unread.items():
-                self._hopeless.setdefault(file, reason)
+            lost = outcome.value.unread
+        for file, reason in lost.items():
+            self._hopeless.setdefault(file, reason)
         if not self.product.writes_files:
             return []
         self._missing[homes] -= 1
-        complete = [file for file in homes if self._missing[file] == 0 and not self._is_written[file]]
-        for file in complete:
-            if file in self._hopeless:
-                self._fail(file, self._hopeless[file])
-        return [file for file in complete if file not in self._hopeless]
+        complete = {file for file in homes if self._missing[file] == 0 and not self._is_written[file]}
+        for file in sorted(complete & self._hopeless.keys()):
+            self._fail(file, self._hopeless[file])
+        return sorted(complete - self._hopeless.keys())
 
     def _add(self, number: int, summary: Summary) -> None:
         self.report.add(summary)
@@ -221,10 +218,6 @@ class Run:
         tiles = self.plan.tiles_of[file]
         self._unwritten[tiles] -= 1
         return [int(tile) for tile in tiles[self._unwritten[tiles] == 0]]
-
-    def _needed(self, tile: int) -> bool:
-        """Whether what a tile found is still to be used: by a file that is not written, or at the end."""
-        return not self.product.writes_files or bool(self._unwritten[tile] > 0)
 
     def _complete_report(self) -> None:
         report, uris = self.report, self.collection.uris

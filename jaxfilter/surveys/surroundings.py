@@ -18,9 +18,9 @@ from ..terrain.interpolation import Heights, Linear
 from .executors import LOCAL
 from .measures import Recipe, recipe_of
 from .plan import window_around
-from .product import Product
+from .product import Cut, Product
 from .report import Summary
-from .survey import FIND_GROUND, Cut
+from .survey import FIND_GROUND
 from .tiles import Around, Tile, inside
 
 HALOS = (40.0, 80.0, 160.0, 320.0)
@@ -36,7 +36,7 @@ class Surroundings:
     """Points of a tile and around it; ``halo``: metres; ``result``: of the filter, if it was asked.
 
     ``ground``: bool[n], all that was found; ``near``: the box within which these are ground points of the whole, None =
-    everywhere.
+    everywhere; ``doubt``: counts what a surface through them may have otherwise than the whole.
     """
 
     around: Around
@@ -45,6 +45,7 @@ class Surroundings:
     ground: np.ndarray
     near: Bounds | None
     result: FilterResult | None
+    doubt: DoubtfulTriangles
 
     @property
     def usable(self) -> np.ndarray:
@@ -60,23 +61,32 @@ class GroundNeeded(Product):
         data: bounds of all points, file units.
         classes_of_ground: None: ``filter`` finds it.
         grain: metres: ground points are taken as far as multiples of it.
-        halo: metres around the ground points that the filter sees; None = the filter's.
     """
 
     data: Bounds
     classes_of_ground: tuple[int, ...] | None
     grain: float
-    halo: float | None
 
     @property
     def reach(self) -> float:
         """Metres around a tile that ground is needed for, besides that under its own points or cells."""
         return 0.0
 
+    def cut(self) -> Cut:
+        """Tiles whose cores end at multiples of ``grain``."""
+        beyond, lattice = self._seen()
+        return Cut(HALOS[0] + self.reach + beyond, self.grain, HALOS[-1] + self.reach + beyond + lattice)
+
+    def _seen(self) -> tuple[float, float]:
+        """Metres around ground points that the filter sees, and that windows end at multiples of."""
+        if self.filter is None:
+            return 0.0, self.grain
+        return self.filter.halo() if self.halo is None else self.halo, self.filter.lattice()
+
     def surroundings(self, tile: Tile, summary: Summary) -> Iterator[Surroundings]:
         """What is around a tile, with wider and wider halos. Raises: InputError unless the tile is ``patient``."""
         metre, local = tile.sources[0].metre, LOCAL.get()
-        beyond, lattice = _seen(self.filter, self.grain, self.halo)
+        beyond, lattice = self._seen()
         for halo in HALOS:
             start, near, wide = time.perf_counter(), None, tile
             if tile.core is not None:
@@ -90,7 +100,8 @@ class GroundNeeded(Product):
                 result = self.filter(cloud, workers=local.threads, progress=local.progress)
                 summary.seconds["filter"] += time.perf_counter() - read
             ground = ground_by_class(around.cloud, self.classes_of_ground, tile) if result is None else result.ground
-            yield Surroundings(around, wide, halo, ground, near, result)
+            doubt = DoubtfulTriangles(around.cloud, self.data, near)
+            yield Surroundings(around, wide, halo, ground, near, result, doubt)
             if tile.core is None:
                 return
 
@@ -118,20 +129,6 @@ def source_of_ground(ground: GroundSource) -> tuple[Recipe | None, tuple[int, ..
         recipe.alone()
         return recipe, None
     return None, class_numbers(ground)
-
-
-def cut_around(filter_: Filter | None, grain: float, halo: float | None, reach: float = 0.0) -> Cut:
-    """Tiles whose cores end at multiples of ``grain`` metres; ``halo``: metres that the filter sees, None = the filter's;
-    ``reach``: as of :class:`GroundNeeded`."""
-    beyond, lattice = _seen(filter_, grain, halo)
-    return Cut(HALOS[0] + reach + beyond, grain, HALOS[-1] + reach + beyond + lattice)
-
-
-def _seen(filter_: Filter | None, grain: float, halo: float | None) -> tuple[float, float]:
-    """Metres around ground points that a filter sees, and that windows end at multiples of."""
-    if filter_ is None:
-        return 0.0, grain
-    return filter_.halo() if halo is None else halo, filter_.lattice()
 
 
 class DoubtfulTriangles:

@@ -9,7 +9,6 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,64 +21,46 @@ from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Bounds, Seal
+from ..files.disk import Seal
 from ..methods import FILTERS
+from .area import area_of, meeting
 from .collection import Collection
 from .collection import open as open_collection
 from .executors import check_main
-from .measures import Recipe, Sampler, whole_of
-from .options import RunOptions, check_memory, need, workers_for
+from .measures import Recipe, Sampler, middle
+from .options import RunOptions, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
-from .product import Product
+from .product import Cut, Product
 from .report import Forecast, RunReport, collected_warnings
 from .run import Run, tile_of
 from .store import Store
-from .targets import MAP, REPORT, Targets, check_out
+from .targets import MAP, REPORT, Targets, check_out, targets_of
 from .tiles import Tile, TileReader
 
 TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
 FIND_GROUND = "classify it first, or find the ground with a filter (ground=jf.SMRF(), or --filter smrf)"
 """What to do where no point is ground."""
-
-
 _TOO_OFTEN = 3.0
 """Times that tiles of a given size may read every point: halos of twice the points. The plan's own read up to 2.3 times."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Cut:
-    """What decides on tiles, in metres: how far around a tile points are read as well, that windows end at multiples of
-    ``lattice``, and how far around a tile files may be asked for, by default as far as the halo. Or ``boxes``: the tiles
-    themselves, f64[t, 2, 4], see :func:`plan_boxes`."""
-
-    halo: float
-    lattice: float
-    reach: float | None = None
-    boxes: np.ndarray | None = None
+def check_in_place(reading: Reading) -> None:
+    """Raises: ParameterError if points would be removed from inputs."""
+    for name in ("bounds", "aoi"):
+        if getattr(reading, name) is not None:
+            raise ParameterError(
+                f"{name} with in_place=True would remove all points outside: name an output, or leave out one of the two"
+            )
 
 
-CutFor = Callable[[Filter | None, float | None], Cut]
-ProductFor = Callable[[TileReader, Filter | None], Product]
-
-
-def open_files(what: Any, out: str | Path | None, reading: Reading, options: RunOptions) -> Collection:
-    """The collection of a run, before that touches anything; with ``bounds`` those of its files that meet them.
+def open_files(what: Any, reading: Reading, clip: bool = True) -> tuple[Collection, Reading]:
+    """The collection of a run, and the reading with polygons as area of interest; ``clip``: only files that meet its bounds.
 
     Raises: JaxfilterError if the workers of a run would come here themselves; InputError if files cannot be found, or do not go
-    together; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
+    together; ParameterError.
     """
     check_main()
-    if options.in_place and reading.bounds is not None:
-        raise ParameterError(
-            "bounds with in_place=True would remove all points outside: name an output, or leave out one of the two"
-        )
-    if options.in_place and reading.aoi is not None:
-        raise ParameterError("aoi with in_place=True would remove all points outside: name an output")
-    if not options.in_place:
-        if out is None:
-            raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
-        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     if collection.assumes_metres and reading.units is None:
         warn(
@@ -88,10 +69,10 @@ def open_files(what: Any, out: str | Path | None, reading: Reading, options: Run
     if not collection.count:
         warn(f"{collection.name}: holds no points")
     if reading.aoi is not None:
-        from .area import area_of
-
-        area_of(reading, collection)
-    return collection if reading.bounds is None else collection.clipped(reading.bounds)
+        reading = dataclasses.replace(reading, aoi=area_of(reading, collection))
+    if clip and reading.bounds is not None:
+        collection = collection.clipped(reading.bounds)
+    return collection, reading
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,27 +91,22 @@ class Survey:
     reading: Reading
     options: RunOptions
 
-    def run(self, cut_for: CutFor, product_for: ProductFor) -> Any:
+    def run(self, kind: type[Product], **settings: Any) -> Any:
         """Set the filter up, cut the survey into tiles, and do what is to be done. Returns: the report of the product.
 
-        ``cut_for`` is given the filter and the halo of the options, ``product_for`` the reader and the filter.
+        ``settings``: the fields of the product, besides those of every :class:`Product`.
 
         Raises: InputError, ParameterError, OutputError, JaxfilterError before anything is done; OutputError if a disk is full;
         of a single file what is wrong with it.
         """
-        if self.reading.aoi is not None:
-            from .area import area_of
-
-            reading = dataclasses.replace(self.reading, aoi=area_of(self.reading, self.collection))
-            self = dataclasses.replace(self, reading=reading)
         for source, place in zip(self.collection, self.targets.places, strict=False):
             if is_copc(place) and source.point_format is not None:
                 check_format(place, source.point_format)
         if self.options.dry_run:
-            return self._forecast(cut_for, product_for)
+            return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store
         with targets.claimed(self.options):
-            product, plan = self._planned(cut_for, product_for)
+            product, plan = self._planned(kind, settings)
             run = Run(product, plan, self.collection, targets, self.options)
             self._record(product, plan)
             try:
@@ -141,26 +117,40 @@ class Survey:
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")
                 raise
-            self._leave(run.report)
+            if targets.folder is not None:
+                run.report.write(targets.folder / REPORT)
+                run.report.draw(targets.folder / MAP)
+            if run.report.complete:
+                store.discard() if targets.folder is None else store.drop_index()
         return run.report
 
-    def _forecast(self, cut_for: CutFor, product_for: ProductFor) -> RunReport:
+    def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""
         self.targets.check(self.options)
+        collection, options, nan = self.collection, self.options, math.nan
         with tempfile.TemporaryDirectory() as folder:
             targets = dataclasses.replace(self.targets, store=Store(Path(folder)))
-            product, plan = dataclasses.replace(self, targets=targets)._planned(cut_for, product_for)
-            files = [str(place) for place in targets.places]
-            return product.REPORT(forecast=forecast(product, plan, self.collection, files, self.options))
+            product, plan = dataclasses.replace(self, targets=targets)._planned(kind, settings)
+            each = _seconds_per_point(product, plan, collection)
+        many, times, workers = any(plan.many), plan.times_read(collection.count), workers_for(options, plan)
+        side, halo = (plan.width * collection.metre, plan.halo * collection.metre) if many else (nan, nan)
+        memory = need(plan) * (workers if many else 1)
+        seconds = each * collection.count * times / min(workers, len(plan))
+        files = [str(place) for place in targets.places]
+        found = Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+        return product.REPORT(forecast=found)
 
-    def _planned(self, cut_for: CutFor, product_for: ProductFor) -> tuple[Product, Plan]:
+    def _planned(self, kind: type[Product], settings: dict[str, Any]) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
-        filter_, whole = self._filter()
-        plan = self._plan(cut_for(filter_, self.options.halo))
+        (filter_, whole), path = self._filter(), self.targets.store.path
+        reader = TileReader(self.reading, whole, self.targets.store.index)
+        product = kind(reader, Store(path), filter_, self.options.halo, **settings)
+        plan = self._plan(product.cut())
         if whole is not None and any(plan.many):
             width, height = (side * self.collection.metre for side in plan.largest())
-            whole = dataclasses.replace(whole, width=width, height=height)
-        return product_for(TileReader(self.reading, whole, self.targets.store.index), filter_), plan
+            reader = dataclasses.replace(reader, whole=dataclasses.replace(whole, width=width, height=height))
+            product = dataclasses.replace(product, reader=reader)
+        return product, plan
 
     def _plan(self, cut: Cut) -> Plan:
         """The tiles. Raises: ParameterError, InputError."""
@@ -177,10 +167,12 @@ class Survey:
             reach=cut.reach,
         )
         if self.reading.aoi is not None:
-            from .area import meeting
-
             plan = plan.part(np.flatnonzero(meeting(self.reading.aoi, plan.cores)))
-        check_memory(options, plan)
+        if options.memory is not None and options.memory < need(plan):
+            raise ParameterError(
+                f"memory={options.memory:.3g} bytes do not suffice for a worker, which needs {need(plan):.3g}: pass memory= with "
+                "more, or tile= with less"
+            )
         times = plan.times_read(files.count)
         if options.tile is not None and times > _TOO_OFTEN and not options.wide_halos:
             raise ParameterError(
@@ -194,7 +186,8 @@ class Survey:
         recipe, facts = self.recipe, self.targets.store.facts
         begun = facts.get("filter") == json.loads(json.dumps(facts_of(recipe)))
         given = facts["measures"] if begun and "measures" in facts else self.options.measures
-        whole = None if given is None else whole_of(given)
+        plain: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in (given or {}).items()}
+        whole = None if given is None else Whole(**plain)
         if recipe is None:
             return None, whole or Whole()
         if begun and "parameters" in facts:
@@ -202,20 +195,16 @@ class Survey:
             return FILTERS[found["method"]](**found["fields"]), whole
         filter_, index = recipe.alone(), self.targets.store.index
         if self.options.tile is None and self.collection.count <= WHOLE:
-            if filter_ is None or recipe.by_data:
-                filter_ = recipe.on(TileReader(self.reading, whole, index).read(self._everything(), keep=True).cloud)
+            if filter_ is None or recipe.by_data:  # of all points, as the only tile of a run has them
+                used = tuple(np.flatnonzero(self.collection.counts).tolist())
+                sources = tuple(self.collection[number] for number in used)
+                everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
+                filter_ = recipe.on(TileReader(self.reading, whole, index).read(everything, keep=True).cloud)
             return filter_, whole
         sampler = Sampler(self.collection, self.reading, index)
         if filter_ is None or recipe.by_data:
             filter_ = sampler.filter_for(recipe)
         return filter_, sampler.whole_for(filter_) if whole is None else whole
-
-    def _everything(self) -> Tile:
-        """All points, as the only tile of a run has them."""
-        used = [number for number, count in enumerate(self.collection.counts.tolist()) if count]
-        return Tile(
-            0, None, None, tuple(used), tuple(self.collection[n] for n in used), patient=len(self.collection) > 1
-        )
 
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
@@ -244,33 +233,30 @@ class Survey:
             found.update(json.dumps([source.uri, source.count, identity]).encode())
         return found.hexdigest()
 
-    def _leave(self, report: RunReport) -> None:
-        """Put the report beside the files, and remove what is not needed any more."""
-        targets = self.targets
-        if targets.folder is not None:
-            report.write(targets.folder / REPORT)
-            report.draw(targets.folder / MAP)
-        if report.complete:
-            targets.store.discard() if targets.folder is None else targets.store.drop_index()
+
+def survey_of_points(
+    what: Any, out: str | Path | None, recipe: Recipe | None, reading: Reading, options: RunOptions
+) -> Survey:
+    """A survey whose outputs are files of points.
+
+    Raises: as :func:`open_files`; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
+    """
+    if options.in_place:
+        check_in_place(reading)
+    elif out is None:
+        raise ParameterError("out=None: name a file or a folder to write, or pass in_place=True")
+    else:
+        check_out(out, [what] if isinstance(what, (str, os.PathLike)) else [], options)
+    collection, reading = open_files(what, reading)
+    targets = targets_of(None if options.in_place else out, collection.uris, options)
+    return Survey(collection, targets, recipe, reading, options)
 
 
 def facts_of(recipe: Recipe | None) -> dict[str, Any] | None:
     """A recipe as plain values."""
     if recipe is None:
         return None
-    method = None if recipe.method is None else recipe.method.__name__
-    return {**{field.name: getattr(recipe, field.name) for field in dataclasses.fields(recipe)}, "method": method}
-
-
-def forecast(product: Product, plan: Plan, collection: Collection, files: list[str], options: RunOptions) -> Forecast:
-    """Try ``product`` on a piece, and tell what the run would be. Nothing is written but what the reader's index keeps."""
-    metre, many = collection.metre, any(plan.many)
-    times, workers = plan.times_read(collection.count), workers_for(options, plan)
-    each = _seconds_per_point(product, plan, collection) * collection.count * times
-    side, halo = (plan.width * metre, plan.halo * metre) if many else (math.nan, math.nan)
-    memory = need(plan) * (workers if many else 1)
-    seconds = each / min(workers, len(plan))
-    return Forecast(collection.count, len(plan), side, halo, times, workers, memory, seconds, files)
+    return dataclasses.asdict(recipe) | {"method": recipe.method and recipe.method.__name__}
 
 
 def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> float:
@@ -280,7 +266,7 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
     number = int(np.argsort(plan.points, kind="stable")[len(plan) // 2])
     tile = tile_of(plan, collection, number, patient=True)
     box, held = (collection.bounds if tile.window is None else tile.window), float(plan.points[number])
-    part = _middle(box, min(1.0, math.sqrt(TRIED / max(held, 1.0))))
+    part = middle(box, TRIED / max(held, 1.0), collection.metre)
     tile, best = dataclasses.replace(tile, core=part, window=part), math.inf
     for _ in range(2):
         start = time.perf_counter()
@@ -291,10 +277,3 @@ def _seconds_per_point(product: Product, plan: Plan, collection: Collection) -> 
             return math.nan
         best = min(best, (time.perf_counter() - start) / max(summary.read, 1))
     return best
-
-
-def _middle(box: Bounds, share: float) -> Bounds:
-    """The part of a box around its middle, with this share of each side, whose upper edges are inside."""
-    x0, y0, x1, y1 = box
-    x, y, width, height = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) * share / 2, (y1 - y0) * share / 2
-    return x - width, y - height, np.nextafter(x + width, math.inf), np.nextafter(y + height, math.inf)

@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import JaxfilterError, OutputError, ParameterError
-from ..files.disk import existing, is_there, remove, remove_dead
+from ..files.disk import existing, is_there, output_errors, remove, remove_dead
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -51,10 +52,8 @@ class Targets:
         goes_on, overwrite = options.resume and store.begun, options.overwrite
         made = isinstance(folder, Path) and not folder.exists()
         if isinstance(folder, Path):
-            try:
+            with output_errors(folder):
                 folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise OutputError(f"{folder}: cannot be made: {error.strerror}") from error
         if folder is not None:
             self.check(options)
         try:
@@ -72,37 +71,30 @@ class Targets:
                 with contextlib.suppress(OSError):  # it holds something
                     folder.rmdir()
             raise
-        for place in {str(place): place for place in (folder, store.path.parent) if place is not None}.values():
+        for place in {folder, store.path.parent}:
             if isinstance(place, Path) and place.is_dir():
                 remove_dead(place)
 
     def check(self, options: RunOptions) -> None:
-        """Raises: OutputError if there is something that would be lost, before anything is done."""
-        if options.resume and self.store.begun:
+        """Raises: OutputError if there is something that would be lost, or a store refuses, before anything is done."""
+        folder = self.folder
+        if (options.resume and self.store.begun) or (isinstance(folder, Path) and not folder.exists()):
             return
-        if self.folder is None:
-            self._check_files(options.overwrite or options.in_place)
-        elif not isinstance(self.folder, Path) or self.folder.exists():
-            self._check_folder(self.folder, options.resume, options.overwrite)
-
-    def _check_files(self, overwrite: bool) -> None:
-        """Raises: OutputError for files that are there, or a store that refuses, before anything is done."""
-        for place in self.places:
-            if is_there(place) and not overwrite:
+        for place in self.places if folder is None else ():
+            if is_there(place) and not (options.overwrite or options.in_place):
                 raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
             if isinstance(place, Remote):
                 check_writable(place)
-
-    def _check_folder(self, folder: Place, resume: bool, overwrite: bool) -> None:
-        """Raises: OutputError for a folder that holds something, or a store that refuses, before anything is done."""
+        if folder is None:
+            return
         held = _held(folder)
-        if resume:
+        if options.resume:
             if there := [place.name for place in self.places if place.name in held]:
                 raise OutputError(
                     f"{folder / there[0]}: exists, and no run was begun in {self.store.path.parent}: name another folder, or "
                     "pass overwrite=True to begin anew"
                 )
-        elif (held or self.store.begun) and not overwrite:
+        elif (held or self.store.begun) and not options.overwrite:
             seen = [name for name in held if name != self.store.path.name] or [str(self.store.path)]
             first, more = seen[0], f" and {len(seen) - 1} more" if len(seen) > 1 else ""
             raise OutputError(
@@ -158,58 +150,47 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
     sources = [place_of(uri) for uri in uris]
     alone = len(sources) == 1
     if out is None:
-        return _beside(sources, options, alone)
+        return beside(sources, options, alone)
     place = place_of(out)
-    if place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place)):
-        if not alone:
-            raise ParameterError(
-                f"{place}: {len(sources):,} files are written into a folder, and this is the name of a file: name a folder as OUT"
-            )
-        _refuse_inputs([place], sources)
-        return _beside([place], options, alone)
-    places = [place / name for name in target_names(list(uris))]
-    _refuse_inputs(places, sources)
+    one = place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place))
+    if one and not alone:
+        raise ParameterError(
+            f"{place}: {len(sources):,} files are written into a folder, and this is the name of a file: name a folder as OUT"
+        )
+    places = [place] if one else [place / name for name in target_names(uris)]
+    inputs = {_real(source) for source in sources}
+    for target in places:
+        if _real(target) in inputs:
+            raise OutputError(f"{target}: is an input; name another, or pass in_place=True to replace it")
+    if one:
+        return beside(places, options, alone)
     return Targets(places, place, Store(_local(options.work, place, place) / _HIDDEN))
 
 
-def target_of(place: Place, alone: bool, options: RunOptions) -> Targets:
-    """The one output of a run that is no file of points; ``alone``: there is one input. Raises: ParameterError, OutputError."""
-    return _beside([place], options, alone)
+def beside(places: list[Place], options: RunOptions, alone: bool, called: str = "") -> Targets:
+    """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
+    all of them; of one input (``alone``) into a URL, in the folder for what is temporary.
 
-
-def targets_beside(places: list[Place], options: RunOptions, name: str = "products") -> Targets:
-    """Several outputs in one folder, into which others may write as well; the folder of the run is called after a ``name``.
-
-    Raises: ParameterError, OutputError."""
+    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it.
+    """
     first = places[0].absolute()
-    beside = first if isinstance(first, Remote) else first.parent
-    return Targets(places, None, _store(_local(options.work, first, beside) / f".{name}{_HIDDEN}", first, options))
-
-
-def _beside(places: list[Place], options: RunOptions, alone: bool) -> Targets:
-    """With the folder of the run beside the output, or in the folder above all of them; of one file into a URL, in the folder
-    for what is temporary."""
-    first = places[0].absolute()
-    beside: Place = first if isinstance(first, Remote) else first.parent
+    near: Place = first if isinstance(first, Remote) else first.parent
     name, short = f".{first.name}{_HIDDEN}", f".{hashlib.sha256(str(first).encode()).hexdigest()[:16]}{_HIDDEN}"
-    if len(places) > 1:
-        beside, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
+    if called:
+        name = f".{called}{_HIDDEN}"
+    elif len(places) > 1:
+        near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        beside, name = Path(tempfile.gettempdir()), short
+        near, name = Path(tempfile.gettempdir()), short
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
-    return Targets(places, None, _store(_local(options.work, first, beside) / name, first, options))
-
-
-def _store(path: Path, first: Place, options: RunOptions) -> Store:
-    """What a run keeps. Raises: OutputError if another run was begun there, and it is not said what to do with it."""
-    store = Store(path)
+    store = Store(_local(options.work, first, near) / name)
     if not options.resume and not options.overwrite and store.unfinished():
         raise OutputError(
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
-    return store
+    return Targets(places, None, store)
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
@@ -224,41 +205,28 @@ def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
     return local
 
 
-def _refuse_inputs(places: Sequence[Place], sources: Sequence[Place]) -> None:
-    inputs = {_real(place) for place in sources}
-    for place in places:
-        if _real(place) in inputs:
-            raise OutputError(f"{place}: is an input; name another, or pass in_place=True to replace it")
-
-
 def _real(place: Place) -> str:
     return place.uri if isinstance(place, Remote) else os.path.realpath(place)
 
 
-def target_names(uris: list[str]) -> list[str]:
+def target_names(uris: Sequence[str]) -> list[str]:
     """The name of the output for each input: the input's, but plain LAZ for COPC.
 
     Raises: OutputError if two outputs would have one name.
     """
-    names = []
     seen: dict[str, str] = {}
     for uri in uris:
-        name = place_of(uri).name  # of a signed URL without the signature
-        if name.lower().endswith(".copc.laz"):
-            name = name[: -len(".copc.laz")] + ".laz"
+        name = re.sub(r"\.copc\.laz$", ".laz", place_of(uri).name, flags=re.IGNORECASE)  # no signature of a URL
         if name in seen:
             raise OutputError(f"{seen[name]} and {uri} would both be written as {name}: filter them into two folders")
         seen[name] = uri
-        names.append(name)
-    return names
+    return list(seen)
 
 
 def _held(folder: Place) -> list[str]:
     """Names in a folder, sorted. Raises OutputError."""
     try:
-        if isinstance(folder, Remote):
-            return folder.held()
-        return sorted(entry.name for entry in os.scandir(folder))
+        return folder.held() if isinstance(folder, Remote) else sorted(os.listdir(folder))
     except JaxfilterError as error:
         raise OutputError(str(error)) from error
     except OSError as error:

@@ -20,6 +20,8 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.sources import Source
 from ..files.windows import read_window
+from .area import within
+from .collection import common
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +98,7 @@ class TileReader:
         return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole, core=tile.core))
 
     def _read(self, tile: Tile) -> Around:
-        clouds, files, records, cores = [], [np.zeros(0, np.int32)], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+        clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
         left_out: dict[int, str] = {}
         checksums: dict[int, int] = {}
         for number, source in zip(tile.files, tile.sources, strict=True):
@@ -113,25 +115,20 @@ class TileReader:
             cloud, record = window.cloud, window.record
             if tile.window is None and cloud.source.checksum is not None:
                 checksums[number] = cloud.source.checksum
-            within = inside(cloud, tile.window)
-            if not within.all():
-                cloud, record = part_of(cloud, within), record[within]
+            there = inside(cloud, tile.window)
+            if not there.all():
+                cloud, record = part_of(cloud, there), record[there]
             if len(cloud):
                 clouds.append(cloud)
-                cores.append(self._wanted(cloud, tile.core))
-                files.append(np.full(len(cloud), number, np.int32))
+                own = inside(cloud, tile.core)
+                if self.reading.aoi is not None:
+                    own &= within(self.reading.aoi, *cloud.coordinates()[:, :2].T)
+                cores.append(own)
+                numbers.append(number)
                 records.append(record)
-        file, record, core = (np.concatenate(column) for column in (files, records, cores))
-        return Around(joined(clouds, self.whole, self.reading), file, record, core, left_out, checksums)
-
-    def _wanted(self, cloud: PointCloud, core: Bounds | None) -> np.ndarray:
-        """bool[n]: points of a core, as far as they are in the area of interest."""
-        found, aoi = inside(cloud, core), self.reading.aoi
-        if aoi is None:
-            return found
-        from .area import points_within
-
-        return found & points_within(aoi, cloud)
+        file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
+        cloud, record, core = joined(clouds, self.whole, self.reading), np.concatenate(records), np.concatenate(cores)
+        return Around(cloud, file, record, core, left_out, checksums)
 
     def _box(self, window: Bounds | None, source: Source) -> Bounds | None:
         """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
@@ -148,13 +145,6 @@ _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
 
 
-def common(box: Bounds, limits: Bounds) -> Bounds:
-    """What two boxes share; its low edges are not below the high ones where that is nothing."""
-    low = (max(v, limit) for v, limit in zip(box[:2], limits[:2], strict=True))
-    high = (min(v, limit) for v, limit in zip(box[2:], limits[2:], strict=True))
-    return (*low, *high)  # type: ignore[return-value]
-
-
 def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
     """bool[n]: points in a box in file coordinates, half open, as the quantised coordinates have it. Invalid points lie at
     the corner of the cloud, and are inside where that is."""
@@ -167,11 +157,7 @@ def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:
     return inside
 
 
-def joined(
-    clouds: Sequence[PointCloud],
-    whole: Whole | None = None,
-    reading: Reading = Reading(),
-) -> PointCloud:
+def joined(clouds: Sequence[PointCloud], whole: Whole | None = None, reading: Reading = Reading()) -> PointCloud:
     """One cloud of several with one anchor, one after the other; exact, since their origins are whole metres apart."""
     if not clouds:
         return PointCloud.from_arrays(np.zeros((0, 3)), anchor=reading.anchor, whole=whole)
@@ -182,27 +168,16 @@ def joined(
     origin = np.min([cloud.origin for cloud in clouds], axis=0)
     shifts = [np.rint((cloud.origin - origin) * factor).astype(np.float32) for cloud in clouds]
     columns: dict[str, Any] = {}
-    for name, empty in (
-        ("return_number", 1), ("number_of_returns", 1), ("classification", 0), ("withheld", False), ("overlap", False),
-        ("reference", False), ("valid", True),
-    ):  # fmt: skip
+    for name in (*COLUMNS, "reference", "valid"):
         parts = [getattr(cloud, name) for cloud in clouds]
-        if any(part is not None for part in parts):
-            kind = next(part.dtype for part in parts if part is not None)
-            filled = [
-                np.full(len(cloud), empty, kind) if part is None else part
-                for cloud, part in zip(clouds, parts, strict=True)
-            ]
-            columns[name] = np.concatenate(filled)
-    return PointCloud(
-        origin=origin,
-        xyz=np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)]),
-        candidate=np.concatenate([cloud.candidate for cloud in clouds]),
-        crs=first.crs,
-        units=first.units,
-        anchor=first.anchor,
-        whole=whole,
-        **columns,
+        if kinds := [part.dtype for part in parts if part is not None]:
+            empty = np.array(name in ("return_number", "number_of_returns", "valid"), kinds[0])
+            filled = zip(clouds, parts, strict=True)
+            columns[name] = np.concatenate([np.full(len(c), empty) if part is None else part for c, part in filled])
+    xyz = np.concatenate([cloud.xyz + shift for cloud, shift in zip(clouds, shifts, strict=True)])
+    candidate = np.concatenate([cloud.candidate for cloud in clouds])
+    return dataclasses.replace(
+        first, origin=origin, xyz=xyz, candidate=candidate, source=None, whole=whole, core=None, **columns
     )
 
 

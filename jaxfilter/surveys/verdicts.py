@@ -15,7 +15,6 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, JaxfilterError, ParameterError, warn
-from ..core.filter import Filter
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
@@ -32,20 +31,21 @@ from ..reports.places import SIDE
 from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
 from .collection import Collection
-from .labels import CANDIDATE, found_in, gathered, packed
+from .kept import list_places, suspects_in
 from .measures import Recipe
 from .options import RunOptions
-from .places import list_places, suspects_in
-from .product import FileTask, Product
+from .product import CANDIDATE, Cut, FileTask, Product, found_in, gathered, packed
 from .report import RunReport, Summary
 from .store import KEPT
 from .surroundings import ground_by_class
-from .survey import Cut, Survey, open_files
-from .targets import REPORT, Targets, target_of, targets_beside
-from .tiles import Tile, TileReader, inside, part_of
+from .survey import Survey, check_in_place, open_files
+from .targets import REPORT, Targets, beside
+from .tiles import Tile, inside, part_of
 
 LOG = "verdicts.json"
 """Name of the file, beside the files of points, that lists the verdicts that were carried out on them."""
+_CHANGED = f"{KEPT}changed"
+"""Name of the array of the numbers of the files of points that change."""
 _FEW = 200
 """Sites up to which one process is enough: others take longer to start."""
 
@@ -134,11 +134,14 @@ class VerdictReport(RunReport):
 class VerdictProduct(Product):
     """Files in which some classes follow verdicts; a tile is a site."""
 
-    NAME = "verdicts"
     REPORT = VerdictReport
     sites: tuple[Repair, ...]
     new: tuple[PlaceVerdict, ...]
     classes: Classes
+
+    def cut(self) -> Cut:
+        """A tile for each site."""
+        return Cut(0.0, 1.0, boxes=np.array([[site.touched, site.window] for site in self.sites]))
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """The points of a site that change. Raises: InputError."""
@@ -160,9 +163,7 @@ class VerdictProduct(Product):
         code = np.full(len(cloud), Finding.OTHER, np.uint8)
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
-        arrays = packed(some, Found(found.ground, code), {})
-        kept = {"files": np.unique(around.file[touched]), "changed": np.array(int(touched.sum()))}
-        return arrays | {f"{KEPT}{name}": values for name, values in kept.items()}, summary
+        return packed(some, Found(found.ground, code), {}) | {_CHANGED: around.file[touched]}, summary
 
     def file(self, task: FileTask) -> None:
         """Write a file whose points have changed. Raises: InputError, OutputError."""
@@ -174,11 +175,10 @@ class VerdictProduct(Product):
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
         assert isinstance(report, VerdictReport)
-        kept = [self.store.arrays(number) for number in np.flatnonzero(report.state != -1).tolist()]
-        numbers = {file for arrays in kept for file in arrays.get(f"{KEPT}files", np.zeros(0, int)).tolist()}
-        written = {str(targets.places[number]) for number in numbers}
-        report.files = [name for name in report.files if name in written]
-        report.changed = sum(int(arrays.get(f"{KEPT}changed", 0)) for arrays in kept)
+        stored = (self.store.arrays(number, (_CHANGED,)) for number in np.flatnonzero(report.state != -1).tolist())
+        changed = [file for arrays in stored for files in arrays.values() for file in files.tolist()]
+        written = {str(targets.places[number]) for number in set(changed)}
+        report.files, report.changed = [name for name in report.files if name in written], len(changed)
         if not (report.set_aside or report.failed or report.left_out):
             _Log(targets.store.path.parent / LOG).add(self.new, collection)
 
@@ -220,14 +220,15 @@ def apply_survey(
     (True, [])
     """
     run = dataclasses.replace(run, in_place=True)
-    collection = open_files(what, None, reading, run)
+    check_in_place(reading)
+    collection, reading = open_files(what, reading)
     files = [place_of(uri) for uri in collection.uris]
     if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     given = read_verdicts(places, collection.crs, collection.bounds)
     for problem in given.problems:
         warn(problem)
-    targets = targets_beside(files, run, "verdicts")
+    targets = beside(files, run, len(files) == 1, "verdicts")
     log = _Log(targets.store.path.parent / LOG)
     new = tuple(one for one in given.verdicts if not log.holds(one.key))
     keys = {one.key for one in new if one.word != FINE}
@@ -239,13 +240,8 @@ def apply_survey(
         if run.workers is None and run.client is None and len(found) <= _FEW:
             run = dataclasses.replace(run, workers=1)
         unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-        boxes = np.array([[site.touched, site.window] for site in found])
-
-        def product_for(reader: TileReader, filter_: Filter | None) -> VerdictProduct:
-            return VerdictProduct(reader, targets.store.path, filter_, found, new, classes)
-
         survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
-        report = survey.run(lambda filter_, halo: Cut(0.0, 1.0, boxes=boxes), product_for)
+        report = survey.run(VerdictProduct, sites=found, new=new, classes=classes)
     else:
         targets.store.discard()
         log.add(new, collection)
@@ -276,11 +272,10 @@ class _Log:
         """Raises: InputError if it is damaged."""
         self.path = path
         try:
-            self.facts: dict[str, Any] = json.loads(path.read_text())
+            empty: dict[str, Any] = {"files": {}, "verdicts": []}
+            self.facts = json.loads(path.read_text()) if path.exists() else empty
             self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
             broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
-        except FileNotFoundError:
-            self.facts, self._known, broken = {"files": {}, "verdicts": []}, {}, {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
         self._broken = {name for name, words in broken.items() if words is not None}
@@ -314,9 +309,12 @@ class _Log:
 class ReviewProduct(Product):
     """The places of files that have classes; ``ground``: those of ground points; ``path``: of the list."""
 
-    NAME = "review"
     ground: tuple[int, ...]
     path: Path | None
+
+    def cut(self) -> Cut:
+        """Tiles of whole cells."""
+        return Cut(HALO, SIDE)
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Cells of a tile whose terrain may be wrong. Raises: InputError if points have no classes."""
@@ -366,10 +364,7 @@ def reviewed(
 ) -> RunReport:
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
-    collection = open_files(what, None, reading, dataclasses.replace(run, in_place=True))
-    targets = target_of(out, len(collection) == 1, run)
-
-    def product_for(reader: TileReader, filter_: Filter | None) -> ReviewProduct:
-        return ReviewProduct(reader, targets.store.path, None, classes, path)
-
-    return Survey(collection, targets, None, reading, run).run(lambda filter_, halo: Cut(HALO, SIDE), product_for)
+    check_in_place(reading)
+    collection, reading = open_files(what, reading)
+    targets = beside([out], run, len(collection) == 1)
+    return Survey(collection, targets, None, reading, run).run(ReviewProduct, ground=classes, path=path)

@@ -15,7 +15,6 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyproj
 
 from ..core.errors import InputError
@@ -56,12 +55,11 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
 
     Raises: InputError if it is no virtual point cloud, naming the item that is damaged.
     """
-    base = str(place).rpartition("/")[0] if isinstance(place, Remote) else os.path.dirname(os.path.abspath(place))
     known: dict[Any, tuple[Reference, str | None]] = {}
     with reading_errors(place), opened(place, sequential=True) as (file, _):
         for number, item in enumerate(_items(TextIOWrapper(file, "utf-8"), str(place))):
             try:
-                yield _member(item, base, isinstance(place, Remote), known, asked, str(place))
+                yield _member(item, place, known, asked)
             except _ODD as error:
                 if isinstance(error, InputError):
                     raise
@@ -103,20 +101,14 @@ def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _member(
-    item: dict[str, Any],
-    base: str,
-    remote: bool,
-    known: dict[Any, tuple[Reference, str | None]],
-    asked: Stated,
-    name: str,
+    item: dict[str, Any], place: Place, known: dict[Any, tuple[Reference, str | None]], asked: Stated
 ) -> str | Source:
+    """The member that an item describes; ``known``: systems of items before, by how these state them."""
     assets = item["assets"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
-    uri, facts = _resolved(asset["href"], base, remote, name), item["properties"]
-    lower = uri.lower()
-    kind = next(
-        (k for k, end in (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las")) if lower.endswith(end)), None
-    )
+    uri, facts = _resolved(asset["href"], place), item["properties"]
+    kinds = (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las"))
+    kind = next((kind for kind, end in kinds if uri.lower().endswith(end)), None)
     box, count = facts.get("proj:bbox"), facts.get("pc:count")
     if kind is None or count is None or box is None or len(box) not in (4, 6):
         return uri
@@ -124,7 +116,7 @@ def _member(
     stated = json.dumps(key) if isinstance(key, dict) else key
     if stated not in known:
         text = key if isinstance(key, str) and "[" in key else "" if key is None else pyproj.CRS(key).to_wkt()
-        reference = asked.of(reference_of({WKT: text.encode()}, name), name)
+        reference = asked.of(reference_of({WKT: text.encode()}, str(place)), str(place))
         known[stated] = reference, None if reference.crs is None else reference.crs.to_wkt()
     reference, wkt = known[stated]
     if reference.problem is not None:
@@ -145,18 +137,20 @@ def _member(
     )
 
 
-def _resolved(href: str, base: str, remote: bool, name: str) -> str:
+def _resolved(href: str, place: Place) -> str:
     """A name relative to the folder of the .vpc, or as it is. Raises InputError for other stores than :data:`_SCHEMES`."""
     scheme, mark, _ = href.partition("://")
     if "::" in href or (mark and scheme.lower() not in _SCHEMES):
         raise InputError(
-            f"{name}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
+            f"{place}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
             "correct the name, or copy that file"
         )
     if mark or os.path.isabs(href):
         return href
     path = href.removeprefix("./")
-    return f"{base}/{path}" if remote else os.path.normpath(f"{base}/{path}")
+    if isinstance(place, Remote):
+        return f"{place.uri.rpartition('/')[0]}/{path}"
+    return os.path.abspath(os.path.join(os.path.dirname(place), path))
 
 
 def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
@@ -179,18 +173,14 @@ def _features(sources: Iterable[Source], folder: str) -> Iterator[dict[str, Any]
         if not source.count:
             continue
         (x0, y0, x1, y1), (z0, z1) = source.bounds, source.z
-        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
+        x, y = (x0, x1, x1, x0, x0), (y0, y0, y1, y1, y0)
+        corners = [*zip(x, y, strict=True)]
         if source.wkt not in to_world:
             to_world[source.wkt] = _to_degrees(source.crs)
-        transform = to_world[source.wkt]
-        world = (
-            corners
-            if transform is None
-            else [tuple(c) for c in np.column_stack(transform(*zip(*corners, strict=True))).tolist()]
-        )
+        if to_world[source.wkt] is not None:
+            x, y = to_world[source.wkt](x, y)
         stem = posixpath.basename(source.uri).rpartition(".")[0]
         used[stem] = used.get(stem, 0) + 1
-        x, y = zip(*world, strict=True)
         flat = math.isnan(z0) or math.isnan(z1)  # a box of the .vpc that was read had no heights: JSON knows no NaN
         local = not isinstance(source.place, Remote)
         yield {
@@ -198,7 +188,7 @@ def _features(sources: Iterable[Source], folder: str) -> Iterator[dict[str, Any]
             "stac_version": "1.0.0",
             "stac_extensions": _EXTENSIONS,
             "id": stem if used[stem] == 1 else f"{stem}-{used[stem]}",
-            "geometry": {"type": "Polygon", "coordinates": [world]},
+            "geometry": {"type": "Polygon", "coordinates": [[*zip(x, y, strict=True)]]},
             "bbox": [min(x), min(y), *[z0] * (not flat), max(x), max(y), *[z1] * (not flat)],
             "properties": {
                 "datetime": f"{source.date or _NOT_DATED}T00:00:00Z",
@@ -234,12 +224,11 @@ def _relative(uri: str, folder: str) -> str:
 
 
 def _schemas(point_format: int | None) -> list[dict[str, Any]]:
-    dimensions: Iterable[tuple[str, int, str]] = _SCHEMA
-    if point_format is not None:
-        dimensions = (
-            *_SCHEMA,
-            *(_TIME if point_format not in (0, 2) else ()),
-            *(_COLOUR if point_format in (2, 3, 5, 7, 8, 10) else ()),
-            *((("Infrared", 2, "unsigned"),) if point_format in (8, 10) else ()),
-        )
+    dimensions = [*_SCHEMA]
+    if point_format not in (None, 0, 2):
+        dimensions += _TIME
+    if point_format in (2, 3, 5, 7, 8, 10):
+        dimensions += _COLOUR
+    if point_format in (8, 10):
+        dimensions.append(("Infrared", 2, "unsigned"))
     return [{"name": name, "size": size, "type": kind} for name, size, kind in dimensions]

@@ -1,0 +1,105 @@
+"""What tiles keep for the end of a run, and what is made of it there: places where the terrain may be wrong, and water."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.cloud import PointCloud
+from ..core.errors import InputError, warn
+from ..core.reading import Reading
+from ..core.result import FilterResult
+from ..core.water import WaterCells
+from ..files.vectors import write_features
+from ..terrain.breaklines import table_of_water, write_breaklines
+from ..terrain.levels import WaterRuns
+from .area import within
+from .collection import Collection, common
+from .product import Product
+from .report import RunReport
+from .store import KEPT
+from .tiles import Around, Tile
+
+
+def suspects_in(
+    around: Around, result: FilterResult | np.ndarray, tile: Tile, reading: Reading
+) -> dict[str, np.ndarray]:
+    """Arrays to keep of a tile: its cells whose terrain may be wrong. ``reading``: its bounds and its area of
+    interest hold all places.
+
+    Warns: if the extent of the points is too large for a grid, and lists none.
+    """
+    from ..reports.places import SIDE, Suspects, suspects  # late: it brings SciPy's image functions
+
+    boxes = [source.bounds for source in tile.sources if source.count]
+    if reading.bounds is not None:
+        boxes = [common(box, reading.bounds) for box in boxes]
+    try:
+        found = suspects(around.cloud, result, footprints=boxes, window=tile.window, core=tile.core)
+    except InputError as error:  # labels are none the worse for it
+        warn(f"places where the terrain may be wrong are not looked for: {error}")
+        found = Suspects.none()
+    found = found.part(within(reading.aoi, *(found.cell.T + 0.5) * SIDE / around.cloud.units.xy))
+    return {f"{KEPT}{field.name}": getattr(found, field.name) for field in dataclasses.fields(found)}
+
+
+def list_places(product: Product, report: RunReport, collection: Collection, path: Path | None, replace: bool) -> None:
+    """Put the places of a run into its report, largest expected error volume first, and into a file.
+
+    Raises: InputError, OutputError.
+    """
+    from ..reports.places import Suspects, places_of
+
+    names = [f"{KEPT}{field.name}" for field in dataclasses.fields(Suspects)]
+    stored = (product.store.arrays(number, names) for number in np.flatnonzero(report.state != -1).tolist())
+    parts = [Suspects(*(arrays[name] for name in names)) for arrays in stored if arrays]
+    places = places_of(Suspects.together(parts), collection.metre) if parts else []
+    report.places = [place.facts() for place in places]
+    if path is not None:
+        from ..reports.review_list import table_of
+
+        table = table_of(places, collection.metre, collection.crs)
+        write_features(path, [table], "review", overwrite=replace)
+        report.review = str(path)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WaterWanted:
+    """How rasters come to know of water.
+
+    Attributes:
+        seeks: tiles look for it. known: it is known already, and tiles only keep what has to be made anew where it is.
+        levels: what is known; only the process has it that ends the run. path: a file for outlines.
+    """
+
+    seeks: bool = True
+    known: bool = False
+    levels: WaterRuns | None = None
+    path: Path | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"levels": None}
+
+
+_NAMES = tuple(f"{KEPT}water_{name}" for name in ("frame", "run", "z"))
+
+
+def kept_water(cloud: PointCloud, cells: WaterCells | None, tile: Tile) -> dict[str, np.ndarray]:
+    """Arrays to keep of a tile: the water in its core."""
+    runs = WaterRuns.of(cells, cloud, tile.core)
+    return {} if runs is None else dict(zip(_NAMES, (runs.frame, runs.run, runs.z), strict=True))
+
+
+def list_water(product: Product, report: RunReport, collection: Collection, wanted: WaterWanted, replace: bool) -> None:
+    """Put the water of a run into its report, and into a file. Raises: InputError, OutputError."""
+    report.water = wanted.levels
+    if wanted.seeks:
+        stored = (product.store.arrays(number, _NAMES) for number in np.flatnonzero(report.state != -1).tolist())
+        parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in stored if arrays]
+        report.water = WaterRuns.joined(parts) or report.water
+    if wanted.path is not None:
+        write_breaklines(wanted.path, table_of_water(report.water, collection.crs), replace)
+        report.breaklines = str(wanted.path)
