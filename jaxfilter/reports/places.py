@@ -12,7 +12,7 @@ import scipy
 from ..core.cloud import PointCloud
 from ..core.grid import most_cells
 from ..core.result import FilterResult
-from ..engines.neighbours import groups
+from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of
@@ -279,13 +279,7 @@ def places_of(found: Suspects, metre: float) -> list[Place]:
     order = np.lexsort(found.cell.T)
     cell, reason, chance, filled = (one[order] for one in (found.cell, found.reason, found.chance, found.filled))
     volume, key = found.error[order] * SIDE**2, cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0]
-    links = []
-    for step in (1, _WIDE - 1, _WIDE, _WIDE + 1):
-        beside = np.searchsorted(key, key + step).clip(max=max(len(key) - 1, 0))
-        rows = np.flatnonzero(key[beside] == key + step)
-        links.append((rows, beside[rows]))
-    ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
-    of = groups(ends, others, len(cell))
+    of = groups(*touching(key, _WIDE), len(cell))
     count = np.bincount(of)
     parts = np.split(np.argsort(of, kind="stable"), np.cumsum(count)[:-1])
     places = []

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..core.cloud import PointCloud
 from ..core.water import WaterCells
-from ..terrain.breaklines import table_of_water, write_breaklines
-from ..terrain.levels import WaterRuns
+from ..files.vectors import write_features
+from ..terrain.levels import WaterRuns, outlines
 from .collection import Collection
 from .product import Product
 from .report import RunReport
@@ -54,5 +54,5 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
         parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in stored if arrays]
         report.water = WaterRuns.joined(parts) or report.water
     if wanted.path is not None:
-        write_breaklines(wanted.path, table_of_water(report.water, collection.crs), replace)
+        write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)
         report.breaklines = str(wanted.path)

@@ -72,8 +72,7 @@ class Layer:
         """The raster of a cloud in memory; the arguments, and what is raised, are those of :func:`jaxfilter.dtm`."""
         cloud = as_cloud(cloud)
         noise = result.low_noise if isinstance(result, FilterResult) else None
-        grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
-        ground = ground_of(cloud, result)
+        grid, ground = grid_of(cloud, cell, bounds), ground_of(cloud, result)
         site = Site(cloud, ground, grid, noise=noise, levels=levels_in(cloud, result, ground) if self.SURFACE else None)
         return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
 
@@ -138,3 +137,8 @@ def extent_of(cloud: PointCloud) -> Bounds:
     check_extent(cloud, xy)
     ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
     return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
+
+
+def grid_of(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> RasterGrid:
+    """The cells over bounds, or over the points. Raises: ParameterError, InputError."""
+    return RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)

@@ -15,7 +15,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import warn
 from ..core.result import FilterResult
 from ..core.water import WaterCells
-from ..engines.neighbours import groups
+from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
 from .raster import RasterGrid
 
@@ -172,33 +172,38 @@ class WaterRuns:
         out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
         return out
 
-    def table(self, crs: Any) -> geopandas.GeoDataFrame:
-        """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`."""
-        import geopandas
-        import shapely
 
-        side, x0, y0, metre, factor = self.frame
-        step, z = side / metre, self.z / factor
-        west, east = (x0 + (self.run[:, k] - 0.5) * step for k in (1, 2))
-        south = y0 + (self.run[:, 0] - 0.5) * step
-        order = np.argsort(self.body, kind="stable")
-        shapes, heights = [], []
-        for rows in np.split(order, np.flatnonzero(np.diff(self.body[order])) + 1):
-            shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
-            low, high = z[rows].min(), z[rows].max()
-            if low == high:
-                shape = shapely.simplify(shape, 0)
-            heights.append((float(np.median(z[rows])), high - low))
-            shapes.append(shape)
-        corners = shapely.get_coordinates(shapes)
-        # a corner is at the middle of four cells, of which one at least is water: the lowest counts
-        around = [self.at(*(corners + step * np.array(way)).T) for way in itertools.product((-0.25, 0.25), repeat=2)]
-        corners = np.column_stack([corners, np.fmin.reduce(around)])
-        shapes = shapely.set_coordinates(shapely.force_3d(shapes), corners)
-        level, fall = np.array(heights).reshape(-1, 2).T
-        found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
-        found.insert(2, "area", found.area)
-        return found
+def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
+    """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`. None: there are no bodies."""
+    import geopandas
+    import shapely
+
+    if levels is None:
+        none = np.zeros(0)
+        return geopandas.GeoDataFrame({"elevation": none, "fall": none, "area": none}, geometry=[], crs=crs)
+
+    side, x0, y0, metre, factor = levels.frame
+    step, z = side / metre, levels.z / factor
+    west, east = (x0 + (levels.run[:, k] - 0.5) * step for k in (1, 2))
+    south = y0 + (levels.run[:, 0] - 0.5) * step
+    order = np.argsort(levels.body, kind="stable")
+    shapes, heights = [], []
+    for rows in np.split(order, np.flatnonzero(np.diff(levels.body[order])) + 1):
+        shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
+        low, high = z[rows].min(), z[rows].max()
+        if low == high:
+            shape = shapely.simplify(shape, 0)
+        heights.append((float(np.median(z[rows])), high - low))
+        shapes.append(shape)
+    corners = shapely.get_coordinates(shapes)
+    # a corner is at the middle of four cells, of which one at least is water: the lowest counts
+    around = [levels.at(*(corners + step * np.array(way)).T) for way in itertools.product((-0.25, 0.25), repeat=2)]
+    corners = np.column_stack([corners, np.fmin.reduce(around)])
+    shapes = shapely.set_coordinates(shapely.force_3d(shapes), corners)
+    level, fall = np.array(heights).reshape(-1, 2).T
+    found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
+    found.insert(2, "area", found.area)
+    return found
 
 
 def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
@@ -254,12 +259,7 @@ def _links(place: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarra
     low = place.min(axis=0) - 1
     wide = (np.ptp(place, axis=0) + 3).astype(np.int64)
     key = ((place[:, 0] - low[0]) * wide[1] + place[:, 1] - low[1]) * wide[2] + place[:, 2] - low[2]  # ascending
-    found = []
-    for step in (1, wide[2] - 1, wide[2], wide[2] + 1):
-        other = np.searchsorted(key, key + step).clip(max=len(key) - 1)
-        rows = np.flatnonzero(key[other] == key + step)
-        found.append(np.column_stack([rows, other[rows]]))
-    links = np.concatenate(found)
+    links = np.column_stack(touching(key, wide[2]))
     return links, np.hypot(*(middle[links[:, 0]] - middle[links[:, 1]]).T)
 
 
