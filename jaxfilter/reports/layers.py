@@ -49,12 +49,10 @@ class Layers:
     doubt_of: str
 
 
-def layers_of(
-    cloud: PointCloud, result: FilterResult | np.ndarray, truth: np.ndarray | None, counted: np.ndarray | None
-) -> Layers:
-    """The maps of a cloud with at least one valid point. ``truth``, ``counted``: bool[n], the reference and where it counts."""
+def layers_of(cloud: PointCloud, result: FilterResult, reference: np.ndarray | None) -> Layers:
+    """The maps of a cloud with at least one valid point. ``reference``: i8[n], 1 = ground, 0 = object."""
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
-    ground = (result.ground if isinstance(result, FilterResult) else result) & real
+    ground = result.ground & real
     xyz = cloud.xyz[real] if not real.all() else cloud.xyz
     grid = grid_over(xyz, _cell(xyz))
     z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, grid.cell, over=xyz)
@@ -64,13 +62,13 @@ def layers_of(
     step = max(float(np.ptp(z[known])) / (NO_ELEVATION - 1), QUANTUM)
     flat = grid.flat(cloud.xyz)
     above = _highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
-    doubt, doubt_of = doubt_per_point(result, len(cloud))
+    doubt, doubt_of = doubt_per_point(result)
     near = _highest(doubt, flat, grid, real)
     errors = None
-    if truth is not None and counted is not None:
+    if reference is not None:
         cells = np.zeros(grid.ny * grid.nx, np.uint8)
-        for bit, wrong in ((1, truth & ~ground), (2, ground & ~truth)):
-            cells[flat[wrong & counted & real]] |= np.uint8(bit)
+        for bit, wrong in ((1, (reference == 1) & ~ground), (2, ground & (reference == 0))):
+            cells[flat[wrong & real]] |= np.uint8(bit)
         errors = cells.reshape(grid.shape)[::-1]
     return Layers(
         grid=grid,
@@ -86,17 +84,17 @@ def layers_of(
     )
 
 
-def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarray, str]:
+def doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
     """f32[n], 0 (sure) to 1; NaN where nothing is known; and where it comes from.
 
     A result's own ``doubt``, a probability, counts as it is. Otherwise the margin decides: of the points of each decision
     the fifth that is nearest to its threshold is doubtful, 1 on the threshold. Margins of different decisions have
     different units.
     """
-    if isinstance(result, FilterResult) and result.doubt is not None:
+    if result.doubt is not None:
         return np.asarray(result.doubt, np.float32), "probability"
-    out = np.full(n, np.nan, np.float32)
-    if not isinstance(result, FilterResult) or not np.isfinite(result.margin).any():
+    out = np.full(len(result), np.nan, np.float32)
+    if not np.isfinite(result.margin).any():
         return out, ""
     for decision in Decision:
         rows = np.flatnonzero((result.decision == decision) & np.isfinite(result.margin))
@@ -109,12 +107,12 @@ def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarr
 
 
 def places(
-    cloud: PointCloud, found: FilterResult | np.ndarray, wrong: np.ndarray | None, cell: float
+    cloud: PointCloud, found: FilterResult, wrong: np.ndarray | None, cell: float
 ) -> list[dict[str, float | str]]:
     """Where to look first: squares with most errors, or without any known the places of :func:`jaxfilter.review`.
 
     Args:
-        cloud: with at least one valid point. found: a result, or bool[n], what is ground.
+        cloud: with at least one valid point.
         wrong: bool[n], errors against a reference, or None. cell: of the maps, metres.
 
     Returns: for each ``x`` and ``y``, local metres, the ``side`` of a square around it, and ``what``: why it is shown.

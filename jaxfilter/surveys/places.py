@@ -57,7 +57,7 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
     places = places_in(product, report, collection.metre)
     report.places = [place.facts() for place in places]
     if path is not None:
-        from ..reports.review_list import table_of
+        from ..reports.places import table_of
 
         table = table_of(places, collection.metre, collection.crs)
         write_features(path, [table], "review", overwrite=replace)
