@@ -50,9 +50,7 @@ class SceneLayout:
 
     relief: float = param("height range of the landforms: four standard deviations", ">= 0 and <= 3000 m", default=10.0)
     landform: float = param("size of the largest landforms, to a power of two", ">= 16 and <= 8192 m", default=256.0)
-    hurst: float = param(
-        "Hurst exponent: detail shrinks by 2**-hurst from scale to scale", ">= 0.3 and <= 2", default=1.0
-    )
+    hurst: float = param("Hurst exponent: detail shrinks by 2**-hurst per scale", ">= 0.3 and <= 2", default=1.0)
     ridges: float = param("how far landforms are folded into sharp ridges", ">= 0 and <= 1", default=0.0)
     tilt: float = param("general slope, rise over run", ">= 0 and <= 1.5", default=0.0)
     scarp: float = param("height of scarps", ">= 0 and <= 60 m", default=0.0)
@@ -71,21 +69,15 @@ class SceneLayout:
     weir: bool = static("whether weirs, 1 m high, cross the rivers", default=False)
     cliff: float = param("height of rock faces on both sides of a valley floor", ">= 0 and <= 150 m", default=0.0)
     face: float = param("slope of rock faces", ">= 40 and <= 85 deg", default=72.0)
-    floor: float = param(
-        "width between the feet of rock faces, with the river in its middle", ">= 1 and <= 500 m", default=20.0
-    )
-    bench: float = param(
-        "height of the benches that rock faces are worked in; 0 for sheer ones", ">= 0 and <= 30 m", default=0.0
-    )
+    floor: float = param("width between the feet of rock faces, around the river", ">= 1 and <= 500 m", default=20.0)
+    bench: float = param("height of benches in rock faces; 0 for sheer ones", ">= 0 and <= 30 m", default=0.0)
     ditches: float = param("depth of ditches on open land", ">= 0 and <= 3 m", default=0.0)
     embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
     cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
     road: float = param("width of roads on the level of the land that bridges cross", ">= 0 and <= 60 m", default=0.0)
     bridges: bool = static("whether bridges cross the cuttings, roads and rivers", default=True)
     bridge_width: float = param("width of decks", ">= 1 and <= 60 m", default=10.0)
-    bridge_skew: float = param(
-        "angle between decks and what is square to the course", ">= 0 and <= 60 deg", default=0.0
-    )
+    bridge_skew: float = param("angle between decks and the square to the course", ">= 0 and <= 60 deg", default=0.0)
     bridge_rise: float = param("height of the ends of decks above the land, on ramps", ">= 0 and <= 12 m", default=0.0)
     jetty: float = param("length of jetties from the banks of rivers", ">= 0 and <= 100 m", default=0.0)
     causeway: bool = static("whether low dams, which are ground, cross the rivers instead of decks", default=False)
@@ -104,16 +96,10 @@ class SceneLayout:
     penetration: float = param("probability of an echo below a crown that was hit", ">= 0 and <= 1", default=0.35)
     low_vegetation: float = param("share of the open land under shrubs and tall grass", ">= 0 and <= 1", default=0.1)
     vines: float = param("share of terraced land under vines", ">= 0 and <= 1", default=0.0)
-    scan_angle: float = param(
-        "angle of beams from the vertical at the edge of a strip", ">= 0 and <= 30 deg", default=0.0
-    )
+    scan_angle: float = param("angle of beams off the vertical at a strip's edge", ">= 0 and <= 30 deg", default=0.0)
     low_clusters: float = param("clusters of low outliers, 3 to about 120 points", ">= 0 and <= 200 1/km2", default=0.0)
-    low_outliers: float = param(
-        "share of pulses with an isolated echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0
-    )
-    high_outliers: float = param(
-        "share of pulses with an echo 20 to 1000 m above the surface", ">= 0 and <= 0.1", default=0.0
-    )
+    low_outliers: float = param("share of pulses with a lone echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0)
+    high_outliers: float = param("share of pulses with an echo 20 to 1000 m too high", ">= 0 and <= 0.1", default=0.0)
 
     def __post_init__(self) -> None:
         check_fields(self)

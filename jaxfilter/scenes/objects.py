@@ -294,24 +294,15 @@ def afloat(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -
 
 
 def open_deck(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """f64[n]: :func:`bridge_deck` where it is more than half a metre above the ground or bed, NaN elsewhere."""
-    deck = bridge_deck(patch, x, y)
-    return np.where(deck > surface.z + 0.5, deck, np.nan)
-
-
-def bridge_deck(patch: Patch, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """f64[n]: elevation of bridge decks and jetties, NaN elsewhere. Decks run level with the land at both abutments, jetties
-    1.2 m above the water, from the bank."""
-    deck, layout = np.full(len(x), np.nan), patch.layout
-    course = patch.terrain.course(x, y)
+    """f64[n]: elevation of bridge decks and jetties where they are more than half a metre above the ground or bed, NaN elsewhere.
+    Decks run level with the land at both abutments, jetties 1.2 m above the water, from the bank."""
+    deck, layout, course = np.full(len(x), np.nan), patch.layout, patch.terrain.course(x, y)
     if layout.jetty:
         d = course.line(patch.stream)[0]
         out = d + layout.river / 2
         on = (np.abs(patch.bridge(course, 0 * d, _JETTY_AT)[1]) < 2) & (out > -5) & (out < layout.jetty)
         deck[on] = -0.32 * layout.relief - 1.0
-    if not layout.bridges or layout.causeway:
-        return deck
-    for offset, half in patch.crossings():
+    for offset, half in patch.crossings() if layout.bridges and not layout.causeway else []:
         d, line = course.line(offset)
         row, beside = patch.bridge(course, d)
         on = np.flatnonzero((np.abs(d) < half) & (np.abs(beside) < layout.bridge_width / 2))
@@ -325,4 +316,4 @@ def bridge_deck(patch: Patch, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         share = (d[on] / half + 1) / 2
         camber = 0.6 * (1 - (2 * share - 1) ** 2)
         deck[on] = ends[0][which] * (1 - share) + ends[1][which] * share + camber
-    return deck
+    return np.where(deck > surface.z + 0.5, deck, np.nan)
