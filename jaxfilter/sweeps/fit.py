@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, ParameterError, check_whole
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.result import Progress, silent
 from ..steps.grid_filter import GridFilter, fit_data, soft_errors
 from .best import word
-from .calibrate import CrossValidation, check_whole, deal, known_labels, ranges_of
+from .calibrate import CrossValidation, deal, known_labels, ranges_of
 from .inference import evenly
 from .ranges import Range, check_filter
 from .sweep import Subject, SweepOptions, about, named_clouds
@@ -204,8 +204,7 @@ class _Known:
 
     def prepare(self, space: _Space, fold: np.ndarray, folds: int) -> None:
         """``fold``: i64[n] of the points, -1 without a label."""
-        points, kinds = self.subject.points, (self.counted & self.truth, self.counted & ~self.truth)
-        weight = np.stack([np.bincount(points.member, kind[points.index], len(points)) for kind in kinds])
+        points, weight = self.subject.points, self.subject.of_kinds(self.truth, self.counted)
         rows = np.flatnonzero(weight.any(axis=0))
         rows = evenly(rows[np.lexsort(points.xyz[rows].T)], POINTS)
         ends = space.at(space.low), space.at(space.high)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import ParameterError
+from ..core.errors import check_positive
 from ..files.storage import place_of
 from ..files.vectors import check_suffix, write_features
 from .layer import Layer
@@ -33,8 +33,7 @@ class Contours(Layer):
     interval: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.interval < math.inf:
-            raise ParameterError(f"interval={self.interval!r} must be a positive number, in units of Z")
+        check_positive(", in units of Z", interval=self.interval)
 
     @property
     def cells(self) -> Layer:

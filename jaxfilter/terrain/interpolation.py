@@ -7,13 +7,12 @@ more and not on a line. Each interpolator is prepared once and then asked for he
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_positive, check_whole
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.linear import Linear as Linear
 from ..engines.tin.linear import inside_hull as inside_hull
@@ -55,12 +54,8 @@ class Interpolation:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method={self.method!r}: choose one of {', '.join(METHODS)}")
-        for name in ("max_gap", "power"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"{name}={value!r} must be a positive number")
-        if self.neighbours < 1:
-            raise ParameterError(f"neighbours={self.neighbours!r} must be at least 1")
+        check_positive(max_gap=self.max_gap, power=self.power)
+        check_whole(neighbours=self.neighbours)
 
 
 def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int | None = None) -> Heights:

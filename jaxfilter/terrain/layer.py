@@ -1,4 +1,4 @@
-"""Layers of the terrain: what a raster of a survey shows, cell by cell. Each layer has a file of its own."""
+"""Layers of the terrain: what a raster of a survey shows, cell by cell."""
 
 from __future__ import annotations
 
@@ -100,9 +100,7 @@ class Site:
     look: Callable[[np.ndarray, Heights], None] | None = None
     strict: bool = True
     levels: WaterRuns | None = None
-
-    def __post_init__(self) -> None:
-        self._known: dict[Layer, np.ndarray] = {}
+    _known: dict[Layer, np.ndarray] = dataclasses.field(default_factory=dict, init=False)
 
     def of(self, layer: Layer) -> np.ndarray:
         """The values of a layer, which are made once. Raises: InputError."""

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_positive
 from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult
 from ..core.units import Units
@@ -65,9 +65,7 @@ class Dsm(Layer):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "levels", tuple(sorted(float(level) for level in self.levels)))
-        for name, value in (("gap", self.gap), ("radius", self.radius)):
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"{name}={value!r} must be a positive number of metres")
+        check_positive(" of metres", gap=self.gap, radius=self.radius)
         if not self.levels or self.levels[0] != 0 or not math.isfinite(self.levels[-1]):
             raise ParameterError(f"levels={self.levels!r} must be metres above the ground, and 0 among them")
 
@@ -252,8 +250,7 @@ class Voids(Layer):
     distance: float = 5.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.distance < math.inf:
-            raise ParameterError(f"distance={self.distance!r} must be a positive number of metres")
+        check_positive(" of metres", distance=self.distance)
 
     def reach(self, side: float) -> float:
         """As far as a ground point may be."""

@@ -71,11 +71,8 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     within = scipy.ndimage.distance_transform_edt(within) * side > REACH
     row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= REACH))
     source = tuple(one[row, column] for one in nearest)
-    return WaterCells(
-        side,
-        np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32),
-        cloud.origin[2] * cloud.units.z + z[source],
-    )
+    wet_cells = np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32)
+    return WaterCells(side, wet_cells, cloud.origin[2] * cloud.units.z + z[source])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,10 +122,8 @@ class WaterRuns:
         run, z, side = run[order], z[order], some[0].frame[0]
         cut = (run[1:, :2] == run[:-1, ::2]).all(axis=1) & (run[1:, 1] % _BLOCK != 0)  # by the edge of a tile
         start = np.flatnonzero(np.append(True, ~cut))
-        run, z = (
-            np.column_stack([run[start, :2], run[np.append(start[1:], len(run)) - 1, 2]]),
-            np.add.reduceat(z, start),
-        )
+        end = np.append(start[1:], len(run)) - 1
+        run, z = np.column_stack([run[start, :2], run[end, 2]]), np.add.reduceat(z, start)
         first, stop = _keys(run[:, 0], run[:, 1]), _keys(run[:, 0], run[:, 2])
         beside = np.flatnonzero(stop[:-1] == first[1:])
         above = np.searchsorted(stop, first + _WIDE, "right"), np.searchsorted(first, stop + _WIDE, "left")
@@ -145,16 +140,12 @@ class WaterRuns:
 
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
-        found, run = self._runs_at(x, y)
-        return np.where(found, self.z[run] / self.frame[4], np.nan)
-
-    def _runs_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """bool[...], whether water is at places, and i64[...], in which run."""
-        side, x0, y0, metre, _ = self.frame
+        side, x0, y0, metre, factor = self.frame
         row, column = (np.floor((v - v0) * (metre / side) + 0.5).astype(np.int64) for v, v0 in ((y, y0), (x, x0)))
         key = _keys(row, column)
         run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
-        return (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2]), run
+        found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
+        return np.where(found, self.z[run] / factor, np.nan)
 
     def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
         """f32[rows, columns]: the values of a terrain model, level where the middle of a cell is in water."""
@@ -234,10 +225,9 @@ def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np
     block[order] = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(run))))
     place, weight = place[start], (run[:, 2] - run[:, 1]).astype(np.float64)
     cells = np.bincount(block, weight)
-    middle: np.ndarray = np.column_stack(
-        [np.bincount(block, weight * at) for at in (run[:, 0], run[:, 1:].sum(axis=1) / 2 - 0.5)]
-    )
-    middle, level = side * middle / cells[:, None], np.bincount(block, z) / cells
+    places = run[:, 0], run[:, 1:].sum(axis=1) / 2 - 0.5
+    middle = side * np.column_stack([np.bincount(block, weight * at) for at in places]) / cells[:, None]
+    level = np.bincount(block, z) / cells
     of = place[:, 0]
     low, most, high = (_share(level, of, share) for share in (0.05, 0.5, 0.95))
     out, falls = most[of], (high - low > FALL)[of]
@@ -292,9 +282,8 @@ def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.nd
     in_band = np.empty(len(own), np.int64)
     in_band[piece] = band
     pairs = links[~same]
-    pairs = piece[
-        np.where((band[pairs[:, 0]] < band[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
-    ]  # the lower one first
+    upward = (band[pairs[:, 0]] < band[pairs[:, 1]])[:, None]
+    pairs = piece[np.where(upward, pairs, pairs[:, ::-1])]  # the lower one first
     pairs = pairs[np.argsort(in_band[pairs[:, 1]], kind="stable")]
     least, most = own.copy(), own.copy()
     steps = np.split(pairs, np.flatnonzero(np.diff(in_band[pairs[:, 1]])) + 1) if len(pairs) else []
