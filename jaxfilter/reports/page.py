@@ -19,7 +19,7 @@ import numpy as np
 
 from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, check_whole
 from ..core.filter import Filter, check_resources
 from ..core.markup import table
 from ..core.params import declared
@@ -65,9 +65,8 @@ class ReportOptions:
 
     def __post_init__(self) -> None:
         check_resources(self.workers)
-        for name, value, least in (("steps", self.steps, 0), ("max_points", self.max_points, 1)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise ParameterError(f"{name}={value!r}: a whole number from {least} on is needed")
+        check_whole(0, steps=self.steps)
+        check_whole(max_points=self.max_points)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -174,7 +173,7 @@ def _contents(
     if layers is None:
         return facts, {}
     facts["grid"] = dataclasses.asdict(layers.grid)
-    facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
+    facts["elevation"] = {"low": layers.low, "step": layers.step}
     wrong = None
     flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
     if what.reference is not None:
@@ -182,14 +181,9 @@ def _contents(
         wrong = (what.result.ground != truth) & counted
         flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
     facts["places"] = places(cloud, what.result, wrong, layers.grid.cell)
-    arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
     facts["doubt_of"] = layers.doubt_of
-    if layers.doubt_of:
-        arrays["doubt"] = layers.doubt
-    if layers.errors is not None:
-        arrays["errors"] = layers.errors
     facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
-    return facts, arrays | sampled
+    return facts, layers.arrays | sampled
 
 
 def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
@@ -201,7 +195,9 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     number = np.bincount(key, minlength=256 * 6 * len(labels)).reshape(256, 2, 3, len(labels))
     ground, every = number @ labels.astype(np.int64), number.sum(axis=-1)
     moves: dict[tuple[int, int], np.ndarray] = {}
-    lost = _classes_lost()
+    kinds = np.arange(256, dtype=np.uint8)
+    one_each = PointCloud.from_arrays(np.zeros((256, 3)), classification=kinds, ignore_classes=())
+    lost = dict(class_changes(one_each, np.zeros(256, bool)).keys())  # from old class to that of a judged object
     for c in np.flatnonzero(every.any(axis=(1, 2))).tolist():
         kept, judged, on_ground = every[c, 0].sum(), every[c, 1].sum(), ground[c, 1].sum(axis=0)
         for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):
@@ -218,12 +214,6 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
         out["scores"] = {one: [getattr(scores, one) for scores in confusions] for one in SCORES}
         out["confusion"] = [scores.confusion for scores in confusions]
     return out
-
-
-def _classes_lost() -> dict[int, int]:
-    """The class that ``write`` gives a judged point that is not ground, by the class that it had."""
-    every = PointCloud.from_arrays(np.zeros((256, 3)), classification=np.arange(256, dtype=np.uint8), ignore_classes=())
-    return dict(class_changes(every, np.zeros(256, bool)).keys())
 
 
 def _threshold(filter_: Any, field: str | None) -> dict[str, str] | None:
@@ -260,14 +250,18 @@ def _piece(name: str) -> str:
 
 def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, str]:
     """The parts of the page that are HTML."""
-    filter_ = what.filter
+    filter_, parameters = what.filter, ""
+    if isinstance(filter_, Filter):
+        cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
+        title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
+        parameters = f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"
     return {
         "style": _piece("page.css"),
         "code": "\n".join(map(_piece, SCRIPTS)),
         "method": escape("labels as given" if filter_ is None else type(filter_).__name__),
         "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(what, steps, layers)),
         "about": _about(what),
-        "parameters": _parameters(filter_) if isinstance(filter_, Filter) else "",
+        "parameters": parameters,
         "version": escape(__version__),
     }
 
@@ -294,18 +288,13 @@ def _about(what: _Labelled) -> str:
     rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
     rows += [("points", len(cloud)), ("judged", int(cloud.candidate.sum()))]
     rows += [("CRS", "unknown" if cloud.crs is None else cloud.crs.name), ("units", str(cloud.units))]
-    if result.run is not None:
-        counts = np.bincount(result.decision, minlength=len(Decision))
+    counts = np.bincount(result.decision, minlength=len(Decision))
+    if result.run is not None or counts[1:].any():  # not labels alone
         rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
-        rows += [("ended", result.status.message), ("seconds", f"{result.run.seconds:.2f}")]
+        rows.append(("ended", result.status.message))
+    if result.run is not None:
+        rows.append(("seconds", f"{result.run.seconds:.2f}"))
     return table((), [*rows, ("jaxfilter", __version__)])
-
-
-def _parameters(filter_: Filter) -> str:
-    """A section on the filter: its fields, and what to cite."""
-    cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
-    title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
-    return f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"
 
 
 def pack(values: np.ndarray) -> str:

@@ -202,9 +202,9 @@ def suspects(
 
 def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
     """f64[rows, columns]: sums over each cell and the eight around it."""
-    return np.asarray(
-        scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(values, np.ones(3), 0, mode=mode), np.ones(3), 1, mode=mode)
-    )
+    for axis in range(2):
+        values = scipy.ndimage.correlate1d(values, np.ones(3), axis, mode=mode)
+    return values
 
 
 def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:

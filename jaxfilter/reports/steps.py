@@ -54,10 +54,6 @@ class Steps:
             return np.arange(len(steps) + 1)[:, None] <= steps
         return (np.arange(1 << len(steps))[:, None] >> steps & 1).astype(bool)
 
-    def ground(self, step: int) -> np.ndarray:
-        """bool[n], the labels at a step."""
-        return self.code <= step if self.nested else (self.code >> step & 1).astype(bool)
-
 
 def fixed(ground: np.ndarray, reason: str) -> Steps:
     """No slider: the labels bool[n] as they are."""
@@ -103,7 +99,7 @@ def steps_of(result: FilterResult, count: int | None, workers: int | None, progr
     else:
         code, nested = _swept(run.cloud, filter_, sets, tested, workers, progress)
     steps = Steps(field, values, now, code, nested)
-    if not np.array_equal(steps.ground(now), ground):
+    if not np.array_equal(steps.table[code, now], ground):
         return fixed(ground, "the filter by itself gives other labels")
     return steps
 
