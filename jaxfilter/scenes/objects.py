@@ -49,13 +49,6 @@ class Roof(NamedTuple):
     edge: np.ndarray
 
 
-class Crown(NamedTuple):
-    """Tree crowns at points [n]: elevation of the upper and lower surface, NaN where there is none."""
-
-    top: np.ndarray
-    bottom: np.ndarray
-
-
 class Town:
     """Streets, buildings, walls and cars. Quarters form a square lattice that is turned against the axes."""
 
@@ -245,8 +238,9 @@ class Woods:
         self._shrubs = smooth_noise(seed, Layer.SHRUBS, box, 4) if layout.low_vegetation else None
         self._shrub_threshold = quantile(1 - layout.low_vegetation)
 
-    def crown(self, x: np.ndarray, y: np.ndarray) -> Crown:
-        """The highest crown over each point f64[n]: half an ellipsoid, or a cone for conifers."""
+    def crown(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Elevations f64[n] of top and bottom of the highest crown over each point f64[n], NaN where there is none: half an
+        ellipsoid, or a cone for conifers."""
         i0, j0, ni, nj = self._cells
         top, bottom = np.full(len(x), np.nan), np.full(len(x), np.nan)
         i = np.clip((x / _TREE_CELL - i0).astype(np.intp), 1, ni - 2)
@@ -267,7 +261,7 @@ class Woods:
             low[hit[higher]] = (self._z[k] + height * np.where(conifer, 0.12, 0.3))[higher]
         top[near] = np.where(np.isfinite(best), best, np.nan)
         bottom[near] = low
-        return Crown(top, bottom)
+        return top, bottom
 
     def undergrowth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[n]: height of low vegetation above the terrain, 0.1 to 1 m, or 0 where there is none."""
