@@ -178,11 +178,8 @@ class _Space:
         import xarray as xr
 
         field, facts = {f.name: f for f in declared(self.filter)}, {"long_name": "total error", "units": "%"}
-        errors = {
-            "fitted": soft[:, 0],
-            "held_out": soft[:, 1],
-            "total": [mean.get(i, math.nan) for i in range(len(soft))],
-        }
+        totals = [mean.get(i, math.nan) for i in range(len(soft))]
+        errors = {"fitted": soft[:, 0], "held_out": soft[:, 1], "total": totals}
         made: dict[str, Any] = {name: ("step", values, facts) for name, values in errors.items()}
         made |= {n: ("step", r.value(places[:, i]), about(field[n])) for i, (n, r) in enumerate(self.ranges.items())}
         attrs = {"method": type(self.filter).__name__, "fields": list(self.ranges)}
