@@ -85,7 +85,7 @@ def check_positive(unit: str = "", **values: float | None) -> None:
 
 
 def check_whole(least: int = 1, **values: Any) -> None:
-    """Raises: ParameterError for what is no whole number, or below ``least``; None stands for nothing."""
+    """Raises: ParameterError for what is no whole number, or below ``least``."""
     for name, value in values.items():
-        if value is not None and (isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least):
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
             raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")

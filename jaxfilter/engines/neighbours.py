@@ -75,7 +75,8 @@ def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
 def touching(key: np.ndarray, wide: int) -> tuple[np.ndarray, np.ndarray]:
     """i64[l], i64[l]: pairs of cells that touch, at a corner too.
 
-    ``key``: i64[n], ascending: row times ``wide`` plus column, where no cell is in the first and in the last column.
+    ``key``: i64[n], ascending: row times ``wide`` plus column; between the last cell of a row and the first of the next one there
+    is room for another column at least.
     """
     pairs = []
     for step in (1, wide - 1, wide, wide + 1):

@@ -65,7 +65,7 @@ class ReportOptions:
 
     def __post_init__(self) -> None:
         check_resources(self.workers)
-        check_whole(0, steps=self.steps)
+        check_whole(0, steps=0 if self.steps is None else self.steps)
         check_whole(max_points=self.max_points)
 
 
