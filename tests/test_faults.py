@@ -509,8 +509,7 @@ def output(path, cloud):
         from jaxfilter.sweeps.sweep import _State
 
         state = object.__new__(_State)
-        state.path, state.votes, state.dirty, state.facts = path, None, True, {}
-        state.done = state.confusion = state.ground = noise
+        state.path, state.dirty, state.facts, state.arrays = path, True, {}, {"done": noise}
         state.save()
     else:
         with new_file(path, overwrite=True) as part:

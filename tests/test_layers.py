@@ -21,7 +21,6 @@ from jaxfilter.cli import main
 from jaxfilter.cli import terrain as commands
 from jaxfilter.surveys import model
 from jaxfilter.surveys.products import Products
-from jaxfilter.terrain import lines
 from jaxfilter.terrain.layers import LAYERS
 
 pytestmark = pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
@@ -197,7 +196,6 @@ def cone(size=61, cell=2.0):
 @pytest.mark.parametrize("rows", [512, 7, 1])
 def test_contours_of_a_cone_are_circles_however_many_blocks_there_are(monkeypatch, rows):
     raster, x = cone()
-    monkeypatch.setattr(lines, "STRIP", rows)
     monkeypatch.setattr("jaxfilter.terrain.contours.STRIP", rows)
     table = jf.contours(raster, interval=5.0)
     closed = table[table.geometry.is_ring]

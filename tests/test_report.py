@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.reports.layers import doubt_per_point, layers_of, places
-from jaxfilter.reports.packing import pack, script_json
+from jaxfilter.reports.page import pack, script_json
 from jaxfilter.reports.steps import step_values, steps_of, swept_field
 
 pytestmark = pytest.mark.usefixtures("compilation_cache")
@@ -70,10 +70,9 @@ def test_labels_of_a_step_are_those_of_the_filter_at_that_value(cloud, filter_, 
     steps = steps_of(result, count, workers=None, progress=silent)
     assert steps.field == swept_field(filter_) and len(steps.values) >= (count or 25)
     assert steps.values == sorted(set(steps.values)) and steps.values[steps.now] == getattr(filter_, steps.field)
-    assert np.array_equal(steps.ground(steps.now), result.ground)
+    assert np.array_equal(steps.table[steps.code, steps.now], result.ground)
     for k in tested:
         alone = filter_.replace(**{steps.field: steps.values[k]})(cloud)
-        assert np.array_equal(steps.ground(k), alone.ground)
         assert np.array_equal(steps.table[steps.code, k], alone.ground)
 
 
@@ -87,12 +86,11 @@ def test_without_a_slider_the_labels_are_the_result(cloud, result):
         (by_hand, None, "the filter is not known"),
         (changed, None, "the filter by itself gives other labels"),
         (free, None, "no threshold has a range"),
-        (result.ground, None, "the filter is not known"),
+        (jf.FilterResult.of_labels(result.ground), None, "the filter is not known"),
     ):
         steps = steps_of(one, count, workers=None, progress=silent)
         assert reason in steps.reason
-        ground = one if isinstance(one, np.ndarray) else one.ground
-        assert steps.field is None and np.array_equal(steps.ground(0), ground)
+        assert steps.field is None and np.array_equal(steps.table[steps.code, 0], one.ground)
 
 
 def test_large_clouds_and_labels_that_do_not_nest_have_no_slider(cloud, monkeypatch):
@@ -158,30 +156,30 @@ def test_points_are_a_sample_of_the_cloud_with_their_labels(cloud, result, tmp_p
 
 
 def test_maps_hold_heights_errors_and_doubt_of_their_cells(cloud, result):
-    truth, every = cloud.reference, np.ones(len(cloud), bool)
-    layers = layers_of(cloud, result, truth, every)
-    grid = layers.grid
+    truth = cloud.reference
+    layers = layers_of(cloud, result, truth.astype(np.int8))
+    grid, maps = layers.grid, layers.arrays
     assert 0.5 * len(cloud) < grid.nx * grid.ny < 2 * len(cloud)
     row, column = grid.places(cloud.xyz)
     row = grid.ny - 1 - row
-    elevation = layers.z_low + layers.elevation[row, column] * layers.z_step
+    elevation = layers.low + maps["elevation"][row, column] * layers.step
     above = cloud.xyz[:, 2] - elevation
     highest: dict[tuple[int, int], float] = {}
     for r, c, value in zip(row.tolist(), column.tolist(), above.tolist(), strict=True):
         highest[r, c] = max(highest.get((r, c), -np.inf), value)
     for (r, c), value in highest.items():
-        assert layers.height[r, c] / 100 == pytest.approx(max(value, 0), abs=0.006 + layers.z_step)
+        assert maps["height"][r, c] / 100 == pytest.approx(max(value, 0), abs=0.006 + layers.step)
     for bit, wrong in ((1, truth & ~result.ground), (2, result.ground & ~truth)):
         cells = np.zeros(grid.shape, bool)
         cells[row[wrong], column[wrong]] = True
-        assert np.array_equal((layers.errors & bit) > 0, cells)
-    doubt = doubt_per_point(result, len(cloud))[0]
+        assert np.array_equal((maps["errors"] & bit) > 0, cells)
+    doubt = doubt_per_point(result)[0]
     k = int(np.nanargmax(doubt))
-    assert layers.doubt[row[k], column[k]] == round(100 * float(doubt[k]))
+    assert maps["doubt"][row[k], column[k]] == round(100 * float(doubt[k]))
 
 
 def test_doubt_is_largest_at_the_threshold_and_a_probability_counts_as_it_is(cloud, result):
-    doubt, source = doubt_per_point(result, len(cloud))
+    doubt, source = doubt_per_point(result)
     assert source == "margin" and np.nanmax(doubt) <= 1 and np.nanmin(doubt) == 0
     passed = np.flatnonzero(result.decision == jf.Decision.ACCEPTED)
     order = passed[np.argsort(np.abs(result.margin[passed]))]
@@ -189,7 +187,7 @@ def test_doubt_is_largest_at_the_threshold_and_a_probability_counts_as_it_is(clo
     assert np.isnan(doubt[np.isnan(result.margin)]).all()
 
     values = np.linspace(0, 0.5, len(cloud), dtype=np.float32)
-    own, source = doubt_per_point(dataclasses.replace(result, doubt=values), len(cloud))
+    own, source = doubt_per_point(dataclasses.replace(result, doubt=values))
     assert source == "probability" and np.array_equal(own, values)
 
 

@@ -198,7 +198,7 @@ def test_errors_name_what_is_missing(scene, wrong):
 def test_places_whose_rims_meet_are_a_site():
     shapes = [box(0, 0, 10, 10), box(17, 0, 20, 10), box(40, 0, 50, 10), box(90, 0, 99, 9)]
     places = geopandas.GeoDataFrame({"verdict": ["object", "ground", "water", "fine"]}, geometry=shapes, crs=UTM)
-    found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6)).verdicts, 1.0)
+    found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6))[0], 1.0)
     assert [len(site.verdicts) for site in found] == [2, 1], "where all is fine there is nothing to do"
     np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(RIM, join_style="mitre").bounds)
     np.testing.assert_allclose(found[1].window, box(40, 0, 50, 10).buffer(RIM + HALO, join_style="mitre").bounds)

@@ -62,11 +62,11 @@ class Site:
         cloud = known.cloud
         grid = RasterGrid.over(extent_of(cloud), 1.0 / cloud.units.xy, cloud.units.xy)
         near = dataclasses.replace(FILLED, max_gap=NEAR / cloud.units.xy)
-        return cls(known, jf.default_filter(cloud)(cloud), grid, interpolated(cloud, known.ground, grid, near).values)
+        return cls(known, jf.default_filter(cloud)(cloud), grid, interpolated(cloud, known.ground, grid, near))
 
     def off(self, ground: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells whose terrain is off by these labels, bool[n]."""
-        model = interpolated(self.known.cloud, ground, self.grid, FILLED).values
+        model = interpolated(self.known.cloud, ground, self.grid, FILLED)
         return np.abs(model.astype(float) - self.truth) * self.known.cloud.units.z > OFF
 
     def errors(self, ground: np.ndarray) -> Row:

@@ -1,7 +1,10 @@
 """Errors and warnings. Each message names the file, field or parameter, the offending value and what to do."""
 
+import math
+import numbers
 import sys
 import warnings
+from typing import Any
 
 
 class JaxfilterError(Exception):
@@ -72,3 +75,17 @@ def warn(message: str) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == package:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, JaxfilterWarning, stacklevel=level)
+
+
+def check_positive(unit: str = "", **values: float | None) -> None:
+    """Raises: ParameterError for what is not above 0, or infinite; None stands for nothing. ``unit``: in words."""
+    for name, value in values.items():
+        if value is not None and not 0 < value < math.inf:
+            raise ParameterError(f"{name}={value!r}: must be a positive number{unit}")
+
+
+def check_whole(least: int = 1, **values: Any) -> None:
+    """Raises: ParameterError for what is no whole number, or below ``least``."""
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")

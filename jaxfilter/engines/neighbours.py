@@ -70,3 +70,18 @@ def groups(one: np.ndarray, other: np.ndarray, n: int) -> np.ndarray:
         apart = one != other
         one, other = one[apart], other[apart]
     return (np.cumsum(root == np.arange(n)) - 1)[root]
+
+
+def touching(key: np.ndarray, wide: int) -> tuple[np.ndarray, np.ndarray]:
+    """i64[l], i64[l]: pairs of cells that touch, at a corner too.
+
+    ``key``: i64[n], ascending: row times ``wide`` plus column; between the last cell of a row and the first of the next one there
+    is room for another column at least.
+    """
+    pairs = []
+    for step in (1, wide - 1, wide, wide + 1):
+        other = np.searchsorted(key, key + step).clip(max=max(len(key) - 1, 0))
+        one = np.flatnonzero(key[other] == key + step)
+        pairs.append((one, other[one]))
+    ones, others = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    return ones, others

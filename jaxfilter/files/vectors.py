@@ -20,10 +20,11 @@ DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 _DATE = "OGR_CURRENT_DATE"  # a GeoPackage says when it was changed; the same shapes shall be the same bytes
 
 
-def check_suffix(path: Place) -> None:
-    """Raises: OutputError for the name of another kind of file than :func:`write_features` writes."""
+def check_suffix(path: Place) -> Place:
+    """The path. Raises: OutputError for the name of another kind of file than :func:`write_features` writes."""
     if path.suffix.lower() not in DRIVERS:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
+    return path
 
 
 def write_features(

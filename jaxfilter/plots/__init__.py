@@ -17,11 +17,11 @@ from .maps import TYPE_1 as TYPE_1
 from .maps import TYPE_2 as TYPE_2
 from .maps import doubt_map as doubt_map
 from .maps import error_map as error_map
+from .maps import footprints as footprints
 from .maps import hillshade as hillshade
 from .maps import panel as panel
 from .maps import profile as profile
 from .maps import rasterise as rasterise
-from .surveys import footprints as footprints
 from .sweeps import fit_curves as fit_curves
 from .sweeps import sweep_curve as sweep_curve
 from .sweeps import sweep_curves as sweep_curves

@@ -28,6 +28,7 @@ SHOWN = 0.9
 _NAMES = {"type1": "Type I error (%)", "type2": "Type II error (%)", "total": "total error (%)", "kappa": "kappa (%)"}
 _BINS, _PER_BIN = 12, 8
 _TICKS = 6
+_STAR: dict[str, Any] = {"marker": "*", "color": BEST, "markersize": 9, "linestyle": "none", "zorder": 4}
 
 
 def sweep_curves(dataset: xarray.Dataset, score: str = "total") -> Any:
@@ -97,9 +98,7 @@ def sweep_curve(dataset: xarray.Dataset, axis: str, score: str = "total", *, ax:
         every, rows = values.values, np.arange(values.size)
     ax.plot(x, y, color=TYPE_2, linewidth=0 if place.named else 1.4, marker="o", markersize=2.5, label=label)
     best = _best(every, score)
-    ax.plot(
-        place.x[rows[best]], every[best], "*", color=BEST, markersize=9, linestyle="none", zorder=4, label="best set"
-    )
+    ax.plot(place.x[rows[best]], every[best], label="best set", **_STAR)
     _label(ax.xaxis, dataset, axis, place)
     ax.set_ylabel(_NAMES[score], fontsize=8)
     ax.tick_params(labelsize=7)
@@ -191,7 +190,7 @@ def sweep_map(
         order = np.argsort(-cost(drawn, score))
         ax.scatter(across.x[order], up.x[order], s=14, c=drawn[order], linewidths=0, rasterized=True, **style)
         star = across.x[best], up.x[best]
-    ax.plot(*star, "*", color=BEST, markeredgecolor="white", markeredgewidth=0.6, markersize=11, linestyle="none")
+    ax.plot(*star, **_STAR | {"markersize": 11, "markeredgecolor": "white", "markeredgewidth": 0.6})
     _label(ax.xaxis, dataset, x, across)
     _label(ax.yaxis, dataset, y, up)
     ax.tick_params(labelsize=7)
@@ -218,16 +217,12 @@ def fit_curves(found: Fit, *, ax: Any = None, title: str = "") -> Any:
     ax = axes_or_new(ax, (3.6, 2.8))
     curves = found.curves
     scored = curves["total"].dropna("step")
-    ax.plot(
-        curves["step"], curves["fitted"], color=TYPE_2, linewidth=1, linestyle="--", label="soft labels, fitted clouds"
-    )
-    ax.plot(
-        curves["step"], curves["held_out"], color="0.55", linewidth=1, linestyle="--", label="soft labels, held out"
-    )
+    for name, colour, label in (("fitted", TYPE_2, "fitted clouds"), ("held_out", "0.55", "held out")):
+        ax.plot(curves["step"], curves[name], "--", color=colour, linewidth=1, label=f"soft labels, {label}")
     ax.plot(scored["step"], scored, color=TYPE_2, linewidth=1.4, marker="o", markersize=2.5, label="labels, held out")
     step = int(scored["step"][int(np.argmin(scored.values))]) if found.moved else 0
     label = "returned" if found.moved else "returned: the start"
-    ax.plot(step, float(scored.sel(step=step)), "*", color=BEST, markersize=9, linestyle="none", zorder=4, label=label)
+    ax.plot(step, float(scored.sel(step=step)), label=label, **_STAR)
     ax.set_xlabel("step", fontsize=8)
     ax.set_ylabel(_NAMES["total"], fontsize=8)
     ax.set_title(title, fontsize=10)
@@ -272,16 +267,9 @@ def votes_map(
     minority = np.minimum(share, 1 - share)
     disputed = np.flatnonzero(minority > 0)
     disputed = disputed[np.argsort(minority[disputed], kind="stable")]
-    points = ax.scatter(
-        *cloud.xyz[disputed, :2].T,
-        s=1.6,
-        c=100 * minority[disputed],
-        cmap=LinearSegmentedColormap.from_list("dispute", [SURE, TYPE_1, EVEN]),
-        vmin=0,
-        vmax=50,
-        linewidths=0,
-        rasterized=True,
-    )
+    colours = LinearSegmentedColormap.from_list("dispute", [SURE, TYPE_1, EVEN])
+    style = {"s": 1.6, "cmap": colours, "vmin": 0, "vmax": 50, "linewidths": 0, "rasterized": True}
+    points = ax.scatter(*cloud.xyz[disputed, :2].T, c=100 * minority[disputed], **style)
     bar = ax.figure.colorbar(points, cax=ax.inset_axes((1.03, 0.0, 0.03, 1.0)))
     bar.set_label("sets that contradict the majority (%)", fontsize=7)
     bar.ax.tick_params(labelsize=7)

@@ -2,4 +2,4 @@
 
 from .page import ReportOptions as ReportOptions
 from .page import report as report
-from .review_list import review as review
+from .places import review as review

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -19,84 +19,67 @@ _DOUBTFUL = 0.2
 """Share of the points of a decision, those nearest to their threshold, that count as doubtful."""
 _PLACES, _PLACE, _SIDE = 12, 20, 20.0
 """Places to look at; the side of one in cells and in metres, at least."""
-NO_ELEVATION, NO_HEIGHT, NO_DOUBT = 65535, 65535, 255
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Layers:
+class Layers(NamedTuple):
     """Rasters of one grid [ny, nx], row 0 being the northern edge.
 
     Attributes:
         grid: local metres; its own row 0 is the southern edge.
-        shade: u8, relief; 0 where there is no surface.
-        elevation: u16; local metres = ``z_low`` + value * ``z_step``; 65535 = none.
-        height: u16, centimetres of the highest point above the ground; 65535 = no point.
-        doubt: u8, per cent of the most doubtful point; 255 = no point was judged.
-        errors: u8 or None; bit 0: ground lost, bit 1: objects accepted.
+        arrays: ``shade``: u8, relief; 0 where there is no surface. ``elevation``: u16; local metres = ``low`` + value * ``step``;
+            65535 = none. ``height``: u16, centimetres of the highest point above the ground; 65535 = no point. ``doubt``, if
+            there is any: u8, per cent of the most doubtful point; 255 = no point was judged. ``errors``, of a reference: u8;
+            bit 0: ground lost, bit 1: objects accepted.
         of_ground: the surface goes through ground points; False if there are none, and it goes through all.
         doubt_of: what doubt is made of: "probability", "margin" or "".
     """
 
     grid: Grid
-    shade: np.ndarray
-    elevation: np.ndarray
-    z_low: float
-    z_step: float
-    height: np.ndarray
-    doubt: np.ndarray
-    errors: np.ndarray | None
+    arrays: dict[str, np.ndarray]
+    low: float
+    step: float
     of_ground: bool
     doubt_of: str
 
 
-def layers_of(
-    cloud: PointCloud, result: FilterResult | np.ndarray, truth: np.ndarray | None, counted: np.ndarray | None
-) -> Layers:
-    """The maps of a cloud with at least one valid point. ``truth``, ``counted``: bool[n], the reference and where it counts."""
+def layers_of(cloud: PointCloud, result: FilterResult, reference: np.ndarray | None) -> Layers:
+    """The maps of a cloud with at least one valid point. ``reference``: i8[n], 1 = ground, 0 = object."""
     real = np.ones(len(cloud), bool) if cloud.valid is None else cloud.valid
-    ground = (result.ground if isinstance(result, FilterResult) else result) & real
+    ground = result.ground & real
     xyz = cloud.xyz[real] if not real.all() else cloud.xyz
     grid = grid_over(xyz, _cell(xyz))
     z, grid = rasterise(cloud.xyz[ground] if ground.any() else xyz, grid.cell, over=xyz)
-    light = shade(z, grid.cell)
-    known = np.isfinite(z)
-    low = float(z[known].min())
-    step = max(float(np.ptp(z[known])) / (NO_ELEVATION - 1), QUANTUM)
+    known = z[np.isfinite(z)]
+    low, step = float(known.min()), max(float(np.ptp(known)) / 65534, QUANTUM)
     flat = grid.flat(cloud.xyz)
     above = _highest(cloud.xyz[:, 2] - z.ravel()[flat], flat, grid, real)
-    doubt, doubt_of = doubt_per_point(result, len(cloud))
-    near = _highest(doubt, flat, grid, real)
-    errors = None
-    if truth is not None and counted is not None:
-        cells = np.zeros(grid.ny * grid.nx, np.uint8)
-        for bit, wrong in ((1, truth & ~ground), (2, ground & ~truth)):
-            cells[flat[wrong & counted & real]] |= np.uint8(bit)
-        errors = cells.reshape(grid.shape)[::-1]
-    return Layers(
-        grid=grid,
-        shade=_quantised(light, 1 / 254, 1, 0, np.uint8)[::-1],
-        elevation=_quantised(z - low, step, 0, NO_ELEVATION, np.uint16)[::-1],
-        z_low=low,
-        z_step=step,
-        height=_quantised(above, 0.01, 0, NO_HEIGHT, np.uint16)[::-1],
-        doubt=_quantised(near, 0.01, 0, NO_DOUBT, np.uint8)[::-1],
-        errors=errors,
-        of_ground=bool(ground.any()),
-        doubt_of=doubt_of,
-    )
+    doubt, doubt_of = doubt_per_point(result)
+    arrays = {
+        "shade": _quantised(shade(z, grid.cell), 1 / 254, np.uint8, low=1),
+        "elevation": _quantised(z - low, step, np.uint16),
+        "height": _quantised(above, 0.01, np.uint16),
+    }
+    if doubt_of:
+        arrays["doubt"] = _quantised(_highest(doubt, flat, grid, real), 0.01, np.uint8)
+    if reference is not None:
+        errors = arrays["errors"] = np.zeros(grid.shape, np.uint8)
+        for bit, wrong in ((1, (reference == 1) & ~ground), (2, ground & (reference == 0))):
+            errors.reshape(-1)[flat[wrong & real]] |= np.uint8(bit)
+    northern_first = {name: values[::-1] for name, values in arrays.items()}
+    return Layers(grid, northern_first, low, step, bool(ground.any()), doubt_of)
 
 
-def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarray, str]:
+def doubt_per_point(result: FilterResult) -> tuple[np.ndarray, str]:
     """f32[n], 0 (sure) to 1; NaN where nothing is known; and where it comes from.
 
     A result's own ``doubt``, a probability, counts as it is. Otherwise the margin decides: of the points of each decision
     the fifth that is nearest to its threshold is doubtful, 1 on the threshold. Margins of different decisions have
     different units.
     """
-    if isinstance(result, FilterResult) and result.doubt is not None:
+    if result.doubt is not None:
         return np.asarray(result.doubt, np.float32), "probability"
-    out = np.full(n, np.nan, np.float32)
-    if not isinstance(result, FilterResult) or not np.isfinite(result.margin).any():
+    out = np.full(len(result), np.nan, np.float32)
+    if not np.isfinite(result.margin).any():
         return out, ""
     for decision in Decision:
         rows = np.flatnonzero((result.decision == decision) & np.isfinite(result.margin))
@@ -109,12 +92,12 @@ def doubt_per_point(result: FilterResult | np.ndarray, n: int) -> tuple[np.ndarr
 
 
 def places(
-    cloud: PointCloud, found: FilterResult | np.ndarray, wrong: np.ndarray | None, cell: float
+    cloud: PointCloud, found: FilterResult, wrong: np.ndarray | None, cell: float
 ) -> list[dict[str, float | str]]:
     """Where to look first: squares with most errors, or without any known the places of :func:`jaxfilter.review`.
 
     Args:
-        cloud: with at least one valid point. found: a result, or bool[n], what is ground.
+        cloud: with at least one valid point.
         wrong: bool[n], errors against a reference, or None. cell: of the maps, metres.
 
     Returns: for each ``x`` and ``y``, local metres, the ``side`` of a square around it, and ``what``: why it is shown.
@@ -151,8 +134,9 @@ def _highest(values: np.ndarray, flat: np.ndarray, grid: Grid, real: np.ndarray)
     return np.where(np.isinf(filled), np.float32(np.nan), filled)
 
 
-def _quantised(values: np.ndarray, step: float, low: int, none: int, kind: type) -> np.ndarray:
-    """Values in steps from ``low`` on; ``none`` stands for NaN, and for no value."""
-    top = np.iinfo(kind).max - (none > 0)
+def _quantised(values: np.ndarray, step: float, kind: type, low: int = 0) -> np.ndarray:
+    """Values in steps from ``low`` on; 0 stands for NaN, and for no value, or the largest number if ``low`` is 0."""
+    most = np.iinfo(kind).max
+    none, top = (0, most) if low else (most, most - 1)
     whole = np.clip(np.rint(np.nan_to_num(values) / step) + low, low, top)
     return np.where(np.isnan(values), none, whole).astype(kind)

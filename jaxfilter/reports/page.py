@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import json
+import math
 import os
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from html import escape
 from importlib.resources import files
@@ -15,7 +19,7 @@ import numpy as np
 
 from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, check_whole
 from ..core.filter import Filter, check_resources
 from ..core.markup import table
 from ..core.params import declared
@@ -27,13 +31,15 @@ from ..files.disk import new_file
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
 from .layers import Layers, layers_of, places
-from .packing import pack, script_json
+from .places import as_result
 from .steps import Steps, steps_of
 
 SUFFIXES = (".html", ".htm")
 SCRIPTS = ("data.js", "map.js", "profile.js", "page.js")
 _JUDGED, _TRUE, _COUNTED = 1, 2, 4
 """Bits of a point's flags, as in data.js."""
+_LEVEL = 4
+"""Of the compression of arrays."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,39 +65,33 @@ class ReportOptions:
 
     def __post_init__(self) -> None:
         check_resources(self.workers)
-        for name, value, least in (("steps", self.steps, 0), ("max_points", self.max_points, 1)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise ParameterError(f"{name}={value!r}: a whole number from {least} on is needed")
+        check_whole(0, steps=0 if self.steps is None else self.steps)
+        check_whole(max_points=self.max_points)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Labelled:
-    """What a page is about: n points, their labels bool[n] and the result that has them, if any; the reference bool[n] and
-    where it counts, if there is one."""
+    """What a page is about: n points, their labels, and a reference i8[n], 1 = ground, 0 = object, -1 = neither."""
 
     cloud: PointCloud
-    ground: np.ndarray
-    result: FilterResult | None
-    truth: np.ndarray | None
-    counted: np.ndarray | None
-
-    @property
-    def found(self) -> FilterResult | np.ndarray:
-        """The result, or labels of another origin."""
-        return self.ground if self.result is None else self.result
+    result: FilterResult
+    reference: np.ndarray | None
 
     @classmethod
     def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, reference: Any) -> _Labelled:
         """Raises: InputError for labels of another length or dtype."""
-        found = result if isinstance(result, FilterResult) else None
-        ground = np.asarray(result) if found is None else found.ground
-        if ground.shape != (len(cloud),) or ground.dtype != bool:
-            given = f"{ground.dtype}{list(ground.shape)}"
-            raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {given}")
-        truth, counted = (None, None) if reference is None else reference_labels(reference)
-        if truth is not None and len(truth) != len(cloud):
+        result = as_result(cloud, result)
+        if reference is None:
+            return cls(cloud, result, None)
+        truth, counted = reference_labels(reference)
+        if len(truth) != len(cloud):
             raise InputError(f"reference has {len(truth)} labels for {len(cloud)} points: use the same points")
-        return cls(cloud, ground, found, truth, counted)
+        return cls(cloud, result, np.where(counted, truth, -1).astype(np.int8))
+
+    @property
+    def filter(self) -> Any:
+        """The filter whose result this is; None for labels of another origin."""
+        return None if self.result.run is None else self.result.run.filter
 
 
 def report(
@@ -135,12 +135,10 @@ def report(
     what = _Labelled.of(as_cloud(cloud), result, reference)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")
-        slider = steps_of(
-            what.found, options.steps, workers=options.workers, progress=lambda done, step: notify(0.5 * done, step)
-        )
+        slider = steps_of(what.result, options.steps, options.workers, lambda done, step: notify(0.5 * done, step))
         notify(0.5, "maps")
         real = len(what.cloud) if what.cloud.valid is None else what.cloud.valid.sum()
-        layers = layers_of(what.cloud, what.found, what.truth, what.counted) if real else None
+        layers = layers_of(what.cloud, what.result, what.reference) if real else None
         notify(0.7, "points")
         facts, arrays = _contents(what, slider, layers, options.max_points)
         notify(0.9, "page")
@@ -167,7 +165,7 @@ def _contents(
         "step": slider.now,
         "values": slider.values,
         "nested": slider.nested,
-        "threshold": _threshold(what.result, slider.field),
+        "threshold": _threshold(what.filter, slider.field),
         "points": len(cloud),
         "frame": {"origin": cloud.origin, "units": [cloud.units.xy, cloud.units.z]},
         **_counts(what, slider),
@@ -175,35 +173,31 @@ def _contents(
     if layers is None:
         return facts, {}
     facts["grid"] = dataclasses.asdict(layers.grid)
-    facts["elevation"] = {"low": layers.z_low, "step": layers.z_step}
+    facts["elevation"] = {"low": layers.low, "step": layers.step}
     wrong = None
     flags: np.ndarray = cloud.candidate * np.uint8(_JUDGED)
-    if what.truth is not None and what.counted is not None:
-        wrong = (what.ground != what.truth) & what.counted
-        flags = flags + what.truth * np.uint8(_TRUE) + what.counted * np.uint8(_COUNTED)
-    facts["places"] = places(cloud, what.found, wrong, layers.grid.cell)
-    arrays = {"shade": layers.shade, "elevation": layers.elevation, "height": layers.height}
+    if what.reference is not None:
+        truth, counted = what.reference == 1, what.reference >= 0
+        wrong = (what.result.ground != truth) & counted
+        flags = flags + truth * np.uint8(_TRUE) + counted * np.uint8(_COUNTED)
+    facts["places"] = places(cloud, what.result, wrong, layers.grid.cell)
     facts["doubt_of"] = layers.doubt_of
-    if layers.doubt_of:
-        arrays["doubt"] = layers.doubt
-    if layers.errors is not None:
-        arrays["errors"] = layers.errors
     facts["sample"], sampled = _sample(cloud, slider.code, flags, max_points)
-    return facts, arrays | sampled
+    return facts, layers.arrays | sampled
 
 
 def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     """Of all points, at every step: ground, classes before and after as ``write`` makes them, scores."""
     cloud, code, labels = what.cloud, steps.code.astype(np.int64), steps.table
     old = np.zeros(len(cloud), np.uint8) if cloud.classification is None else cloud.classification
-    kind = np.zeros(len(cloud), np.int64)
-    if what.truth is not None and what.counted is not None:
-        kind = np.where(what.counted, 1 + what.truth, 0)
+    kind = 0 if what.reference is None else what.reference + 1
     key = ((old.astype(np.int64) * 2 + cloud.candidate) * 3 + kind) * len(labels) + code
     number = np.bincount(key, minlength=256 * 6 * len(labels)).reshape(256, 2, 3, len(labels))
     ground, every = number @ labels.astype(np.int64), number.sum(axis=-1)
     moves: dict[tuple[int, int], np.ndarray] = {}
-    lost = _classes_lost()
+    kinds = np.arange(256, dtype=np.uint8)
+    one_each = PointCloud.from_arrays(np.zeros((256, 3)), classification=kinds, ignore_classes=())
+    lost = dict(class_changes(one_each, np.zeros(256, bool)).keys())  # from old class to that of a judged object
     for c in np.flatnonzero(every.any(axis=(1, 2))).tolist():
         kept, judged, on_ground = every[c, 0].sum(), every[c, 1].sum(), ground[c, 1].sum(axis=0)
         for new, points in ((c, kept), (GROUND_CLASS, on_ground), (lost[c], judged - on_ground)):
@@ -211,7 +205,7 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     classes = [[*pair, points.tolist()] for pair, points in sorted(moves.items()) if points.any()]
     names = {number: class_name(number) for pair in moves for number in pair}
     out: dict[str, Any] = {"ground": ground.sum(axis=(0, 1, 2)).tolist(), "classes": classes, "class_names": names}
-    if what.truth is not None:
+    if what.reference is not None:
         total, hit = every.sum(axis=(0, 1)), ground.sum(axis=(0, 1))
         confusions = [
             Scores.from_confusion(np.array([[hit[2, k], total[2] - hit[2, k]], [hit[1, k], total[1] - hit[1, k]]]))
@@ -222,17 +216,11 @@ def _counts(what: _Labelled, steps: Steps) -> dict[str, Any]:
     return out
 
 
-def _classes_lost() -> dict[int, int]:
-    """The class that ``write`` gives a judged point that is not ground, by the class that it had."""
-    every = PointCloud.from_arrays(np.zeros((256, 3)), classification=np.arange(256, dtype=np.uint8), ignore_classes=())
-    return dict(class_changes(every, np.zeros(256, bool)).keys())
-
-
-def _threshold(result: FilterResult | None, field: str | None) -> dict[str, str] | None:
+def _threshold(filter_: Any, field: str | None) -> dict[str, str] | None:
     """What the slider moves, in words."""
-    if field is None or result is None or result.run is None:
+    if field is None:
         return None
-    meta = next(one.metadata for one in declared(result.run.filter) if one.name == field)
+    meta = next(one.metadata for one in declared(filter_) if one.name == field)
     return {"name": field, "doc": meta["doc"], "unit": meta.get("unit") or "", "symbol": meta.get("symbol") or ""}
 
 
@@ -262,14 +250,18 @@ def _piece(name: str) -> str:
 
 def _texts(what: _Labelled, steps: Steps, layers: Layers | None) -> dict[str, str]:
     """The parts of the page that are HTML."""
-    filter_ = what.result.run.filter if what.result is not None and what.result.run is not None else None
+    filter_, parameters = what.filter, ""
+    if isinstance(filter_, Filter):
+        cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
+        title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
+        parameters = f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"
     return {
         "style": _piece("page.css"),
         "code": "\n".join(map(_piece, SCRIPTS)),
         "method": escape("labels as given" if filter_ is None else type(filter_).__name__),
         "notes": "".join(f"<p class=note>{escape(note)}</p>" for note in _notes(what, steps, layers)),
         "about": _about(what),
-        "parameters": _parameters(filter_) if isinstance(filter_, Filter) else "",
+        "parameters": parameters,
         "version": escape(__version__),
     }
 
@@ -283,7 +275,7 @@ def _notes(what: _Labelled, steps: Steps, layers: Layers | None) -> list[str]:
         notes.append("No point has valid coordinates: there is nothing to show.")
     elif not layers.of_ground:
         notes.append("No point is ground: relief and heights are those of the surface through all points.")
-    if what.result is not None and what.result.status.value > 0:
+    if what.result.status.value > 0:
         notes.append(f"How the run ended: {what.result.status.message}.")
     if steps.field is None:
         notes.append(f"There is no slider: {steps.reason}.")
@@ -296,17 +288,38 @@ def _about(what: _Labelled) -> str:
     rows: list[tuple[str, Any]] = [] if cloud.source is None else [("file", Path(cloud.source.path).name)]
     rows += [("points", len(cloud)), ("judged", int(cloud.candidate.sum()))]
     rows += [("CRS", "unknown" if cloud.crs is None else cloud.crs.name), ("units", str(cloud.units))]
-    if result is not None:
-        counts = np.bincount(result.decision, minlength=len(Decision))
+    counts = np.bincount(result.decision, minlength=len(Decision))
+    if result.run is not None or counts[1:].any():  # not labels alone
         rows += [(one.name.lower().replace("_", " "), int(counts[one])) for one in Decision if counts[one]]
         rows.append(("ended", result.status.message))
-        if result.run is not None:
-            rows.append(("seconds", f"{result.run.seconds:.2f}"))
+    if result.run is not None:
+        rows.append(("seconds", f"{result.run.seconds:.2f}"))
     return table((), [*rows, ("jaxfilter", __version__)])
 
 
-def _parameters(filter_: Filter) -> str:
-    """A section on the filter: its fields, and what to cite."""
-    cited = f"<h3>To cite</h3><pre>{escape(citation(filter_))}</pre>" if filter_.BIBTEX else ""
-    title = f"<h2>Parameters of {escape(type(filter_).__name__)}</h2>"
-    return f"<section class=parameters>{title}{filter_._repr_html_()}{cited}</section>"
+def pack(values: np.ndarray) -> str:
+    """An array of u8 or u16 as base64: differences from one element to the next, byte by byte, deflated.
+
+    Neighbours are mostly alike, so most differences are small and their upper bytes zero. Raises: TypeError.
+    """
+    if values.dtype not in (np.uint8, np.uint16):
+        raise TypeError(f"pack takes uint8 and uint16, not {values.dtype}")
+    flat = values.ravel()
+    difference = np.diff(flat, prepend=flat.dtype.type(0)).astype(flat.dtype.newbyteorder("<"), copy=False)
+    planes = difference.view(np.uint8).reshape(-1, flat.dtype.itemsize).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), _LEVEL)).decode("ascii")
+
+
+def script_json(value: Any) -> str:
+    """A value as JSON for the inside of a ``<script>``; NaN and infinities become null."""
+    return json.dumps(_finite(value), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

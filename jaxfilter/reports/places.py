@@ -1,23 +1,29 @@
-"""Places where a terrain model may be wrong: what speaks for that in each cell, and connected cells where it is likely."""
+"""Places where a terrain model may be wrong: evidence in each cell; connected cells where it is likely; their list."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
 
-from ..core.cloud import PointCloud
+from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
 from ..core.result import FilterResult
-from ..engines.neighbours import groups
+from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
+from ..files.vectors import check_suffix, write_features
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
 from ..terrain.raster import RasterGrid
+
+if TYPE_CHECKING:
+    import geopandas
 
 SIDE = 2.0
 """Metres: side of the cells that places are made of."""
@@ -50,6 +56,8 @@ REASONS = (
     "doubtful points",
 )
 """Why a place is named: the first that holds in a cell, and in a place the one with the largest volume."""
+COLUMNS = ("x", "y", "area", "volume", "chance", "reason")
+"""Of the list, after the rank."""
 
 
 class ReviewCells(NamedTuple):
@@ -71,34 +79,34 @@ class ReviewCells(NamedTuple):
     noise: np.ndarray
 
     @classmethod
-    def of(cls, cloud: PointCloud, result: FilterResult | np.ndarray, grid: RasterGrid) -> ReviewCells:
-        """With at least one candidate. ``result``: a FilterResult, or bool[n], what is ground."""
-        full = result if isinstance(result, FilterResult) else None
-        ground, size = ground_of(cloud, result), grid.rows * grid.columns
-        rows = np.flatnonzero(cloud.candidate if cloud.valid is None else cloud.candidate & cloud.valid)
-        every = cells_of(cloud, grid)
-        at, z = every[rows], cloud.xyz[rows, 2].astype(np.float64)
-        low, height = np.full(size, np.inf), np.full(size, np.inf)
-        np.minimum.at(low, at, z)
-        least = np.flatnonzero(z == low[at])
-        own = rows[least]
-        above = np.zeros(len(own)) if full is None else full.height[own].astype(np.float64)
-        if full is None and ground.any():
-            above = heights_of(cloud, ground, own, workers=None) * cloud.units.z
-        above[ground[own] | ~np.isfinite(above)] = 0
-        np.minimum.at(height, at[least], above)
-        is_ground, noise = np.zeros(size, bool), np.zeros(size, bool)
-        is_ground[at[least][ground[own]]] = True
-        if full is not None:
-            noise[every[full.low_noise]] = True
-        doubt = None if full is None or full.doubt is None else np.nan_to_num(full.doubt[rows])
-        sums = [None if one is None else np.bincount(at, one, size) for one in (None, ground[rows], doubt)]
-        empty = np.isinf(low).reshape(grid.shape)
-        nearest = tuple(scipy.ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True))
-        shaped = [None if one is None else one.reshape(grid.shape) for one in (low, height, is_ground, *sums, noise)]
-        low, height, is_ground, _, grounds, doubt, noise = shaped  # type: ignore[assignment]
-        points = np.bincount(at, minlength=size).reshape(grid.shape).astype(np.float64)
-        return cls(low[nearest], height[nearest], is_ground, points, grounds, doubt, noise)  # type: ignore[arg-type]
+    def of(cls, cloud: PointCloud, result: FilterResult, grid: RasterGrid) -> ReviewCells:
+        """With at least one candidate."""
+        shape, every, rows = grid.shape, cells_of(cloud, grid), np.flatnonzero(cloud.candidate)
+        at, z, ground = every[rows], cloud.xyz[rows, 2].astype(np.float64), result.ground[rows]
+        low, height, is_ground, noise = (np.full(shape, none) for none in (np.inf, np.inf, False, False))
+        np.minimum.at(low.reshape(-1), at, z)
+        least = np.flatnonzero(z == low.flat[at])
+        above = result.height[rows[least]].astype(np.float64)
+        if not np.isfinite(above).any() and result.ground.any():
+            above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
+        above[ground[least] | ~np.isfinite(above)] = 0
+        np.minimum.at(height.reshape(-1), at[least], above)
+        is_ground.flat[at[least][ground[least]]] = True
+        noise.flat[every[result.low_noise]] = True
+
+        def sums(values: np.ndarray) -> np.ndarray:
+            return np.bincount(at, values, low.size).reshape(shape)
+
+        points, grounds = sums(np.ones(len(at))), sums(ground)
+        doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[rows]))
+        near = tuple(scipy.ndimage.distance_transform_edt(np.isinf(low), return_distances=False, return_indices=True))
+        return cls(low[near], height[near], is_ground, points, grounds, doubt, noise)
+
+
+def as_result(cloud: PointCloud, result: FilterResult | np.ndarray) -> FilterResult:
+    """A result as it is; labels bool[n] as one of which nothing else is known. Raises: InputError for labels that do not fit."""
+    ground = ground_of(cloud, result)
+    return result if isinstance(result, FilterResult) else FilterResult.of_labels(ground)
 
 
 def evidence(surface: ReviewCells) -> np.ndarray:
@@ -162,8 +170,8 @@ def suspects(
 
     Raises: InputError for labels that do not fit, or if the extent is too large.
     """
-    ground_of(cloud, result)
-    if not (cloud.candidate if cloud.valid is None else cloud.candidate & cloud.valid).any():
+    result = as_result(cloud, result)
+    if not cloud.candidate.any():
         return Suspects.none()
     side, metre = SIDE / cloud.units.xy, cloud.units.xy
     grid = RasterGrid.over(extent_of(cloud) if window is None else window, side, metre, most_cells(len(cloud)))
@@ -194,9 +202,9 @@ def suspects(
 
 def around(values: np.ndarray, mode: str = "constant") -> np.ndarray:
     """f64[rows, columns]: sums over each cell and the eight around it."""
-    return np.asarray(
-        scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(values, np.ones(3), 0, mode=mode), np.ones(3), 1, mode=mode)
-    )
+    for axis in range(2):
+        values = scipy.ndimage.correlate1d(values, np.ones(3), axis, mode=mode)
+    return values
 
 
 def _cells_in(grid: RasterGrid, box: Bounds) -> np.ndarray:
@@ -271,7 +279,7 @@ class Place:
 
     def facts(self) -> dict[str, float | str]:
         """All but the cells, by name."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "cells"}
+        return {name: getattr(self, name) for name in COLUMNS}
 
 
 def places_of(found: Suspects, metre: float) -> list[Place]:
@@ -279,13 +287,7 @@ def places_of(found: Suspects, metre: float) -> list[Place]:
     order = np.lexsort(found.cell.T)
     cell, reason, chance, filled = (one[order] for one in (found.cell, found.reason, found.chance, found.filled))
     volume, key = found.error[order] * SIDE**2, cell[:, 1].astype(np.int64) * _WIDE + cell[:, 0]
-    links = []
-    for step in (1, _WIDE - 1, _WIDE, _WIDE + 1):
-        beside = np.searchsorted(key, key + step).clip(max=max(len(key) - 1, 0))
-        rows = np.flatnonzero(key[beside] == key + step)
-        links.append((rows, beside[rows]))
-    ends, others = (np.concatenate(part) for part in zip(*links, strict=True))
-    of = groups(ends, others, len(cell))
+    of = groups(*touching(key, _WIDE), len(cell))
     count = np.bincount(of)
     parts = np.split(np.argsort(of, kind="stable"), np.cumsum(count)[:-1])
     places = []
@@ -299,3 +301,60 @@ def places_of(found: Suspects, metre: float) -> list[Place]:
         why = REASONS[int(np.bincount(reason[at], volume[at]).argmax())]
         places.append(Place(x, y, len(at) * SIDE**2, float(volume[at].sum()), float(chance[at].mean()), why, cell[at]))
     return sorted(places, key=lambda place: -place.volume)
+
+
+def review(
+    cloud: Any,
+    result: FilterResult | np.ndarray,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    overwrite: bool = False,
+) -> geopandas.GeoDataFrame:
+    """Places where the terrain model may be off by more than half a metre, the largest expected error volume first.
+
+    Cells of 2 m whose chance of such an error is 6 % or more are named; those that touch are one place, from 40 m2 on. The
+    chance follows from the mean doubt of the points, the share of ground among them, the density of ground points, and the
+    slope of the terrain. Objects that are labelled ground and that the outline of the data cuts are named as well
+    (docs/doubt.md).
+
+    Args:
+        cloud: what was classified, n points, a PointCloud or a ``laspy.LasData``.
+        result: of any filter, or bool[n] with True = ground. Places are found better where doubt is stated (OST).
+        path: a GeoPackage (.gpkg, layer ``review``) or GeoJSON (.geojson) to write as well; it appears whole or not at all.
+            Both open in QGIS.
+        overwrite: replace an existing file.
+
+    Returns: GeoDataFrame with the CRS of the cloud, coordinates in its units, and the columns ``rank`` (from 1), ``x`` and
+    ``y`` (in a cell that holds points), ``area`` (m2), ``volume`` (m3: expected error, area times height), ``chance`` (that a
+    square metre of it is off by more than half a metre), ``reason``, ``verdict`` (empty: what a person decides there, for
+    :func:`jaxfilter.apply`) and ``geometry``.
+    Raises: ParameterError; InputError (labels of another length, too large an extent); OutputError
+    (suffix, exists, disk). Warns: if a file is written and the cloud has no CRS.
+
+    >>> places = jf.review(cloud, result, "places.geojson")
+    >>> places["rank"].tolist() == list(range(1, len(places) + 1)), bool(places["volume"].is_monotonic_decreasing)
+    (True, True)
+    """
+    target = None if path is None else check_suffix(Path(path))
+    cloud = as_cloud(cloud)
+    table = table_of(places_of(suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
+    if target is not None:
+        write_features(target, [table], "review", overwrite=overwrite)
+    return table
+
+
+def table_of(places: Sequence[Place], metre: float, crs: Any) -> geopandas.GeoDataFrame:
+    """The table of :func:`review`. ``metre``: metres per unit of the file."""
+    import geopandas
+    import shapely
+
+    side, shapes = SIDE / metre, []
+    for place in places:
+        low = place.cells * side
+        boxes = shapely.box(low[:, 0], low[:, 1], low[:, 0] + side, low[:, 1] + side)
+        # The corners of neighbouring cells are equal but for rounding: snapped to a ten thousandth of a side.
+        shapes.append(shapely.union_all(boxes, grid_size=side / 10_000))
+    columns: dict[str, list[Any]] = {name: [getattr(place, name) for place in places] for name in COLUMNS}
+    columns["verdict"] = [""] * len(places)
+    ranks = {"rank": np.arange(1, len(places) + 1)}
+    return geopandas.GeoDataFrame(ranks | columns, geometry=shapes, crs=crs)

@@ -15,8 +15,8 @@ from ..core.result import FilterResult, Progress, Status
 from ..steps.grid_filter import GridFilter
 from ..sweeps.ranges import RANGES, Range, around, search_ranges
 
-EXACT_STEPS = 49
-"""Of a threshold that is applied last of all: a step costs next to nothing."""
+EXACT_STEPS, MOST = 49, 250
+"""Of a threshold that is applied last of all, by default and at most: a step costs next to nothing."""
 MOST_SETS = 15
 """Of other thresholds; one bit per set."""
 _WORK = 4_000_000
@@ -54,27 +54,21 @@ class Steps:
             return np.arange(len(steps) + 1)[:, None] <= steps
         return (np.arange(1 << len(steps))[:, None] >> steps & 1).astype(bool)
 
-    def ground(self, step: int) -> np.ndarray:
-        """bool[n], the labels at a step."""
-        return self.code <= step if self.nested else (self.code >> step & 1).astype(bool)
-
 
 def fixed(ground: np.ndarray, reason: str) -> Steps:
     """No slider: the labels bool[n] as they are."""
     return Steps(None, [math.nan], 0, (~ground).astype(np.uint8), True, reason)
 
 
-def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: int | None, progress: Progress) -> Steps:
+def steps_of(result: FilterResult, count: int | None, workers: int | None, progress: Progress) -> Steps:
     """The labels of a result at ``count`` values of its threshold, or at as many as are quick; see :func:`fixed`.
 
     Without a slider are: labels that no filter of ours made, degenerate clouds, filters whose thresholds have no range, and
     what a random key or the like made in another way than the filter does by itself.
     """
-    ground = result.ground if isinstance(result, FilterResult) else result
-    run = result.run if isinstance(result, FilterResult) else None
+    ground, run = result.ground, result.run
     if run is None or not isinstance(run.filter, Filter):
         return fixed(ground, "the filter is not known")
-    assert isinstance(result, FilterResult)
     if result.status not in (Status.CONVERGED, Status.ROUND_LIMIT):
         return fixed(ground, "no threshold had a part in the labels")
     filter_, field = run.filter, swept_field(run.filter)
@@ -82,16 +76,13 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
         return fixed(ground, "no threshold has a range to move in")
     quick = count is None
     last, tested = field in filter_.LAST, isinstance(filter_, GridFilter) and field in filter_.TESTED
+    usual, most = EXACT_STEPS, MOST
     if not last and not tested:
-        if count is None:
-            count = _WORK // max(int(result.info.get("candidates", len(ground))), 1)
-        count = min(count, MOST_SETS)
-    count = EXACT_STEPS if count is None else min(count, 250)
+        usual, most = _WORK // max(int(result.info.get("candidates", len(ground))), 1), MOST_SETS
+    count = min(usual if count is None else count, most)
     if count < _FEWEST:
-        return fixed(
-            ground,
-            "each step would be a classification of its own" if quick else "fewer than three steps were asked for",
-        )
+        why = "each step would be a classification of its own" if quick else "fewer than three steps were asked for"
+        return fixed(ground, why)
     values = step_values(filter_, field, count)
     sets = [filter_.replace(**{field: value}) for value in values]
     now = values.index(float(getattr(filter_, field)))
@@ -108,7 +99,7 @@ def steps_of(result: FilterResult | np.ndarray, count: int | None, *, workers: i
     else:
         code, nested = _swept(run.cloud, filter_, sets, tested, workers, progress)
     steps = Steps(field, values, now, code, nested)
-    if not np.array_equal(steps.ground(now), ground):
+    if not np.array_equal(steps.table[code, now], ground):
         return fixed(ground, "the filter by itself gives other labels")
     return steps
 
@@ -140,9 +131,8 @@ def _swept(
     """Codes u8[n] or u16[n] of sets that are classified anew, and whether they are nested."""
     points = filter_.points_of(cloud)
     code = np.zeros(len(points), np.uint8 if tested else np.uint16)
-    for done, (number, ground) in enumerate(
-        ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY), 1
-    ):
+    found = ground_each(filter_, points, sets, key=None, workers=workers, memory=_MEMORY)
+    for done, (number, ground) in enumerate(found, 1):
         code = code + (~ground if tested else ground * (1 << number)).astype(code.dtype)
         progress(done / len(sets), "slider")
     return points.spread(code, len(sets) if tested else 0), tested

@@ -60,21 +60,14 @@ class PlaceVerdict(NamedTuple):
         return cls(word, shape, name, hashlib.sha256(word.encode() + shapely.to_wkb(plain)).hexdigest()[:24])
 
 
-class Given(NamedTuple):
-    """Verdicts that can be carried out, and in words why others cannot."""
-
-    verdicts: list[PlaceVerdict]
-    problems: list[str]
-
-
-def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -> Given:
-    """The verdicts in a file or table of places, in coordinates of the data.
+def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -> tuple[list[PlaceVerdict], list[str]]:
+    """The verdicts in a file or table of places that can be carried out, in coordinates of the data; in words why others cannot.
 
     Args:
         places: name of a GeoPackage or GeoJSON, or a GeoDataFrame, with a column ``verdict``; empty ones are passed over.
         crs, bounds: of the data.
 
-    Raises: InputError if it cannot be read, or has no such column. Warns: if it is transformed.
+    Raises: InputError if it cannot be read, or has no such column. Warns: if it is transformed, and of the others.
     """
     import geopandas
 
@@ -86,7 +79,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
         except Exception as error:  # GDAL has many of its own
             raise InputError(f"{name}: cannot be read as places: {error}") from error
     if not len(table):  # an empty GeoJSON has no columns
-        return Given([], [])
+        return [], []
     if "verdict" not in table:
         raise InputError(
             f"{name}: has no column verdict; it has {', '.join(map(str, table.columns))}: add it, with one of {', '.join(WORDS)}"
@@ -113,7 +106,9 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
     problems += [f"{name}: {verdicts[a].name} is {verdicts[a].word} and {verdicts[b].name}, which overlaps it, "
                  f"{verdicts[b].word}: neither is carried out" for a, b in wrong]  # fmt: skip
     left_out = {row for pair in wrong for row in pair}
-    return Given([one for row, one in enumerate(verdicts) if row not in left_out], problems)
+    for problem in problems:
+        warn(problem)
+    return [one for row, one in enumerate(verdicts) if row not in left_out], problems
 
 
 def _contradictions(verdicts: Sequence[PlaceVerdict]) -> list[tuple[int, int]]:

@@ -50,9 +50,7 @@ class SceneLayout:
 
     relief: float = param("height range of the landforms: four standard deviations", ">= 0 and <= 3000 m", default=10.0)
     landform: float = param("size of the largest landforms, to a power of two", ">= 16 and <= 8192 m", default=256.0)
-    hurst: float = param(
-        "Hurst exponent: detail shrinks by 2**-hurst from scale to scale", ">= 0.3 and <= 2", default=1.0
-    )
+    hurst: float = param("Hurst exponent: detail shrinks by 2**-hurst per scale", ">= 0.3 and <= 2", default=1.0)
     ridges: float = param("how far landforms are folded into sharp ridges", ">= 0 and <= 1", default=0.0)
     tilt: float = param("general slope, rise over run", ">= 0 and <= 1.5", default=0.0)
     scarp: float = param("height of scarps", ">= 0 and <= 60 m", default=0.0)
@@ -71,21 +69,15 @@ class SceneLayout:
     weir: bool = static("whether weirs, 1 m high, cross the rivers", default=False)
     cliff: float = param("height of rock faces on both sides of a valley floor", ">= 0 and <= 150 m", default=0.0)
     face: float = param("slope of rock faces", ">= 40 and <= 85 deg", default=72.0)
-    floor: float = param(
-        "width between the feet of rock faces, with the river in its middle", ">= 1 and <= 500 m", default=20.0
-    )
-    bench: float = param(
-        "height of the benches that rock faces are worked in; 0 for sheer ones", ">= 0 and <= 30 m", default=0.0
-    )
+    floor: float = param("width between the feet of rock faces, around the river", ">= 1 and <= 500 m", default=20.0)
+    bench: float = param("height of benches in rock faces; 0 for sheer ones", ">= 0 and <= 30 m", default=0.0)
     ditches: float = param("depth of ditches on open land", ">= 0 and <= 3 m", default=0.0)
     embankment: float = param("height of embankments", ">= 0 and <= 12 m", default=0.0)
     cutting: float = param("depth of road cuttings", ">= 0 and <= 12 m", default=0.0)
     road: float = param("width of roads on the level of the land that bridges cross", ">= 0 and <= 60 m", default=0.0)
     bridges: bool = static("whether bridges cross the cuttings, roads and rivers", default=True)
     bridge_width: float = param("width of decks", ">= 1 and <= 60 m", default=10.0)
-    bridge_skew: float = param(
-        "angle between decks and what is square to the course", ">= 0 and <= 60 deg", default=0.0
-    )
+    bridge_skew: float = param("angle between decks and the square to the course", ">= 0 and <= 60 deg", default=0.0)
     bridge_rise: float = param("height of the ends of decks above the land, on ramps", ">= 0 and <= 12 m", default=0.0)
     jetty: float = param("length of jetties from the banks of rivers", ">= 0 and <= 100 m", default=0.0)
     causeway: bool = static("whether low dams, which are ground, cross the rivers instead of decks", default=False)
@@ -104,16 +96,10 @@ class SceneLayout:
     penetration: float = param("probability of an echo below a crown that was hit", ">= 0 and <= 1", default=0.35)
     low_vegetation: float = param("share of the open land under shrubs and tall grass", ">= 0 and <= 1", default=0.1)
     vines: float = param("share of terraced land under vines", ">= 0 and <= 1", default=0.0)
-    scan_angle: float = param(
-        "angle of beams from the vertical at the edge of a strip", ">= 0 and <= 30 deg", default=0.0
-    )
+    scan_angle: float = param("angle of beams off the vertical at a strip's edge", ">= 0 and <= 30 deg", default=0.0)
     low_clusters: float = param("clusters of low outliers, 3 to about 120 points", ">= 0 and <= 200 1/km2", default=0.0)
-    low_outliers: float = param(
-        "share of pulses with an isolated echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0
-    )
-    high_outliers: float = param(
-        "share of pulses with an echo 20 to 1000 m above the surface", ">= 0 and <= 0.1", default=0.0
-    )
+    low_outliers: float = param("share of pulses with a lone echo 2 to 30 m too low", ">= 0 and <= 0.1", default=0.0)
+    high_outliers: float = param("share of pulses with an echo 20 to 1000 m too high", ">= 0 and <= 0.1", default=0.0)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -142,122 +128,47 @@ LAYOUTS: dict[str, SceneLayout] = {
         relief=8, hurst=1.2, cutting=6, settlement=0.9, blocks=0.5, halls=0.6, forest=0.3, trees=0.035, **_STRAY
     ),
     "city": SceneLayout(
-        relief=4,
-        river=28,
-        settlement=1.0,
-        houses=0.2,
-        rows=0.4,
-        blocks=3,
-        towers=0.8,
-        halls=0.8,
-        parks=0.5,
-        cars=0.5,
-        trees=0.03,
-        low_vegetation=0.03,
-        low_clusters=40.0,
-        low_outliers=5e-5,
-        high_outliers=2e-5,
+        relief=4, river=28, settlement=1.0, houses=0.2, rows=0.4, blocks=3, towers=0.8, halls=0.8, parks=0.5, cars=0.5,
+        trees=0.03, low_vegetation=0.03, low_clusters=40.0, low_outliers=5e-5, high_outliers=2e-5
     ),
     "hills": SceneLayout(
-        relief=60, **_WIDE, tilt=0.05, cutting=7, scarp=5, settlement=0.25, halls=0.15, parks=0.2, forest=0.35, **_STRAY
+        relief=60, **_WIDE, tilt=0.05, cutting=7, scarp=5, settlement=0.25, halls=0.15, parks=0.2, forest=0.35,
+        **_STRAY
     ),
     "mountain": SceneLayout(
-        relief=260,
-        landform=512,
-        hurst=0.85,
-        ridges=0.8,
-        tilt=0.2,
-        scarp=15,
-        forest=0.35,
-        conifers=0.9,
-        trees=0.01,
-        low_vegetation=0.08,
-        **_STRAY,
+        relief=260, landform=512, hurst=0.85, ridges=0.8, tilt=0.2, scarp=15, forest=0.35, conifers=0.9, trees=0.01,
+        low_vegetation=0.08, **_STRAY
     ),
     "forest": SceneLayout(
         relief=25, ditches=0.8, forest=0.93, trees=0.1, conifers=0.5, penetration=0.25, low_vegetation=0.3, **_STRAY
     ),
     "quarry": SceneLayout(relief=30, hurst=1.15, pit=42, scarp=6, forest=0.25, trees=0.01, **_STRAY),
     "terraces": SceneLayout(
-        relief=45,
-        landform=128,
-        hurst=1.4,
-        tilt=0.12,
-        terraces=3,
-        settlement=0.1,
-        rows=0,
-        halls=0,
-        parks=0,
-        forest=0.08,
-        trees=0.03,
-        **_STRAY,
+        relief=45, landform=128, hurst=1.4, tilt=0.12, terraces=3, settlement=0.1, rows=0, halls=0, parks=0,
+        forest=0.08, trees=0.03, **_STRAY
     ),
     "mixed": SceneLayout(
-        relief=26,
-        hurst=1.25,
-        scarp=6,
-        terraces=2.5,
-        pit=26,
-        river=18,
-        ditches=1,
-        embankment=4,
-        cutting=6,
-        settlement=0.7,
-        blocks=0.6,
-        towers=0.2,
-        forest=0.35,
-        **_STRAY,
+        relief=26, hurst=1.25, scarp=6, terraces=2.5, pit=26, river=18, ditches=1, embankment=4, cutting=6,
+        settlement=0.7, blocks=0.6, towers=0.2, forest=0.35, **_STRAY
     ),
     "benchmark": SceneLayout(
-        relief=45,
-        **_WIDE,
-        scarp=5,
-        river=16,
-        embankment=4,
-        cutting=6,
-        settlement=0.35,
-        blocks=0.3,
-        forest=0.2,
-        trees=0.015,
-        low_vegetation=0.08,
-        low_clusters=5.0,
-        low_outliers=5e-6,
-        high_outliers=2e-6,
+        relief=45, **_WIDE, scarp=5, river=16, embankment=4, cutting=6, settlement=0.35, blocks=0.3, forest=0.2,
+        trees=0.015, low_vegetation=0.08, low_clusters=5.0, low_outliers=5e-6, high_outliers=2e-6
     ),
     "coast": SceneLayout(
-        relief=9,
-        landform=128,
-        river=446,
-        cliff=42,
-        face=74,
-        floor=458,
-        bridges=False,
-        settlement=0.1,
-        rows=0,
-        halls=0.2,
-        forest=0.05,
-        scan_angle=15,
-        **_STRAY,
+        relief=9, landform=128, river=446, cliff=42, face=74, floor=458, bridges=False, settlement=0.1, rows=0,
+        halls=0.2, forest=0.05, scan_angle=15, **_STRAY
     ),
     "gorge": SceneLayout(
         relief=24, **_WIDE, river=9, cliff=58, face=68, floor=26, forest=0.4, trees=0.03, scan_angle=15, **_STRAY
     ),
     "benches": SceneLayout(
-        relief=16,
-        **_WIDE,
-        cliff=50,
-        face=70,
-        floor=40,
-        bench=12.5,
-        bridges=False,
-        forest=0.3,
-        trees=0.02,
-        scan_angle=15,
-        **_STRAY,
+        relief=16, **_WIDE, cliff=50, face=70, floor=40, bench=12.5, bridges=False, forest=0.3, trees=0.02,
+        scan_angle=15, **_STRAY
     ),
     "vineyard": SceneLayout(
         relief=18, landform=128, hurst=1.4, tilt=0.45, terraces=1.8, vines=0.8, forest=0.08, trees=0.01, **_STRAY
     ),
     "canopy": SceneLayout(relief=24, **_WIDE, forest=0.75, trees=0.03, conifers=0.4, penetration=0.1, **_STRAY),
-}
+}  # fmt: skip
 """Ready layouts. ``benchmark``, for timings, is at least half ground at any size; ``mixed`` has everything."""

@@ -49,13 +49,6 @@ class Roof(NamedTuple):
     edge: np.ndarray
 
 
-class Crown(NamedTuple):
-    """Tree crowns at points [n]: elevation of the upper and lower surface, NaN where there is none."""
-
-    top: np.ndarray
-    bottom: np.ndarray
-
-
 class Town:
     """Streets, buildings, walls and cars. Quarters form a square lattice that is turned against the axes."""
 
@@ -245,8 +238,9 @@ class Woods:
         self._shrubs = smooth_noise(seed, Layer.SHRUBS, box, 4) if layout.low_vegetation else None
         self._shrub_threshold = quantile(1 - layout.low_vegetation)
 
-    def crown(self, x: np.ndarray, y: np.ndarray) -> Crown:
-        """The highest crown over each point f64[n]: half an ellipsoid, or a cone for conifers."""
+    def crown(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Elevations f64[n] of top and bottom of the highest crown over each point f64[n], NaN where there is none: half an
+        ellipsoid, or a cone for conifers."""
         i0, j0, ni, nj = self._cells
         top, bottom = np.full(len(x), np.nan), np.full(len(x), np.nan)
         i = np.clip((x / _TREE_CELL - i0).astype(np.intp), 1, ni - 2)
@@ -267,7 +261,7 @@ class Woods:
             low[hit[higher]] = (self._z[k] + height * np.where(conifer, 0.12, 0.3))[higher]
         top[near] = np.where(np.isfinite(best), best, np.nan)
         bottom[near] = low
-        return Crown(top, bottom)
+        return top, bottom
 
     def undergrowth(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[n]: height of low vegetation above the terrain, 0.1 to 1 m, or 0 where there is none."""
@@ -294,24 +288,15 @@ def afloat(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -
 
 
 def open_deck(patch: Patch, surface: TerrainSample, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """f64[n]: :func:`bridge_deck` where it is more than half a metre above the ground or bed, NaN elsewhere."""
-    deck = bridge_deck(patch, x, y)
-    return np.where(deck > surface.z + 0.5, deck, np.nan)
-
-
-def bridge_deck(patch: Patch, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """f64[n]: elevation of bridge decks and jetties, NaN elsewhere. Decks run level with the land at both abutments, jetties
-    1.2 m above the water, from the bank."""
-    deck, layout = np.full(len(x), np.nan), patch.layout
-    course = patch.terrain.course(x, y)
+    """f64[n]: elevation of bridge decks and jetties where they are more than half a metre above the ground or bed, NaN elsewhere.
+    Decks run level with the land at both abutments, jetties 1.2 m above the water, from the bank."""
+    deck, layout, course = np.full(len(x), np.nan), patch.layout, patch.terrain.course(x, y)
     if layout.jetty:
         d = course.line(patch.stream)[0]
         out = d + layout.river / 2
         on = (np.abs(patch.bridge(course, 0 * d, _JETTY_AT)[1]) < 2) & (out > -5) & (out < layout.jetty)
         deck[on] = -0.32 * layout.relief - 1.0
-    if not layout.bridges or layout.causeway:
-        return deck
-    for offset, half in patch.crossings():
+    for offset, half in patch.crossings() if layout.bridges and not layout.causeway else []:
         d, line = course.line(offset)
         row, beside = patch.bridge(course, d)
         on = np.flatnonzero((np.abs(d) < half) & (np.abs(beside) < layout.bridge_width / 2))
@@ -325,4 +310,4 @@ def bridge_deck(patch: Patch, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         share = (d[on] / half + 1) / 2
         camber = 0.6 * (1 - (2 * share - 1) ** 2)
         deck[on] = ends[0][which] * (1 - share) + ends[1][which] * share + camber
-    return deck
+    return np.where(deck > surface.z + 0.5, deck, np.nan)

@@ -114,25 +114,11 @@ def _slanted(
     return on
 
 
-class Solids(NamedTuple):
-    """What stands at points [n], in metres.
-
-    Attributes:
-        surface: the bare terrain.
-        z: f64, of the first solid thing below crowns; kind: u8, what it is.
-        upper: f64, of a roof of which only the edge is hit; NaN elsewhere.
-        woods: the trees.
-    """
-
-    surface: TerrainSample
-    z: np.ndarray
-    kind: np.ndarray
-    upper: np.ndarray
-    woods: Woods
-
-
-def standing(patch: Patch, shot: Pulses, footprint: float) -> Solids:
-    """What pulses meet, whose beams have the radius ``footprint``, metres."""
+def standing(
+    patch: Patch, shot: Pulses, footprint: float
+) -> tuple[TerrainSample, np.ndarray, np.ndarray, np.ndarray, Woods]:
+    """What pulses meet, whose beams have the radius ``footprint``, metres: the bare terrain; elevations f64[n] of the first solid
+    thing below crowns, and u8[n], what it is; f64[n], of a roof of which only the edge is hit, NaN elsewhere; and the trees."""
     layout, (x, y, _, rng) = patch.layout, shot
     n = len(x)
     surface = patch(x, y)
@@ -170,7 +156,7 @@ def standing(patch: Patch, shot: Pulses, footprint: float) -> Solids:
     deck = open_deck(patch, surface, x, y)
     on = np.flatnonzero(np.isfinite(deck))
     z[on], kind[on], upper[on] = deck[on], Kind.BRIDGE, np.nan
-    return Solids(surface, z, kind, upper, woods)
+    return surface, z, kind, upper, woods
 
 
 def echoes(patch: Patch, shot: Pulses, footprint: float, noise: float, density: float) -> Echoes:
@@ -230,11 +216,11 @@ def _crown_echoes(
     woods: Woods, shot: Pulses, solid: np.ndarray, last: np.ndarray, penetration: float
 ) -> list[np.ndarray]:
     """Up to three echoes in crowns, f64[n] each with NaN for none; takes away ``last`` where nothing came through."""
-    crown = woods.crown(shot.x, shot.y)
+    top, bottom = woods.crown(shot.x, shot.y)
     out = [np.full(len(solid), np.nan) for _ in range(3)]
-    hit = np.flatnonzero(crown.top > solid + 2)
-    rng, bottom = shot.rng, np.maximum(crown.bottom[hit], solid[hit] + 1)
-    level = crown.top[hit] - rng.exponential(0.5, len(hit))
+    hit = np.flatnonzero(top > solid + 2)
+    rng, bottom = shot.rng, np.maximum(bottom[hit], solid[hit] + 1)
+    level = top[hit] - rng.exponential(0.5, len(hit))
     for k, column in enumerate(out):
         inside = level > bottom
         hit, level, bottom = hit[inside], level[inside], bottom[inside]

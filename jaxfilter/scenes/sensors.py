@@ -84,7 +84,7 @@ def _matched(terrain: Terrain, nodes: Nodes, pixel: float, box: Box, noise: floa
     at = x.ravel(), y.ravel()
     patch = terrain.patch((float(x.min()), float(y.min()), float(x.max()), float(y.max())))
     surface, solid, kind, upper, woods = standing(patch, Pulses(*at, np.zeros(x.size), rng), 0.0)
-    solid, crown = np.fmax(solid, upper), woods.crown(*at).top
+    solid, crown = np.fmax(solid, upper), woods.crown(*at)[0]
     leaves = crown > solid
     top, kind = np.where(leaves, crown, solid), np.where(leaves, Kind.HIGH_VEGETATION, kind)
 
@@ -104,10 +104,8 @@ def _matched(terrain: Terrain, nodes: Nodes, pixel: float, box: Box, noise: floa
     z += noise * (math.sqrt(1 - _WHITE**2) * shared * smooth(white, _SHARED) + _WHITE * own)
     error = _blunders(terrain.seed, *at)
     wrong = (error != 0) & (draw[5].ravel() < 0.8)
-    z, kind = (
-        np.where(wrong, z + error, z),
-        np.where(wrong, np.where(error < 0, Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER), kind),
-    )
+    z[wrong] += error[wrong]
+    kind[wrong] = np.where(error[wrong] < 0, Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER)
     kept = ~surface.water & ~(leaves & (shared * smooth(holes, _SHARED) > quantile(1 - _HOLES)))
     kept &= (at[0] >= box[0]) & (at[0] < box[2]) & (at[1] >= box[1]) & (at[1] < box[3])
     return _single(np.stack([*at, z], axis=1)[kept], kind[kept])
@@ -117,9 +115,8 @@ def _blunders(seed: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """f64[n]: metres by which wrong matches are too high; 0 where matches are right."""
     i, j = (np.floor(v / _BLUNDER_CELL).astype(np.intp) for v in (x, y))
     cells = Nodes(int(i.min()), int(j.min()), int(np.ptp(i)) + 1, int(np.ptp(j)) + 1)
-    there, u, v, radius, size, side = np.moveaxis(
-        uniform(seed, Layer.BLUNDERS, cells, fields=6)[i - cells.i0, j - cells.j0], 1, 0
-    )
+    draw = uniform(seed, Layer.BLUNDERS, cells, fields=6)[i - cells.i0, j - cells.j0]
+    there, u, v, radius, size, side = np.moveaxis(draw, 1, 0)
     away = np.hypot(x / _BLUNDER_CELL - i - 0.2 - 0.6 * u, y / _BLUNDER_CELL - j - 0.2 - 0.6 * v) * _BLUNDER_CELL
     error = _DEPTH[0] * (_DEPTH[1] / _DEPTH[0]) ** size * np.where(side < 0.5, -1, 1)
     return np.where((there < _BLUNDERS) & (away < 0.15 + radius), error, 0)
@@ -137,7 +134,7 @@ def mobile(terrain: Terrain, size: tuple[float, float], density: float, noise: f
     rng = np.random.default_rng((terrain.seed, Layer.RAYS))
     surface, z, kind, _, woods = standing(patch, Pulses(x, y, np.zeros(len(x)), rng), 0.0)
     z = np.where(surface.water & (kind == Kind.GROUND), np.nan, z)
-    crown = woods.crown(x, y)
+    top, bottom = woods.crown(x, y)
     reach = np.arange(_RAY_CELL, _RANGE, _RAY_CELL)
     starts = []
     for place, way in Town(patch).streets(size[0] / 2, size[1] / 2):
@@ -172,7 +169,7 @@ def mobile(terrain: Terrain, size: tuple[float, float], density: float, noise: f
         for look in np.sort(rng.random((_LOOKS, count)), axis=0)[::-1] * reach[far]:
             k = cell(spot + look[:, None] * way)
             level = eye + ray * look
-            within = (level > crown.bottom[k]) & (level < crown.top[k])
+            within = (level > bottom[k]) & (level < top[k])
             distance[within], leaf = look[within], leaf | within
         seen = met | leaf
         where, what = spot + distance[:, None] * way, kind[at[far]]

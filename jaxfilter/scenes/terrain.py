@@ -61,7 +61,7 @@ class Terrain:
         rng = np.random.default_rng((seed, Layer.COURSE))
         self._azimuth = rng.uniform(-0.2, 0.2)
         self._phase = rng.uniform(0, 2 * math.pi, 2)
-        self._aspect = rng.uniform(0, 2 * math.pi)
+        self.aspect = rng.uniform(0, 2 * math.pi)
 
     def patch(self, box: Box) -> Patch:
         """The terrain over a box and :data:`MARGIN` around it."""
@@ -87,10 +87,6 @@ class Terrain:
             wave += amplitude * np.sin(k * along + phase)
             slope += amplitude * k * np.cos(k * along + phase)
         return wave, slope
-
-    def slope_plane(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """The general slope, f64[n] metres."""
-        return self.layout.tilt * (math.cos(self._aspect) * x + math.sin(self._aspect) * y)
 
 
 class Patch:
@@ -201,7 +197,7 @@ class Patch:
             level = self._lake_level + 0.6
             z = level + (z - level) * (0.03 + 0.97 * smoothstep((self._off_lake(course)[0] - 6) / 90))
         if layout.tilt:
-            z = z + self.terrain.slope_plane(x, y)
+            z = z + layout.tilt * (math.cos(self.terrain.aspect) * x + math.sin(self.terrain.aspect) * y)
         return z
 
     def _off_lake(self, course: Course) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,7 @@ from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..core.water import WaterCells
 from ..files.vectors import write_features
-from ..terrain.breaklines import table_of_water, write_breaklines
-from ..terrain.levels import WaterRuns
+from ..terrain.levels import WaterRuns, outlines
 from .area import within
 from .collection import Collection, common
 from .product import Product
@@ -59,7 +58,7 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
     places = places_of(Suspects.together(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
-        from ..reports.review_list import table_of
+        from ..reports.places import table_of
 
         table = table_of(places, collection.metre, collection.crs)
         write_features(path, [table], "review", overwrite=replace)
@@ -101,5 +100,5 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
         parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in stored if arrays]
         report.water = WaterRuns.joined(parts) or report.water
     if wanted.path is not None:
-        write_breaklines(wanted.path, table_of_water(report.water, collection.crs), replace)
+        write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)
         report.breaklines = str(wanted.path)

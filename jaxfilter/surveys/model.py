@@ -17,11 +17,10 @@ from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.storage import Place, place_of
 from ..files.vectors import check_suffix, write_features
-from ..terrain.contours import Contours
+from ..terrain.contours import Contours, contour_tables
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import water_of
-from ..terrain.lines import contour_tables
 from ..terrain.models import Dtm
 from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_mosaic
 from .area import within

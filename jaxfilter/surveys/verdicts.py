@@ -86,9 +86,7 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
             "result: was put together by hand, so its points are not known: pass what a filter has returned"
         )
     cloud = result.run.cloud
-    given = read_verdicts(places, cloud.crs, extent_of(cloud))
-    for problem in given.problems:
-        warn(problem)
+    verdicts, _ = read_verdicts(places, cloud.crs, extent_of(cloud))
     filter_: Any = result.run.filter
     filter_ = filter_.replace() if isinstance(filter_, OST) else default_filter(cloud)
     if filter_.spacing is None:
@@ -96,7 +94,7 @@ def apply(result: FilterResult, places: Any) -> FilterResult:
     ground, decision = result.ground.copy(), np.array(result.decision)
     doubt = None if result.doubt is None else result.doubt.copy()
     water, deck = (np.zeros(len(cloud), bool) if old is None else old.copy() for old in (result.water, result.deck))
-    for site in sites(given.verdicts, cloud.units.xy):
+    for site in sites(verdicts, cloud.units.xy):
         rows = np.flatnonzero(inside(cloud, site.window))
         found = repaired(part_of(cloud, rows), result.ground[rows], site, filter_)
         changed = rows[found.changed]
@@ -225,14 +223,12 @@ def apply_survey(
     files = [place_of(uri) for uri in collection.uris]
     if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
-    given = read_verdicts(places, collection.crs, collection.bounds)
-    for problem in given.problems:
-        warn(problem)
+    verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
     targets = beside(files, run, len(files) == 1, "verdicts")
     log = _Log(targets.store.path.parent / LOG)
-    new = tuple(one for one in given.verdicts if not log.holds(one.key))
+    new = tuple(one for one in verdicts if not log.holds(one.key))
     keys = {one.key for one in new if one.word != FINE}
-    every = sites(given.verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
+    every = sites(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
     acting = (site for site in every if any(one.key in keys for one in site.verdicts))
     found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
     report = VerdictReport()
@@ -245,7 +241,7 @@ def apply_survey(
     else:
         targets.store.discard()
         log.add(new, collection)
-    report.problems, report.before = given.problems, len(given.verdicts) - len(new)
+    report.problems, report.before = problems, len(verdicts) - len(new)
     report.applied = {word: n for word in WORDS if (n := sum(one.word == word for one in new))}
     return report
 

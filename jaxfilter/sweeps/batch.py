@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, ParameterError, check_whole
 from ..core.filter import degenerate
 from ..scoring import reference_labels
 from ..steps.batch import Batch, stacked
@@ -37,8 +37,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     filter_ = check_filter(filter_)
     if not isinstance(filter_, GridFilter):
         raise ParameterError(f"batch: {type(filter_).__name__}: methods on a grid take batches: SMRF, PMF, MSF")
-    if blocks < 1:
-        raise ParameterError(f"blocks={blocks!r}: must be at least 1")
+    check_whole(blocks=blocks)
     _, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None
     given = labels if isinstance(labels, Mapping) or labels is None else dict(zip(named, labels, strict=True))

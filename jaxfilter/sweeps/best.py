@@ -34,15 +34,11 @@ def is_grid(dataset: xarray.Dataset) -> bool:
 def axes_of(dataset: xarray.Dataset) -> tuple[str, ...]:
     """The fields that were swept, in order."""
     if is_grid(dataset):
-        return tuple(str(name) for name in dataset[_a_score(dataset)].dims if name != "cloud")
+        scored = next((name for name in SCORES if name in dataset), None)
+        if scored is None:
+            raise InputError(f"dataset: none of {', '.join(SCORES)} is in it; give what jaxfilter.sweep returned")
+        return tuple(str(name) for name in dataset[scored].dims if name != "cloud")
     return tuple(str(name) for name, values in dataset.coords.items() if values.dims == ("set",) and name != "set")
-
-
-def _a_score(dataset: xarray.Dataset) -> str:
-    for name in SCORES:
-        if name in dataset:
-            return name
-    raise InputError(f"dataset: none of {', '.join(SCORES)} is in it; give what jaxfilter.sweep returned")
 
 
 def check_score(dataset: xarray.Dataset, score: str) -> None:

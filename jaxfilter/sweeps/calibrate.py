@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import numbers
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -15,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError, warn
+from ..core.errors import InputError, ParameterError, check_positive, check_whole, warn
 from ..core.filter import Filter, alike
 from ..core.params import declared, is_number
 from ..core.result import Progress, silent
@@ -76,13 +75,6 @@ class Calibration:
         )
 
 
-def check_whole(least: int = 1, **arguments: Any) -> None:
-    """Raises ParameterError for what is no whole number, or below ``least``."""
-    for name, value in arguments.items():
-        if not isinstance(value, numbers.Integral) or value < least:
-            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
-
-
 @dataclasses.dataclass(frozen=True)
 class CrossValidation:
     """How labelled points are cut into parts that are held out in turn.
@@ -102,8 +94,7 @@ class CrossValidation:
 
     def __post_init__(self) -> None:
         check_whole(2, folds=self.folds)
-        if self.block is not None and not 0 < self.block < math.inf:
-            raise ParameterError(f"block={self.block!r}: must be > 0 metres, and finite")
+        check_positive(" of metres", block=self.block)
 
     def assign(self, xyz: np.ndarray) -> np.ndarray:
         """i64[n]: the fold of each point f[n, >=2], metres; all folds are about as large. Raises: InputError for one block.

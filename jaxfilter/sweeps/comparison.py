@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, JaxfilterError, ParameterError, warn
+from ..core.errors import InputError, JaxfilterError, ParameterError, check_positive, check_whole, warn
 from ..core.filter import Filter, check_resources
 from ..core.params import declared
 from ..core.result import FilterResult, Progress, silent
@@ -108,12 +108,12 @@ class Comparison:
         if against is not None and against not in names:
             raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
-        rows = []
-        for one, other in pairs:
-            both = wide[[other, one]].dropna()
-            found = paired(both.to_numpy(), larger_is_better=score == "kappa")
-            rows.append({"method": one, "other": other, **found})
-        table = pandas.DataFrame(rows)
+        found = [
+            {"method": one, "other": other}
+            | paired(wide[[other, one]].dropna().to_numpy(), larger_is_better=score in LARGER_IS_BETTER)
+            for one, other in pairs
+        ]
+        table = pandas.DataFrame(found)
         if len(table):
             table["p_holm"] = holm(table["p"].tolist())
             most = int(table["clouds"].max())
@@ -133,7 +133,7 @@ class Comparison:
         >>> compared.markdown().startswith("| method | cloud"), compared.markdown("total").startswith("| method | scene | mean |")
         (True, True)
         """
-        return markdown(*(self._long() if score is None else self._wide(score, "**{}**")))
+        return markdown(*self._laid_out(score, "**{}**"))
 
     def latex(self, score: str | None = None) -> str:
         """The same as a LaTeX ``tabular``; needs the package booktabs.
@@ -141,13 +141,12 @@ class Comparison:
         >>> "tabular" in jf.compare({"SMRF": jf.SMRF()}, {"scene": cloud}, repeats=0).latex("kappa")
         True
         """
-        return latex(*(self._long() if score is None else self._wide(score, "\\textbf{{{}}}")))
+        return latex(*self._laid_out(score, "\\textbf{{{}}}"))
 
-    def _long(self) -> tuple[list[Column], list[Row]]:
-        return self._columns(), self.table.to_dict("records")  # type: ignore[return-value]
-
-    def _wide(self, score: str, bold: str) -> tuple[list[Column], list[Row]]:
-        """Methods by clouds. The best of each column, as it is printed, is set in ``bold``."""
+    def _laid_out(self, score: str | None, bold: str) -> tuple[list[Column], list[Row]]:
+        """The table; of a score, methods by clouds, with the best of each column, as it is printed, in ``bold``."""
+        if score is None:
+            return self._columns(), self.table.to_dict("records")  # type: ignore[return-value]
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
         spec = next(spec for key, _, spec in _COLUMNS if key == score)
@@ -215,10 +214,8 @@ def compare(
     if choose not in SCORES:
         raise ParameterError(f"choose={choose!r}: choose one of {', '.join(SCORES)}")
     check_resources(workers)
-    if cell is not None and not 0 < cell < math.inf:
-        raise ParameterError(f"cell={cell!r}: a positive number of metres is needed, or None")
-    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 0:
-        raise ParameterError(f"repeats={repeats!r}: a whole number from 0 on is needed")
+    check_positive(" of metres, or None", cell=cell)
+    check_whole(0, repeats=repeats)
     of_name = clouds if isinstance(clouds, Labelled) else named_clouds(clouds, "compare")[1]
     group = {name: str((groups or {}).get(name, name)) for name in of_name}
     if strange := {str(name) for name in groups or ()} - set(of_name):
@@ -330,23 +327,19 @@ def _row(
 def _named_filters(filters: Any) -> dict[str, list[Filter | type[Filter]]]:
     """Filters and methods by name, several where one is to be chosen. Raises ParameterError."""
     if isinstance(filters, Mapping):
-        out = {}
-        for name, some in filters.items():
-            out[str(name)] = [_known(one) for one in (some if isinstance(some, (list, tuple)) else [some])]
-            if not some:
-                raise ParameterError(f"filters: the list of {name} is empty")
+        pairs = [(str(name), some if isinstance(some, (list, tuple)) else [some]) for name, some in filters.items()]
     else:
         several = isinstance(filters, Iterable) and not isinstance(filters, str)
-        out = {}
-        for one in map(_known, filters if several else [filters]):
-            name = one.__name__ if isinstance(one, type) else _label(one)
-            if name in out:
-                raise ParameterError(
-                    f"filters: there are two of the name {name}: pass a mapping from names of your own"
-                )
-            out[name] = [one]
-    if not out:
+        pairs = [(_label(one), [one]) for one in map(_known, filters if several else [filters])]
+    if not pairs:
         raise ParameterError("filters: there is none; pass filters, classes of filters or their names")
+    out: dict[str, list[Filter | type[Filter]]] = {}
+    for name, some in pairs:
+        if not some:
+            raise ParameterError(f"filters: the list of {name} is empty")
+        if name in out:
+            raise ParameterError(f"filters: there are two of the name {name}: pass a mapping from names of your own")
+        out[name] = [_known(one) for one in some]
     return out
 
 
@@ -358,8 +351,10 @@ def _known(one: Any) -> Filter | type[Filter]:
     raise ParameterError(f"filters: {one!r} is no filter; choose from {', '.join(FILTERS)}")
 
 
-def _label(filter_: Filter) -> str:
+def _label(filter_: Filter | type[Filter]) -> str:
     """The class, and the fields that are not as by default."""
+    if isinstance(filter_, type):
+        return filter_.__name__
     changed = [f.name for f in declared(filter_) if getattr(filter_, f.name) != f.default]
     fields = ", ".join(f"{name}={getattr(filter_, name)}" for name in changed)
     return type(filter_).__name__ + (f"({fields})" if fields else "")

@@ -38,16 +38,6 @@ class Design:
     filters: list[Filter]
     groups: list[list[int]]
 
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Names of the dimensions of the scores."""
-        return tuple(self.axes) if self.kind == "grid" else ("set",)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Their lengths."""
-        return tuple(map(len, self.axes.values())) if self.kind == "grid" else (len(self.sets),)
-
 
 def make_design(
     filter_: Filter, axes: Mapping[str, Any], design: str = "grid", size: int | None = None, seed: int = 0

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import PointCloud
-from ..core.errors import InputError, ParameterError
+from ..core.errors import InputError, ParameterError, check_whole
 from ..core.filter import Filter
 from ..core.params import declared
 from ..core.result import Progress, silent
 from ..steps.grid_filter import GridFilter, fit_data, soft_errors
 from .best import word
-from .calibrate import CrossValidation, check_whole, deal, known_labels, ranges_of
+from .calibrate import CrossValidation, deal, known_labels, ranges_of
 from .inference import evenly
 from .ranges import Range, check_filter
 from .sweep import Subject, SweepOptions, about, named_clouds
@@ -178,11 +178,8 @@ class _Space:
         import xarray as xr
 
         field, facts = {f.name: f for f in declared(self.filter)}, {"long_name": "total error", "units": "%"}
-        errors = {
-            "fitted": soft[:, 0],
-            "held_out": soft[:, 1],
-            "total": [mean.get(i, math.nan) for i in range(len(soft))],
-        }
+        totals = [mean.get(i, math.nan) for i in range(len(soft))]
+        errors = {"fitted": soft[:, 0], "held_out": soft[:, 1], "total": totals}
         made: dict[str, Any] = {name: ("step", values, facts) for name, values in errors.items()}
         made |= {n: ("step", r.value(places[:, i]), about(field[n])) for i, (n, r) in enumerate(self.ranges.items())}
         attrs = {"method": type(self.filter).__name__, "fields": list(self.ranges)}
@@ -204,8 +201,7 @@ class _Known:
 
     def prepare(self, space: _Space, fold: np.ndarray, folds: int) -> None:
         """``fold``: i64[n] of the points, -1 without a label."""
-        points, kinds = self.subject.points, (self.counted & self.truth, self.counted & ~self.truth)
-        weight = np.stack([np.bincount(points.member, kind[points.index], len(points)) for kind in kinds])
+        points, weight = self.subject.points, self.subject.of_kinds(self.truth, self.counted)
         rows = np.flatnonzero(weight.any(axis=0))
         rows = evenly(rows[np.lexsort(points.xyz[rows].T)], POINTS)
         ends = space.at(space.low), space.at(space.high)

@@ -90,9 +90,8 @@ class Sample:
             p = ground_probability(kind, given[contested], use, self.truth[labelled[use]], weight)
             ground[view] = p[len(labelled) :]
         agreed = np.setdiff1d(np.arange(known, len(self.index)), contested)
-        same = np.unpackbits(bits[0], count=len(self.index))[
-            agreed
-        ].sum()  # all sets call these the same: taken as right
+        first = np.unpackbits(bits[0], count=len(self.index))
+        same = first[agreed].sum()  # all sets call these the same: taken as right
         out = np.zeros((len(without), len(bits), 2, 2))
         for start, part in _unpacked(bits, contested[len(labelled) :]):
             out[:, start : start + len(part)] = expected_confusion(part, ground)

@@ -63,6 +63,12 @@ class Subject:
         self.points, self.options = dataclasses.replace(filter_.points_of(cloud), kept={}), options
         self.same = degenerate(cloud, self.points)
 
+    def of_kinds(self, truth: np.ndarray, counted: np.ndarray) -> np.ndarray:
+        """f64[2, m]: how many points that are ground in truth, bool[n], each row stands for, and how many objects, of those that
+        are ``counted``, bool[n]."""
+        index, member, m = self.points.index, self.points.member, len(self.points)
+        return np.stack([np.bincount(member, kind[index], m) for kind in (counted & truth, counted & ~truth)])
+
     def ground_each(self, sets: Sequence[Filter]) -> Iterator[tuple[int, np.ndarray]]:
         """Number of the set and bool[m], ground, for every set; they differ in traced fields only."""
         if self.same is not None:
@@ -101,9 +107,7 @@ def sweep(
         design: "grid" = all combinations; "random" or "sobol" = ``size`` sets drawn with ``seed``; "list" = the i-th
             values of all axes make set i.
         votes: count for every point how many sets call it ground.
-        key: JAX random key of methods that draw samples, the same for every set.
-        workers: threads for triangulation; by default one per core.
-        memory: bytes that may be held for sets computed at the same time.
+        key, workers, memory: how sets are computed, see :class:`SweepOptions`.
         checkpoint: file to save finished sets in, and to resume from if it exists.
         progress: called with the fraction done and what is being done.
 
@@ -185,10 +189,8 @@ class _Scene(Subject):
         self.weights: np.ndarray | None = None
         if cloud.reference is not None:
             truth, counted = reference_labels(cloud)
-            index, member, m = self.points.index, self.points.member, len(self.points)
-            of_kind = [counted & truth, counted & ~truth]
-            self.weights = np.stack([np.bincount(member, weights=kind[index], minlength=m) for kind in of_kind])
-            self.totals = np.array([kind.sum() for kind in of_kind])
+            self.weights = self.of_kinds(truth, counted)
+            self.totals = np.array([(counted & truth).sum(), (counted & ~truth).sum()])
 
     def confusion(self, ground: np.ndarray) -> np.ndarray:
         """i64[2, 2], as in Scores; zeros without a reference."""
@@ -205,10 +207,11 @@ class _State:
         self, filter_: Filter, plan: Design, named: dict[str, PointCloud], votes: bool, key: Any, path: Path | None
     ) -> None:
         shape = len(named), len(plan.sets)
-        self.done = np.zeros(shape, bool)
+        self.done, self.ground = np.zeros(shape, bool), np.zeros(shape, np.int64)
         self.confusion = np.zeros((*shape, 2, 2), np.int64)
-        self.ground = np.zeros(shape, np.int64)
         self.votes = [np.zeros(len(cloud), np.uint32) for cloud in named.values()] if votes else None
+        self.arrays: dict[str, Any] = {"done": self.done, "confusion": self.confusion, "ground": self.ground}
+        self.arrays |= {f"votes_{i}": counts for i, counts in enumerate(self.votes or [])}
         self.path, self.saved, self.dirty = path, time.monotonic(), False
         if path is None:
             return
@@ -222,25 +225,21 @@ class _State:
             "random key": str(key),
             "version of jaxfilter": __version__,
         }
-        if existing(path) is not None:
-            self._load()
-
-    def _load(self) -> None:
-        assert self.path is not None
+        if existing(path) is None:
+            return
         try:
-            with np.load(self.path) as file:
-                data = {name: file[name] for name in file.files}
+            with np.load(path) as file:
+                data = dict(file)
             facts = json.loads(str(data["facts"]))
         except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
-            raise InputError(f"checkpoint {self.path} is not one of a sweep ({error}): name another file") from error
+            raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:
                 raise InputError(
-                    f"checkpoint {self.path} belongs to a sweep with other {name}: delete it or name another file"
+                    f"checkpoint {path} belongs to a sweep with other {name}: delete it or name another file"
                 )
-        self.done, self.confusion, self.ground = data["done"], data["confusion"], data["ground"]
-        if self.votes is not None:
-            self.votes = [data[f"votes_{i}"] for i in range(len(self.votes))]
+        for name, values in self.arrays.items():
+            values[...] = data[name]
 
     def add(self, cloud: int, number: int, scene: _Scene, ground: np.ndarray) -> None:
         """Note the labels bool[m] of a set."""
@@ -256,10 +255,8 @@ class _State:
         """Write the checkpoint. Raises OutputError."""
         if self.path is None or not self.dirty:
             return
-        data: dict[str, Any] = {"done": self.done, "confusion": self.confusion, "ground": self.ground}
-        data |= {f"votes_{i}": votes for i, votes in enumerate(self.votes or [])}
         with new_file(self.path, overwrite=True) as temporary, open(temporary, "wb") as file:
-            np.savez(file, facts=np.array(json.dumps(self.facts)), **data)
+            np.savez(file, facts=np.array(json.dumps(self.facts)), **self.arrays)
         self.saved, self.dirty = time.monotonic(), False
 
 
@@ -276,11 +273,12 @@ def _digest(cloud: PointCloud) -> str:
 def _dataset(
     xr: Any, filter_: Filter, plan: Design, several: bool, named: dict[str, PointCloud], state: _State
 ) -> xarray.Dataset:
-    dims = (*plan.dims, "cloud") if several else plan.dims
-    shape = (*plan.shape, len(named)) if several else plan.shape
+    grid = plan.kind == "grid"
+    sizes = {name: len(values) for name, values in plan.axes.items()} if grid else {"set": len(plan.sets)}
+    sizes |= {"cloud": len(named)} if several else {}
 
     def laid_out(values: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-        return dims, np.moveaxis(values, 0, -1).reshape(shape)
+        return tuple(sizes), np.moveaxis(values, 0, -1).reshape(tuple(sizes.values()))
 
     scores = np.full((len(SCORES), *state.done.shape), np.nan)
     for c, cloud in enumerate(named.values()):
@@ -299,10 +297,9 @@ def _dataset(
             variables[f"votes{end}"] = ((f"point{end}",), share, {"long_name": "share of sets: ground", "units": "1"})
     fields = {f.name: f for f in declared(filter_)}
     coords: dict[str, Any] = {
-        name: ((name if plan.kind == "grid" else "set",), values, about(fields[name]))
-        for name, values in plan.axes.items()
+        name: ((name if grid else "set",), values, about(fields[name])) for name, values in plan.axes.items()
     }
-    if plan.kind != "grid":
+    if not grid:
         coords["set"] = np.arange(len(plan.sets))
     if several:
         coords["cloud"] = list(named)

@@ -12,7 +12,7 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import ParameterError
 from ..core.result import FilterResult
 from .interpolation import Interpolation
-from .layer import extent_of, ground_of
+from .layer import grid_of, ground_of
 from .models import interpolated
 from .outline import inward, occupied
 from .raster import RasterGrid
@@ -169,11 +169,11 @@ def differences(
     for name, value in (("near", near), ("rim", rim)):
         if value is not None and not 0 < value < math.inf:
             raise ParameterError(f"dtm_rmse({name}={value!r}): must be a positive number of metres")
-    grid = RasterGrid.over(extent_of(cloud), cell, cloud.units.xy)
+    grid = grid_of(cloud, cell, None)
     gaps = (interpolation.max_gap, near and near / cloud.units.xy)
     known = dataclasses.replace(interpolation, max_gap=min((gap for gap in gaps if gap is not None), default=None))
-    truth = interpolated(cloud, ground_of(cloud, reference), grid, known).values
-    model = interpolated(cloud, ground_of(cloud, result), grid, interpolation).values
+    truth = interpolated(cloud, ground_of(cloud, reference), grid, known)
+    model = interpolated(cloud, ground_of(cloud, result), grid, interpolation)
     metres = (model.astype(np.float64) - truth) * cloud.units.z
     border = inward(occupied(cloud, grid), cell * cloud.units.xy) <= rim
     return Differences(metres, np.isfinite(truth) & ~np.isfinite(model), border, grid)

@@ -7,13 +7,12 @@ more and not on a line. Each interpolator is prepared once and then asked for he
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_positive, check_whole
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.linear import Linear as Linear
 from ..engines.tin.linear import inside_hull as inside_hull
@@ -55,12 +54,8 @@ class Interpolation:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method={self.method!r}: choose one of {', '.join(METHODS)}")
-        for name in ("max_gap", "power"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ParameterError(f"{name}={value!r} must be a positive number")
-        if self.neighbours < 1:
-            raise ParameterError(f"neighbours={self.neighbours!r} must be at least 1")
+        check_positive(max_gap=self.max_gap, power=self.power)
+        check_whole(neighbours=self.neighbours)
 
 
 def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int | None = None) -> Heights:
@@ -72,7 +67,14 @@ def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int 
         return Linear(xyz, workers)
     if interpolation.method == "idw":
         return _inverse_distance(xyz, interpolation.neighbours, interpolation.power, workers)
-    return _natural_neighbour(xyz) if interpolation.method == "natural" else _kriging(xyz, interpolation.neighbours)
+    if interpolation.method == "natural":
+        return _natural_neighbour(xyz)
+    from scipy.interpolate import RBFInterpolator  # late: it takes a quarter of a second
+
+    # Ordinary kriging in a moving neighbourhood, linear variogram without nugget: the kernel -|h| with an unknown constant. The
+    # solution does not depend on the slope of the variogram: there is nothing to fit.
+    near, xyz = min(interpolation.neighbours, len(xyz)), xyz.astype(np.float64)
+    return RBFInterpolator(xyz[:, :2], xyz[:, 2], neighbors=near, kernel="linear", degree=0)
 
 
 def _inverse_distance(xyz: np.ndarray, neighbours: int, power: float, workers: int | None) -> Heights:
@@ -110,20 +112,6 @@ def _natural_neighbour(xyz: np.ndarray) -> Heights:
         return out
 
     return heights
-
-
-def _kriging(xyz: np.ndarray, neighbours: int) -> Heights:
-    """Ordinary kriging in a moving neighbourhood, linear variogram without nugget; defined everywhere.
-
-    The kernel -|h| with an unknown constant is that kriging system, whose solution does not depend on the slope of the
-    variogram: there is nothing to fit.
-    """
-    from scipy.interpolate import RBFInterpolator  # late: it takes a quarter of a second
-
-    return RBFInterpolator(
-        xyz[:, :2].astype(np.float64), xyz[:, 2].astype(np.float64),
-        neighbors=min(neighbours, len(xyz)), kernel="linear", degree=0,
-    )  # fmt: skip
 
 
 def nearest_point(

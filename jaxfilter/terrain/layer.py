@@ -1,4 +1,4 @@
-"""Layers of the terrain: what a raster of a survey shows, cell by cell. Each layer has a file of its own."""
+"""Layers of the terrain: what a raster of a survey shows, cell by cell."""
 
 from __future__ import annotations
 
@@ -72,8 +72,7 @@ class Layer:
         """The raster of a cloud in memory; the arguments, and what is raised, are those of :func:`jaxfilter.dtm`."""
         cloud = as_cloud(cloud)
         noise = result.low_noise if isinstance(result, FilterResult) else None
-        grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
-        ground = ground_of(cloud, result)
+        grid, ground = grid_of(cloud, cell, bounds), ground_of(cloud, result)
         site = Site(cloud, ground, grid, noise=noise, levels=levels_in(cloud, result, ground) if self.SURFACE else None)
         return Raster(site.of(self), grid.transform, cloud.crs, self.NODATA, self.KIND, self.TITLE)
 
@@ -101,9 +100,7 @@ class Site:
     look: Callable[[np.ndarray, Heights], None] | None = None
     strict: bool = True
     levels: WaterRuns | None = None
-
-    def __post_init__(self) -> None:
-        self._known: dict[Layer, np.ndarray] = {}
+    _known: dict[Layer, np.ndarray] = dataclasses.field(default_factory=dict, init=False)
 
     def of(self, layer: Layer) -> np.ndarray:
         """The values of a layer, which are made once. Raises: InputError."""
@@ -138,3 +135,8 @@ def extent_of(cloud: PointCloud) -> Bounds:
     check_extent(cloud, xy)
     ends = np.concatenate([xy.min(axis=0), xy.max(axis=0)]).astype(np.float64)
     return tuple((np.tile(cloud.origin[:2], 2) + ends / cloud.units.xy).tolist())
+
+
+def grid_of(cloud: PointCloud, cell: float, bounds: Iterable[float] | None) -> RasterGrid:
+    """The cells over bounds, or over the points. Raises: ParameterError, InputError."""
+    return RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)

@@ -15,7 +15,7 @@ from ..core.cloud import QUANTUM, PointCloud
 from ..core.errors import warn
 from ..core.result import FilterResult
 from ..core.water import WaterCells
-from ..engines.neighbours import groups
+from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
 from .raster import RasterGrid
 
@@ -71,11 +71,8 @@ def labelled_water(cloud: PointCloud, ground: np.ndarray, side: float) -> WaterC
     within = scipy.ndimage.distance_transform_edt(within) * side > REACH
     row, column = np.nonzero(within & (count[tuple(nearest)] > 0) & (away * side <= REACH))
     source = tuple(one[row, column] for one in nearest)
-    return WaterCells(
-        side,
-        np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32),
-        cloud.origin[2] * cloud.units.z + z[source],
-    )
+    wet_cells = np.stack([row + low[0], column + low[1]], axis=1).astype(np.int32)
+    return WaterCells(side, wet_cells, cloud.origin[2] * cloud.units.z + z[source])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,10 +122,8 @@ class WaterRuns:
         run, z, side = run[order], z[order], some[0].frame[0]
         cut = (run[1:, :2] == run[:-1, ::2]).all(axis=1) & (run[1:, 1] % _BLOCK != 0)  # by the edge of a tile
         start = np.flatnonzero(np.append(True, ~cut))
-        run, z = (
-            np.column_stack([run[start, :2], run[np.append(start[1:], len(run)) - 1, 2]]),
-            np.add.reduceat(z, start),
-        )
+        end = np.append(start[1:], len(run)) - 1
+        run, z = np.column_stack([run[start, :2], run[end, 2]]), np.add.reduceat(z, start)
         first, stop = _keys(run[:, 0], run[:, 1]), _keys(run[:, 0], run[:, 2])
         beside = np.flatnonzero(stop[:-1] == first[1:])
         above = np.searchsorted(stop, first + _WIDE, "right"), np.searchsorted(first, stop + _WIDE, "left")
@@ -145,16 +140,12 @@ class WaterRuns:
 
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
-        found, run = self._runs_at(x, y)
-        return np.where(found, self.z[run] / self.frame[4], np.nan)
-
-    def _runs_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """bool[...], whether water is at places, and i64[...], in which run."""
-        side, x0, y0, metre, _ = self.frame
+        side, x0, y0, metre, factor = self.frame
         row, column = (np.floor((v - v0) * (metre / side) + 0.5).astype(np.int64) for v, v0 in ((y, y0), (x, x0)))
         key = _keys(row, column)
         run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
-        return (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2]), run
+        found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
+        return np.where(found, self.z[run] / factor, np.nan)
 
     def put(self, values: np.ndarray, grid: RasterGrid) -> np.ndarray:
         """f32[rows, columns]: the values of a terrain model, level where the middle of a cell is in water."""
@@ -172,33 +163,38 @@ class WaterRuns:
         out[box] = np.where(np.isnan(level), out[box], level.astype(np.float32))
         return out
 
-    def table(self, crs: Any) -> geopandas.GeoDataFrame:
-        """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`."""
-        import geopandas
-        import shapely
 
-        side, x0, y0, metre, factor = self.frame
-        step, z = side / metre, self.z / factor
-        west, east = (x0 + (self.run[:, k] - 0.5) * step for k in (1, 2))
-        south = y0 + (self.run[:, 0] - 0.5) * step
-        order = np.argsort(self.body, kind="stable")
-        shapes, heights = [], []
-        for rows in np.split(order, np.flatnonzero(np.diff(self.body[order])) + 1):
-            shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
-            low, high = z[rows].min(), z[rows].max()
-            if low == high:
-                shape = shapely.simplify(shape, 0)
-            heights.append((float(np.median(z[rows])), high - low))
-            shapes.append(shape)
-        corners = shapely.get_coordinates(shapes)
-        # a corner is at the middle of four cells, of which one at least is water: the lowest counts
-        around = [self.at(*(corners + step * np.array(way)).T) for way in itertools.product((-0.25, 0.25), repeat=2)]
-        corners = np.column_stack([corners, np.fmin.reduce(around)])
-        shapes = shapely.set_coordinates(shapely.force_3d(shapes), corners)
-        level, fall = np.array(heights).reshape(-1, 2).T
-        found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
-        found.insert(2, "area", found.area)
-        return found
+def outlines(levels: WaterRuns | None, crs: Any) -> geopandas.GeoDataFrame:
+    """The bodies as polygons, whose corners have a height: see :func:`jaxfilter.breaklines`. None: there are no bodies."""
+    import geopandas
+    import shapely
+
+    if levels is None:
+        none = np.zeros(0)
+        return geopandas.GeoDataFrame({"elevation": none, "fall": none, "area": none}, geometry=[], crs=crs)
+
+    side, x0, y0, metre, factor = levels.frame
+    step, z = side / metre, levels.z / factor
+    west, east = (x0 + (levels.run[:, k] - 0.5) * step for k in (1, 2))
+    south = y0 + (levels.run[:, 0] - 0.5) * step
+    order = np.argsort(levels.body, kind="stable")
+    shapes, heights = [], []
+    for rows in np.split(order, np.flatnonzero(np.diff(levels.body[order])) + 1):
+        shape = shapely.union_all(shapely.box(west[rows], south[rows], east[rows], south[rows] + step))
+        low, high = z[rows].min(), z[rows].max()
+        if low == high:
+            shape = shapely.simplify(shape, 0)
+        heights.append((float(np.median(z[rows])), high - low))
+        shapes.append(shape)
+    corners = shapely.get_coordinates(shapes)
+    # a corner is at the middle of four cells, of which one at least is water: the lowest counts
+    around = [levels.at(*(corners + step * np.array(way)).T) for way in itertools.product((-0.25, 0.25), repeat=2)]
+    corners = np.column_stack([corners, np.fmin.reduce(around)])
+    shapes = shapely.set_coordinates(shapely.force_3d(shapes), corners)
+    level, fall = np.array(heights).reshape(-1, 2).T
+    found = geopandas.GeoDataFrame({"elevation": level, "fall": fall}, geometry=shapes, crs=crs)
+    found.insert(2, "area", found.area)
+    return found
 
 
 def water_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, ground: np.ndarray) -> WaterCells | None:
@@ -229,10 +225,9 @@ def _levels(run: np.ndarray, z: np.ndarray, body: np.ndarray, side: float) -> np
     block[order] = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(run))))
     place, weight = place[start], (run[:, 2] - run[:, 1]).astype(np.float64)
     cells = np.bincount(block, weight)
-    middle: np.ndarray = np.column_stack(
-        [np.bincount(block, weight * at) for at in (run[:, 0], run[:, 1:].sum(axis=1) / 2 - 0.5)]
-    )
-    middle, level = side * middle / cells[:, None], np.bincount(block, z) / cells
+    places = run[:, 0], run[:, 1:].sum(axis=1) / 2 - 0.5
+    middle = side * np.column_stack([np.bincount(block, weight * at) for at in places]) / cells[:, None]
+    level = np.bincount(block, z) / cells
     of = place[:, 0]
     low, most, high = (_share(level, of, share) for share in (0.05, 0.5, 0.95))
     out, falls = most[of], (high - low > FALL)[of]
@@ -254,12 +249,7 @@ def _links(place: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarra
     low = place.min(axis=0) - 1
     wide = (np.ptp(place, axis=0) + 3).astype(np.int64)
     key = ((place[:, 0] - low[0]) * wide[1] + place[:, 1] - low[1]) * wide[2] + place[:, 2] - low[2]  # ascending
-    found = []
-    for step in (1, wide[2] - 1, wide[2], wide[2] + 1):
-        other = np.searchsorted(key, key + step).clip(max=len(key) - 1)
-        rows = np.flatnonzero(key[other] == key + step)
-        found.append(np.column_stack([rows, other[rows]]))
-    links = np.concatenate(found)
+    links = np.column_stack(touching(key, wide[2]))
     return links, np.hypot(*(middle[links[:, 0]] - middle[links[:, 1]]).T)
 
 
@@ -292,9 +282,8 @@ def _falling(level: np.ndarray, of: np.ndarray, links: np.ndarray, length: np.nd
     in_band = np.empty(len(own), np.int64)
     in_band[piece] = band
     pairs = links[~same]
-    pairs = piece[
-        np.where((band[pairs[:, 0]] < band[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
-    ]  # the lower one first
+    upward = (band[pairs[:, 0]] < band[pairs[:, 1]])[:, None]
+    pairs = piece[np.where(upward, pairs, pairs[:, ::-1])]  # the lower one first
     pairs = pairs[np.argsort(in_band[pairs[:, 1]], kind="stable")]
     least, most = own.copy(), own.copy()
     steps = np.split(pairs, np.flatnonzero(np.diff(in_band[pairs[:, 1]])) + 1) if len(pairs) else []

@@ -10,11 +10,10 @@ import numpy as np
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError, warn
 from ..core.points import canonical_points
-from ..core.result import FilterResult, Progress
-from ..files.disk import check_bounds
+from ..core.result import FilterResult, Progress, silent
 from .interpolation import Heights, inside_hull, nearest_point, surface_through
 from .interpolation import Interpolation as Interpolation
-from .layer import Layer, Site, extent_of, ground_of
+from .layer import Layer, Site, grid_of, ground_of
 from .levels import levels_in
 from .outline import SNAP
 from .raster import Raster, RasterGrid
@@ -71,18 +70,18 @@ def dtm(
     interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
     ground = ground_of(cloud, result)
-    grid = RasterGrid.over(extent_of(cloud) if bounds is None else check_bounds(bounds), cell, cloud.units.xy)
-    raster = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
+    grid = grid_of(cloud, cell, bounds)
+    values = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
     if level_water and (levels := levels_in(cloud, result, ground)) is not None:
-        raster = dataclasses.replace(raster, values=levels.put(raster.values, grid))
-    if bounds is not None and len(cloud) and np.isnan(raster.values).all():
+        values = levels.put(values, grid)
+    if bounds is not None and len(cloud) and np.isnan(values).all():
         ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
         low, high = dataclasses.replace(cloud, xyz=ends).coordinates()
         warn(
-            f"dtm: no cell has a height: bounds {', '.join(f'{edge:.10g}' for edge in raster.bounds)} are away from the ground "
+            f"dtm: no cell has a height: bounds {', '.join(f'{edge:.10g}' for edge in grid.bounds)} are away from the ground "
             f"points, which lie in {', '.join(f'{edge:.10g}' for edge in (*low[:2], *high[:2]))}"
         )
-    return raster
+    return Raster(values, grid.transform, cloud.crs)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Dtm(Layer):
         values = interpolated(
             site.cloud, site.ground, site.grid, site.interpolation,
             workers=site.workers, look=site.look, strict=site.strict,
-        ).values  # fmt: skip
+        )  # fmt: skip
         return values if site.levels is None else site.levels.put(values, site.grid)
 
 
@@ -119,22 +118,21 @@ def interpolated(
     progress: Progress | None = None,
     look: Callable[[np.ndarray, Heights], None] | None = None,
     strict: bool = True,
-) -> Raster:
-    """The raster of :func:`dtm` on the cells of a grid; ``ground``: bool[n].
+) -> np.ndarray:
+    """f32[rows, columns]: the heights of :func:`dtm` in the cells of a grid; ``ground``: bool[n].
 
     ``look`` is called with the centres f64[q, 2], local metres, of the cells of some rows, and the surface that gives their
     heights. Unless ``strict``, too few ground points are no error: there are no heights. Raises: as :func:`dtm`.
     """
-    report = progress or (lambda fraction, step: None)
+    report = progress or silent
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
     values = np.full(grid.shape, np.nan, np.float32)
-    if not strict and not points.has_area():
-        return Raster(values, grid.transform, cloud.crs)
-    if not len(cloud):
+    if not len(cloud) and strict:
         warn("dtm: the cloud has no points, so no cell has a height")
-        return Raster(values, grid.transform, cloud.crs)
     if not points.has_area():
+        if not (strict and len(cloud)):
+            return values
         count = f"{len(points):,} distinct ground points" if len(points) else "no ground point"
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
     fill, max_gap = interpolation.fill, interpolation.max_gap
@@ -157,7 +155,7 @@ def interpolated(
             if max_gap is not None:
                 z[distance > max_gap * cloud.units.xy] = np.nan
         values[rows] = (cloud.origin[2] + z / cloud.units.z).reshape(-1, grid.columns)
-    return Raster(values, grid.transform, cloud.crs)
+    return values
 
 
 def height_above_ground(
@@ -207,7 +205,7 @@ def heights_of(
     ``look`` is called with some of their positions f64[q, 2], local metres, and the surface that gives their heights, unless
     all ground points lie on a line. Raises: InputError if no point is ground.
     """
-    report = progress or (lambda fraction, step: None)
+    report = progress or silent
     report(0.0, "interpolator")
     points = canonical_points(dataclasses.replace(cloud, candidate=ground))
     if not len(points):

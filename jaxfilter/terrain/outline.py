@@ -26,11 +26,9 @@ def places_of(cloud: PointCloud, grid: RasterGrid) -> tuple[np.ndarray, np.ndarr
     """i64[n], i64[n]: column, from the west, and row, from the north, of each point, which may lie outside the grid. They follow
     from the coordinates alone, not from the corner of the cloud."""
     factor = cloud.units.xy
-    x, y = (
-        np.floor((np.rint(cloud.origin[axis] * factor / SNAP) * SNAP + cloud.xyz[:, axis]) / (grid.cell * factor))
-        for axis in range(2)
-    )
-    return x.astype(np.int64) - grid.left, grid.bottom + grid.rows - 1 - y.astype(np.int64)
+    metres = np.rint(cloud.origin[:2] * factor / SNAP) * SNAP + cloud.xyz[:, :2]
+    x, y = np.floor(metres / (grid.cell * factor)).astype(np.int64).T
+    return x - grid.left, grid.bottom + grid.rows - 1 - y
 
 
 def occupied(cloud: PointCloud, grid: RasterGrid) -> np.ndarray:

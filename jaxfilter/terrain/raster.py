@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
 from ..files.disk import Bounds, new_file
 from ..files.storage import Place, Remote, place_of
@@ -183,8 +183,7 @@ class RasterGrid:
 
         Raises: ParameterError for a cell that has no size, InputError if more cells would be needed.
         """
-        if not 0 < cell < math.inf:
-            raise ParameterError(f"cell={cell!r} must be a positive number")
+        check_positive(cell=cell)
         slack = min(QUANTUM / metre / cell, 0.5)  # coordinates are known to a quantum: an edge needs no further cell
         left, bottom = (math.floor(v / cell + slack) for v in bounds[:2])
         right, top = (math.ceil(v / cell - slack) for v in bounds[2:])
@@ -201,11 +200,6 @@ class RasterGrid:
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
         return self.rows, self.columns
-
-    @property
-    def top(self) -> int:
-        """Whole cells from zero to the northern edge."""
-        return self.bottom + self.rows
 
     @property
     def bounds(self) -> Bounds:
@@ -257,13 +251,15 @@ def write_mosaic(
     from rasterio.shutil import copy
     from rasterio.windows import Window
 
+    def windows() -> Iterator[tuple[Window, np.ndarray]]:
+        return ((Window(column, row, values.shape[1], values.shape[0]), values) for row, column, values in parts())
+
     profile, known = _profile(grid.shape, grid.transform, crs, kind, nodata), 0
     with new_file(path, overwrite=overwrite) as temporary:
         plain = temporary.with_name("plain.tif")
         try:
             with rasterio.open(plain, "w", **profile) as file:
-                for row, column, values in parts():
-                    window = Window(column, row, values.shape[1], values.shape[0])
+                for window, values in windows():
                     file.write(values, 1, window=window)
             copy(
                 plain, temporary, driver="COG", compress="deflate", predictor="yes", overviews="ignore_existing",
@@ -271,8 +267,7 @@ def write_mosaic(
             )  # fmt: skip
             plain.unlink()
             with rasterio.open(temporary) as file:  # GDAL does not always tell that a disk refused
-                for row, column, values in parts():
-                    window = Window(column, row, values.shape[1], values.shape[0])
+                for window, values in windows():
                     known += int(np.count_nonzero(values != nodata))
                     if not np.array_equal(file.read(1, window=window), values):
                         raise OutputError(
