@@ -83,7 +83,8 @@ def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, e
     below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
     expected = (below <= 6) & (around.sum(axis=1) - 1 - below > 6)
     assert 5 <= expected.sum() < 40
-    np.testing.assert_array_equal(jf.OST(window=window, low_points=6).low(points), expected)
+    alone = jf.OST(window=window, low_points=6, sensor="drone lidar")  # without larger clusters
+    np.testing.assert_array_equal(alone.low(points), expected)
     assert not jf.OST(window=window, low_points=0).low(points).any()
 
 
@@ -96,6 +97,28 @@ def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
     points = canonical_points(jf.PointCloud.from_arrays(xyz))
     low = points.spread(jf.OST().low(points), False)
     np.testing.assert_array_equal(low, np.append(cluster, np.zeros(10, bool)))
+
+
+@pytest.mark.parametrize("depth, scatter, barred", [(10, 0.8, True), (10, 0.1, False), (2.2, 0.5, False)])
+def test_a_large_cluster_is_low_if_it_is_deep_and_scatters(rng, depth, scatter, barred):
+    x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
+    cluster = np.hypot(x - 40, y - 60) < 5
+    hill = 0.3 * x + np.where(cluster, rng.normal(-depth, scatter, len(x)), 0)
+    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, hill])))
+    low = points.spread(jf.OST().low(points), False)
+    assert 60 < cluster.sum() < 120
+    np.testing.assert_array_equal(low, cluster & barred)
+    assert jf.OST(sensor="drone lidar").low(points).sum() <= 30
+
+
+def test_one_deep_point_is_low_beside_lower_ground():
+    """Within the radius many points are lower, below the step of a terrace."""
+    x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
+    z = np.where(x < 50, 0.0, 6.0)
+    z[(x == 70.5) & (y == 50.5)] = -1.5
+    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
+    np.testing.assert_array_equal(points.spread(jf.OST().low(points), False), z == -1.5)
+    assert not jf.OST(sensor="drone lidar").low(points).any()
 
 
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, 0.71), (512.25, -331.5)])

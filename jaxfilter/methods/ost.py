@@ -29,7 +29,7 @@ from ..steps.doubt import doubts
 from ..steps.ground_rules import AngleRule, HeightRule
 from ..steps.landscape import Landscape
 from ..steps.objects import Roofs, Segments
-from ..steps.outliers import lowest_few, pits
+from ..steps.outliers import low_clusters, lowest_few, pits, scattered
 from ..steps.overhangs import overhangs
 from ..steps.pruning import Scatter, prune
 from ..steps.seeds import rising, veiled
@@ -47,6 +47,8 @@ LOW_DEPTH = 2.0
 """Few points around a low point are less than so many metres above it, or lower."""
 LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
+LARGER = 4
+"""Scattered clusters of so many times as many points are low if they are twice as deep."""
 RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 EDGE = 3
@@ -88,7 +90,7 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
-       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`).
+       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). So are scattered clusters that are larger and deeper.
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
@@ -388,7 +390,11 @@ class OST(Filter):
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
         radius = max(float(self.window), LOW_SPACINGS * points.spacing())
-        return lowest_few(points, radius, LOW_DEPTH, self.low_points)
+        low = lowest_few(points, radius, LOW_DEPTH, self.low_points)
+        if self.sensor == AIRBORNE and self.low_points > 0:
+            most = LARGER * self.low_points
+            low |= scattered(points, low_clusters(points, depth=2 * LOW_DEPTH, max_points=most, reach=radius).barred)
+        return low
 
     def lowest_points(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
         """The grid without the points ``low``, bool[m], and i64: rows of the points that are lowest in their cell (step 2)."""

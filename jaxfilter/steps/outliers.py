@@ -26,6 +26,10 @@ _NEAR = 48
 """So many points before and after one in canonical order are looked at before a KD-tree is asked."""
 
 
+SCATTER = 0.4
+"""Metres: neighbours in a cluster of false echoes differ by more than this in elevation, in the median."""
+
+
 def radius_outliers(
     xyz: np.ndarray, weight: np.ndarray, radius: float, min_neighbours: int, workers: int | None = None
 ) -> np.ndarray:
@@ -335,6 +339,27 @@ def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.nda
         cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
         few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
     return low
+
+
+def scattered(points: Points, low: np.ndarray) -> np.ndarray:
+    """bool[m]: those of the points ``low``, bool[m], that are alone, or in a cluster whose neighbours differ much in elevation.
+
+    False echoes have paths of any length, and the floor of a pit is smooth: see :data:`SCATTER`. Points up to three spacings from
+    each other, and up to 3 m, are in one cluster.
+    """
+    rows, found = np.flatnonzero(low), np.zeros(len(points), bool)
+    if len(rows) == 0:
+        return found
+    xy, z, reach = points.xyz[rows, :2], points.xyz[rows, 2], max(3.0, 3 * points.spacing())
+    tree = tree_of(xy)
+    pairs = tree.query_pairs(reach, output_type="ndarray")
+    cluster = groups(*pairs.T, len(rows))
+    index = nearest(tree, xy, min(2, len(rows)), reach, workers=1)[1]
+    index = np.where(index[:, :1] == np.arange(len(rows))[:, None], index[:, -1:], index[:, :1])[:, 0]
+    step = np.where(np.bincount(cluster)[cluster] > 1, np.abs(z - z[np.minimum(index, len(rows) - 1)]), np.inf)
+    middle = scipy.ndimage.median(step, cluster, np.arange(cluster.max() + 1))
+    found[rows] = middle[cluster] > SCATTER
+    return found
 
 
 def pits(xyz: np.ndarray, cells: Cells, depth: float, largest: float) -> np.ndarray:
