@@ -353,7 +353,7 @@ def scattered(points: Points, low: np.ndarray) -> np.ndarray:
     xy, z, reach = points.xyz[rows, :2], points.xyz[rows, 2], max(3.0, 3 * points.spacing())
     tree = tree_of(xy)
     pairs = tree.query_pairs(reach, output_type="ndarray")
-    cluster = groups(*pairs.T, len(rows))
+    cluster = groups(pairs[:, 0], pairs[:, 1], len(rows))
     index = nearest(tree, xy, min(2, len(rows)), reach, workers=1)[1]
     index = np.where(index[:, :1] == np.arange(len(rows))[:, None], index[:, -1:], index[:, :1])[:, 0]
     step = np.where(np.bincount(cluster)[cluster] > 1, np.abs(z - z[np.minimum(index, len(rows) - 1)]), np.inf)
