@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,30 +21,10 @@ import click
 
 from ..core.process import collect_seldom
 from ..core.version import __version__
-from .options import (
-    BREAKLINES,
-    BY_DATA,
-    READING,
-    RUN,
-    WRITTEN,
-    check_shapes,
-    open_files,
-    take,
-    take_classes,
-)
-from .output import (
-    Answer,
-    in_session,
-    json_text,
-    plan_answer,
-    print_report,
-    print_table,
-    run_facts,
-    session_options,
-    tell,
-)
+from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
+from .output import SESSION, Answer, in_session, json_text, plan_answer, print_report, print_table, run_facts, tell
 from .session import Session, logger, stoppable
-from .values import CLASS, INPUT, OUTPUT, option, with_options
+from .values import CLASS, INPUT, OUTPUT, option
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -101,6 +82,13 @@ class Program(click.Group):
 @click.version_option(__version__)
 def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
+
+
+def command(
+    *parameters: click.Parameter, name: str | None = None, help: str | None = None
+) -> Callable[[Callable[..., Answer]], click.Command]:
+    """A decorator that makes a command of :data:`main`: it gets a Session, and has these parameters, in this order."""
+    return lambda act: main.command(name, params=[*parameters, *SESSION], help=help)(in_session(act))
 
 
 class Ground(click.Command):
@@ -166,7 +154,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         REVIEW,
         BREAKLINES,
         *RUN,
-        *session_options(),
+        *SESSION,
     ]
     if method is not None:
         return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
@@ -183,18 +171,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     check_shapes(options, review, breaklines)
     classes, extra = take_classes(options), options["extra"]
     files = open_files(session, paths, options, bare=recipe.method is None)
-    with session.step("run", files.collection.count):
-        report = ground(
-            files.collection,
-            files.out,
-            recipe,
-            reading=files.reading,
-            classes=classes,
-            extra=extra,
-            review=review,
-            breaklines=breaklines,
-            run=files.run,
-        )
+    outputs = {"extra": extra, "review": review, "breaklines": breaklines}
+    report = files.do(ground, files.out, recipe, classes=classes, **outputs)
     if report.forecast is not None:
         return plan_answer(report.forecast)
     units, of_class = files.collection.units, classes.ground_class
@@ -219,15 +197,13 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     return Answer(facts, lambda: print_report(facts), complete=report.complete)
 
 
-@main.command()
-@click.argument("labelled", metavar="OUT", type=INPUT)
-@click.argument("reference", metavar="REFERENCE", type=INPUT)
-@with_options(
+@command(
+    click.Argument(["labelled"], metavar="OUT", type=INPUT),
+    click.Argument(["reference"], metavar="REFERENCE", type=INPUT),
     option("--ignore-class ignore_classes", "Leave points of this class of REFERENCE out.", int, multiple=True),
     option("--candidates-only", "Count only points of OUT that are judged by default.", bool),
     option("--ground-class", "Of OUT.", CLASS, default=2),
 )
-@in_session
 def evaluate(session: Session, labelled: Path, reference: Path, ground_class: int, **options: Any) -> Answer:
     """Score the ground labels of OUT against those of REFERENCE.
 
@@ -266,8 +242,7 @@ def _print_scores(scores: Scores) -> None:
     print_table(("points", "labelled ground", "labelled object"), table, left=1)
 
 
-@main.command()
-@with_options(option("--json as_json", "Print JSON.", bool))
+@main.command(params=[option("--json as_json", "Print JSON.", bool)])
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
     from ..citing import citation

@@ -194,34 +194,28 @@ class Answer:
     complete: bool = True
 
 
-def session_options() -> list[click.Option]:
-    """The options of every command that works."""
-    return [
-        option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
-        option("--json as_json", "Print the result as JSON.", bool),
-        option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
-        option(
-            "--progress-every",
-            "Seconds between lines of progress on standard error, where that is no terminal.",
-            click.FloatRange(0),
-            default=LINE_EVERY,
-        ),
-        option("--debug", "Show the traceback of an error.", bool),
-    ]
+_EVERY = "Seconds between lines of progress on standard error, where that is no terminal."
+SESSION = [
+    option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
+    option("--json as_json", "Print the result as JSON.", bool),
+    option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
+    option("--progress-every", _EVERY, click.FloatRange(0), default=LINE_EVERY),
+    option("--debug", "Show the traceback of an error.", bool),
+]
+"""The options of every command that works."""
 
 
 def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
-    """A decorator: ``command`` gets a Session before its arguments, and the options of all commands that work."""
+    """``command``, which gets a Session before its arguments, with the options of all commands that work."""
 
     @functools.wraps(command)
-    def run(
-        *, quiet: bool, as_json: bool, debug: bool, log: Path | None, progress_every: float, **arguments: Any
-    ) -> None:
+    def run(as_json: bool, log: Path | None, **arguments: Any) -> None:
+        how = {name: arguments.pop(name) for name in ("quiet", "debug", "progress_every")}
         names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
         files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
         if log is not None and os.path.realpath(log) in files:
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
-        with Session(quiet=quiet, debug=debug, log=log, progress_every=progress_every) as session:
+        with Session(log=log, **how) as session:
             answer = command(session, **arguments)
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:
@@ -231,7 +225,7 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
                 stack.enter_context(contextlib.redirect_stdout(sys.stderr))
             if as_json:
                 click.echo(json_text(session.as_dict() | answer.facts))
-            elif answer.always or not quiet:
+            elif answer.always or not session.quiet:
                 if isinstance(answer.show, str):
                     click.echo(answer.show)
                 else:
@@ -239,5 +233,4 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
         if not answer.complete:
             click.get_current_context().exit(1)
 
-    run.__dict__["__click_params__"] = session_options()[::-1]
     return run

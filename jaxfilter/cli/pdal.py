@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .commands import main
+from .commands import command
 from .options import UNITS
-from .output import Answer, in_session
+from .output import Answer
 from .session import Session
-from .values import INPUT, with_options
+from .values import INPUT
 
 if TYPE_CHECKING:
     from ..core.units import Units
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 _SUFFIXES = (".las", ".laz")
 
 
-@main.command("from-pdal")
-@click.argument("pipeline", metavar="PIPELINE.json", type=INPUT)
-@with_options(UNITS)
-@in_session
+@command(click.Argument(["pipeline"], metavar="PIPELINE.json", type=INPUT), UNITS)
 def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
     """Print the command that does what the ground stage of a pipeline of PDAL does.
 

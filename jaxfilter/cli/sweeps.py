@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
-from .commands import main
+from .commands import command
 from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
-from .output import Answer, count, in_session, json_text, print_table, times
+from .output import Answer, count, json_text, print_table, times
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option, with_options
+from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option
 
 if TYPE_CHECKING:
     import pandas
@@ -29,11 +29,10 @@ SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
 
 
-@main.command()
-@click.argument("filter", metavar="METHOD")
-@click.argument("sources", metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT)
-@click.argument("directory", metavar="OUT_DIR", type=FOLDER)
-@with_options(
+@command(
+    click.Argument(["filter"], metavar="METHOD"),
+    click.Argument(["sources"], metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT),
+    click.Argument(["directory"], metavar="OUT_DIR", type=FOLDER),
     option(
         "--axis axes",
         "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from.",
@@ -54,16 +53,7 @@ DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
     *SWEPT,
     click.Option(["--resume/--fresh"], default=True, help="Go on with the sweep in OUT_DIR, or replace it."),
 )
-@in_session
-def sweep(
-    session: Session,
-    sources: tuple[Path, ...],
-    directory: Path,
-    axes: tuple[str, ...],
-    score: str,
-    resume: bool,
-    **options: Any,
-) -> Answer:
+def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: bool, **options: Any) -> Answer:
     """Classify with many sets of parameters, and score each against the labels of IN.
 
     Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
@@ -75,7 +65,12 @@ def sweep(
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    recipe, reading = take_recipe(options), take(Reading, options)
+    recipe, reading, axes, score = (
+        take_recipe(options),
+        take(Reading, options),
+        options.pop("axes"),
+        options.pop("score"),
+    )
     assert recipe is not None
     filter_ = recipe.alone()
     assert filter_ is not None
@@ -135,10 +130,9 @@ def sweep(
     return Answer(facts, show)
 
 
-@main.command()
-@click.argument("filter", metavar="METHOD")
-@click.argument("source", metavar="IN", type=INPUT)
-@with_options(
+@command(
+    click.Argument(["filter"], metavar="METHOD"),
+    click.Argument(["source"], metavar="IN", type=INPUT),
     option("--labels labels_file", "File with some of the points and their classes or labels.  [default: IN]", INPUT),
     option("--unlabelled", "Points of this class have no label.", CLASS, multiple=True, default=(0,)),
     option("--bounds patches", "Take only the labels within.", float, nargs=4, multiple=True, metavar=BOX),
@@ -158,16 +152,7 @@ def sweep(
     option("--out", "Write the result to this JSON file as well.", OUTPUT),
     REPLACE,
 )
-@in_session
-def calibrate(
-    session: Session,
-    source: Path,
-    labels_file: Path | None,
-    axes: tuple[str, ...],
-    out: Path | None,
-    overwrite: bool,
-    **options: Any,
-) -> Answer:
+def calibrate(session: Session, source: Path, labels_file: Path | None, out: Path | None, **options: Any) -> Answer:
     """Find the parameters that suit IN from the labels of some of its points.
 
     Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
@@ -183,13 +168,14 @@ def calibrate(
     from . import flags
 
     words, recipe, reading = options["units"], take_recipe(options), take(Reading, options)
+    given, overwrite = pairs("--axis", options.pop("axes")), options.pop("overwrite")
     assert recipe is not None
     alone = recipe.alone()
     assert alone is not None
-    ranges = {name: axis(type(alone), name, text, True) for name, text in pairs("--axis", axes).items()} or None
+    ranges = {name: axis(type(alone), name, text, True) for name, text in given.items()} or None
     if ranges is not None:
         if lists := [name for name, ends in ranges.items() if isinstance(ends, list)]:
-            raise BadUsage(f"--axis {lists[0]}={dict(pairs('--axis', axes))[lists[0]]}: write a range as LOW..HIGH")
+            raise BadUsage(f"--axis {lists[0]}={given[lists[0]]}: write a range as LOW..HIGH")
         make_design(alone, ranges, "random", 1)  # checks fields and limits
     unlabelled, patches = options.pop("unlabelled"), [check_bounds(patch) for patch in options.pop("patches")]
     if out is not None:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
-
-T = TypeVar("T")
 
 INPUT = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUTPUT = click.Path(dir_okay=False, path_type=Path)
@@ -68,11 +65,4 @@ def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option
     return click.Option(flags.split(), help=help, type=kind, is_flag=kind is bool, **more)
 
 
-def with_options(*given: click.Parameter) -> Callable[[Callable[..., T]], Callable[..., T]]:
-    """A decorator that gives a command these options, in this order."""
-
-    def decorate(command: Callable[..., T]) -> Callable[..., T]:
-        command.__dict__.setdefault("__click_params__", []).extend(reversed(given))
-        return command
-
-    return decorate
+NAMES = click.Argument(["names"], metavar="IN... OUT", nargs=-1, required=True)
