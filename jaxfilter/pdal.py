@@ -160,11 +160,9 @@ def from_pdal(what: Any, *, units: str | Units = "m") -> Filter:
 
 
 def translate(what: Any, *, units: str | Units = "m") -> Translation:
-    """All of a pipeline that has a counterpart, and what has none. Arguments and errors as of :func:`from_pdal`.
-
-    Reading and writing are as PDAL does it: it judges the points of all classes unless told to ``ignore`` some, withheld
-    points too, and all that it judges lose their class.
-    """
+    """All of a pipeline that has a counterpart, and what has none. Arguments and errors as of :func:`from_pdal`. Reading and
+    writing are as PDAL does it: it judges the points of all classes unless told to ``ignore`` some, withheld points too, and
+    all that it judges lose their class."""
     from .core.reading import ECHOES
     from .core.units import parse_units
     from .methods import FILTERS
@@ -304,10 +302,8 @@ _RANGE = re.compile(r"(\w+)(!?)([\[(])([^:]*):([^\])]*)([\])])")
 
 
 def _classes(stage: str, ranges: Sequence[str]) -> tuple[tuple[int, ...], list[str]]:
-    """Classes in ranges such as ``Classification[7:7]``, and what is said of ranges of something else.
-
-    Raises ParameterError.
-    """
+    """Classes in ranges such as ``Classification[7:7]``, and what is said of ranges of something else. Raises
+    ParameterError."""
     chosen: set[int] = set()
     unfit = []
     for text in ranges:

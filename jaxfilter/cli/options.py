@@ -261,10 +261,8 @@ def open_survey(session: Session, names: Sequence[str], reading: Reading, bare: 
 def open_files(
     session: Session, names: Sequence[str], options: dict[str, Any], suffixes: Sequence[str] = (), bare: bool = False
 ) -> Files:
-    """The files that a command names; what does not fit together in several of them is noted.
-
-    ``suffixes``: of an output that is no file of points; ``bare``, and errors: as of :func:`open_survey`.
-    """
+    """The files that a command names; what does not fit together in several of them is noted. ``suffixes``: of an output that
+    is no file of points; ``bare``, and errors: as of :func:`open_survey`."""
     from ..files.storage import place_of
     from ..surveys.targets import check_out
 

@@ -115,12 +115,9 @@ def in_flags(text: str) -> str:
 
 
 class Session:
-    """A context in which a command runs.
-
-    Messages go to standard error, one line each, and with steps and times to the file ``log``. Errors of this package and
-    of the system become one line and an exit code: 2 for parameters, and for all that is wrong before the first step, 1 for
-    the rest. Compilations are counted and kept for the next process.
-    """
+    """A context in which a command runs. Messages go to standard error, one line each, and with steps and times to the file
+    ``log``. Errors of this package and of the system become one line and an exit code: 2 for parameters, and for all that is
+    wrong before the first step, 1 for the rest. Compilations are counted and kept for the next process."""
 
     running = 0
     """How many there are now."""
@@ -214,10 +211,8 @@ class Session:
         return self.pipe
 
     def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:
-        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step.
-
-        ``rate``: items per second, where it is not that of the fraction.
-        """
+        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step. ``rate``: items per
+        second, where it is not that of the fraction."""
         self._next(step)
         now = perf_counter()
         self._since = self._since or (now, fraction)
@@ -231,9 +226,7 @@ class Session:
 
     def standing(self, fraction: float, rate: float | None = None) -> str:
         """The fraction of a step that is done, the rate, the time left by the mean rate since its first report, and memory.
-
-        What a sweep that goes on had done before does not count as speed.
-        """
+        What a sweep that goes on had done before does not count as speed."""
         (items, unit), (since, before) = self._items, self._since or (perf_counter(), fraction)
         seconds, done = perf_counter() - since, fraction - before
         if rate is None and items and seconds >= _RATED:

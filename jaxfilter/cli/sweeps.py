@@ -225,10 +225,8 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
 
 
 def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] | tuple[Any, Any]:
-    """The values V,V,... or START:STOP:STEP of a field; or the ends of LOW..HIGH, if values are ``drawn`` from it.
-
-    Raises: BadUsage, ParameterError.
-    """
+    """The values V,V,... or START:STOP:STEP of a field; or the ends of LOW..HIGH, if values are ``drawn`` from it. Raises:
+    BadUsage, ParameterError."""
     from . import flags
 
     def values(pieces: Iterable[str]) -> list[Any]:

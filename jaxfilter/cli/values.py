@@ -54,10 +54,8 @@ class Number(click.ParamType):
 
 
 def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option:
-    """An option by its flags, separated by spaces, with the name of its argument last where it is another.
-
-    ``kind``: bool for a switch, a text that stands for words in the help, or a type of click.
-    """
+    """An option by its flags, separated by spaces, with the name of its argument last where it is another. ``kind``: bool for
+    a switch, a text that stands for words in the help, or a type of click."""
     if isinstance(kind, str):
         kind, more["metavar"] = None, kind
     if more.get("multiple"):

@@ -156,10 +156,8 @@ class Reference:
 
 
 def reference_of(records: dict[int, bytes], name: str) -> Reference:
-    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys.
-
-    Warns about records that cannot be understood; ``name`` is that of the file.
-    """
+    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys. Warns
+    about records that cannot be understood; ``name`` is that of the file."""
     for number, parse in ((WKT, _from_wkt), (GEOKEYS, _from_geokeys)):
         if not records.get(number, b"").strip(b"\0 "):
             continue
@@ -196,10 +194,8 @@ NOTHING = Stated()
 
 
 def linear_units(reference: Reference, name: str) -> Units:
-    """The units to read coordinates with: as they are known, else metres with a warning.
-
-    Raises: InputError if the CRS is geographic or geocentric, or has an absurd unit.
-    """
+    """The units to read coordinates with: as they are known, else metres with a warning. Raises: InputError if the CRS is
+    geographic or geocentric, or has an absurd unit."""
     if reference.problem is not None:
         raise InputError(f"{name}: {reference.problem}, or pass units= if the CRS record is wrong")
     if reference.units is None:

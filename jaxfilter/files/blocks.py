@@ -128,9 +128,7 @@ def runs(header: Header, file: BinaryIO) -> Blocks:
 
 def measured(header: Header) -> Blocks:
     """The runs of a file with checksums and with the areas that their points cover, which COPC states: reads all of it.
-
-    Raises: InputError.
-    """
+    Raises: InputError."""
     with header.open() as file:
         found = nodes(header, file) if header.is_copc else runs(header, file)
         found = found[found.points > 0]
@@ -149,10 +147,8 @@ def measured(header: Header) -> Blocks:
 
 
 def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
-    """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress.
-
-    Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
-    """
+    """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress. Raises: InputError if
+    they are damaged, Changed if they are not those whose checksums are known."""
     return _records(header, blocks, read_packed(header, file, blocks), wanted)
 
 

@@ -357,11 +357,9 @@ def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
 
 
 def _check_chunk_table(header: Header, file: BinaryIO) -> int:
-    """Compare the LAZ chunk table with header and file length, before memory for the points is taken.
-
-    Returns: number of points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed
-    size do not say how full the last one is, unless they are layered.
-    """
+    """Compare the LAZ chunk table with header and file length, before memory for the points is taken. Returns: number of
+    points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed size do not say how full
+    the last one is, unless they are layered."""
     path, laszip, length, number = header.path, header.laszip, header.record_length, header.point_format
     compressor, begin, file_size = lazrs.LazVlr(header.decoder), len(header.head) + 8, header.file_size
     described = f"the laszip record describes points of {compressor.item_size()} bytes, the header of {length}"

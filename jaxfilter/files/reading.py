@@ -152,10 +152,8 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
 
 
 def is_text(path: Place) -> bool:
-    """Whether a file is text, not LAS: by suffix, and for other suffixes by the signature of the file.
-
-    Raises: InputError if it is neither, and for text that is not on a local disk.
-    """
+    """Whether a file is text, not LAS: by suffix, and for other suffixes by the signature of the file. Raises: InputError if
+    it is neither, and for text that is not on a local disk."""
     suffix = path.suffix.lower()
     if suffix in LAS_SUFFIXES:
         return False

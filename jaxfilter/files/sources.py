@@ -73,11 +73,9 @@ def _crs_of(wkt: str) -> pyproj.CRS:
 
 
 def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
-    """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
-
-    Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
-    states another CRS.
-    """
+    """What can be known of a file before its points are read, from its header or, of text, from all of its lines. Raises:
+    InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it states
+    another CRS."""
     facts: dict[str, Any]
     if is_text(place):
         file, reference = kept_text(cast(Path, place)), Reference()

@@ -29,10 +29,8 @@ def check_suffix(path: Place) -> None:
 def write_features(
     target: Place, tables: Iterable[geopandas.GeoDataFrame], layer: str, *, overwrite: bool = False
 ) -> None:
-    """Write tables of shapes with one CRS, one after the other, of which there is at least one; none is held longer than needed.
-
-    ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS.
-    """
+    """Write tables of shapes with one CRS, one after the other, of which there is at least one; none is held longer than
+    needed. ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS."""
     import pyogrio
 
     before = pyogrio.get_gdal_config_option(_DATE)
