@@ -146,7 +146,9 @@ def measured(header: Header) -> Blocks:
     return Blocks(*map(np.concatenate, columns))
 
 
-def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
+def read_blocks(
+    header: Header, file: BinaryIO, blocks: Blocks, wanted: int = lazrs.SELECTIVE_DECOMPRESS_ALL
+) -> np.ndarray:
     """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress. Raises: InputError if
     they are damaged, Changed if they are not those whose checksums are known."""
     return _records(header, blocks, read_packed(header, file, blocks), wanted)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import shutil
 import struct
 from collections.abc import Iterator
@@ -86,11 +85,7 @@ def read_chunks(header: Header, blocks: Blocks, packed: np.ndarray) -> Iterator[
     with reading_errors(header.path), header.open() as file:
         for number, whole in enumerate(packed.tolist()):
             one = blocks[number : number + 1]
-            yield (
-                read_packed(header, file, one)
-                if whole
-                else read_blocks(header, file, one, lazrs.SELECTIVE_DECOMPRESS_ALL)
-            )
+            yield read_packed(header, file, one) if whole else read_blocks(header, file, one)
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -171,12 +166,10 @@ class _Recording:
 
 def in_one_chunk(records: np.ndarray, laszip: bytes) -> bytes:
     """A chunk of LAZ of u8[k, record_length], no more than the record ``laszip`` says that a chunk has."""
-    need_threads()
-    with io.BytesIO() as file:
-        encoder = lazrs.LasZipCompressor(file, lazrs.LazVlr(laszip))
-        encoder.compress_many(np.ascontiguousarray(records).reshape(-1))
-        encoder.done()
-        return file.getvalue()[8 : int.from_bytes(file.getvalue()[:8], "little")]  # before the table
+    packed = bytes(
+        lazrs.compress_points(lazrs.LazVlr(laszip), np.ascontiguousarray(records).reshape(-1), parallel=False)
+    )
+    return packed[8 : int.from_bytes(packed[:8], "little")]  # before the table
 
 
 class Writer:
@@ -231,8 +224,8 @@ class Writer:
         self.table.append((points, len(packed)))
         self.file.write(packed)
 
-    def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
-        """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
+    def finish(self, source: Header | None = None) -> None:
+        """Complete the points, append the tail of ``source`` without an octree, patch the header."""
         if self.table is not None:
             end = self.file.tell()
             with self.encoded.heard():
@@ -244,7 +237,7 @@ class Writer:
                 self.encoder.done()
         self.file.seek(0, 2)
         if source is not None:
-            self._copy_tail(source, drop)
+            self._copy_tail(source)
         if self.recount:
             self._recount()
         if self.count and (self.recount or self.rescale):
@@ -255,9 +248,8 @@ class Writer:
         self.file.seek(0)
         self.file.write(self.head)
 
-    def _copy_tail(self, source: Header, drop: tuple[str, ...]) -> None:
-        at = self.file.tell()
-        kept = [r for r in source.evlrs if r.key[0] not in drop]
+    def _copy_tail(self, source: Header) -> None:
+        at, kept = self.file.tell(), source.without_octree(source.evlrs)
         with source.open() as file:
             if len(kept) == len(source.evlrs):
                 file.seek(source.tail)

@@ -252,8 +252,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if wrong := [name for name, dimension in existing.items() if dimension.data_type not in _FLOATS]:
         raise OutputError(f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64")
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    compressor, drop = None, ("copc",) if header.is_copc else ()
-    octree = copc.is_copc(path)
+    compressor, octree = None, copc.is_copc(path)
     if path.suffix.lower() == ".laz" and not octree:
         compressor = laszip_record(number, header.record_length + 4 * len(added) - RECORD_LENGTHS[number])
     if header.is_copc and not octree:
@@ -266,7 +265,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         if same.any():
             _write_chunks(file, las, header, labels, same, tally)
             return
-    writer = Writer(file, header.rewritten(compressor, added, drop, crs), recount, labels.z is not None)
+    writer = Writer(file, header.rewritten(compressor, added, crs), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
     channels = 0
     for chunk in chunks:
@@ -288,7 +287,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
         writer.write(chunk)
-    writer.finish(None if las is None else header, drop)
+    writer.finish(None if las is None else header)
 
 
 def _untouched(source: Handle, header: Header, labels: _Labels) -> np.ndarray:
