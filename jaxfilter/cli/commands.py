@@ -24,7 +24,7 @@ from ..core.version import __version__
 from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
 from .output import SESSION, Answer, in_session, json_text, plan_answer, print_report, print_table, run_facts, tell
 from .session import Session, logger, stoppable
-from .values import CLASS, INPUT, OUTPUT, option
+from .values import CLASS, INPUT, OUTPUT, on_command_line, option
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -132,8 +132,9 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     def run(session: Session, paths: tuple[str, ...], **options: Any) -> Answer:
         from ..surveys.measures import Recipe
 
-        changes = {} if method is None else flags.given(method, click.get_current_context())
-        for name in () if method is None else flags.fields(method):
+        fields = {} if method is None else flags.fields(method)
+        changes = on_command_line(fields)
+        for name in fields:
             del options[name]
         return _ground(session, paths, take(Recipe, options, method=method, changes=changes), options)
 

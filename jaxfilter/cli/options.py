@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from click.core import ParameterSource
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, option
+from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, on_command_line, option
 
 if TYPE_CHECKING:
     from ..files.classes import Classes
@@ -125,13 +124,8 @@ def take_classes(options: dict[str, Any]) -> Classes:
     """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
     from ..files.classes import Classes
 
-    context, preset = click.get_current_context(), options.pop("preset_of_classes")
-    said = [
-        f.name
-        for f in dataclasses.fields(Classes)
-        if context.get_parameter_source(f.name) == ParameterSource.COMMANDLINE
-    ]
-    return Classes.preset(preset, **{name: context.params[name] for name in said})
+    said = on_command_line(field.name for field in dataclasses.fields(Classes))
+    return Classes.preset(options.pop("preset_of_classes"), **said)
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:

@@ -86,7 +86,14 @@ def tell(session: Session, report: RunReport) -> None:
     """Lines on the steps of a run, on what it warned of, and on what it could not do."""
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
-    tell_places(session, report.places)
+    if places := report.places:
+        listed = [
+            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
+            for one in places[:_PLACES_LISTED]
+        ]
+        more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
+        words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
+        session.note(f"{words}: {'; '.join(listed)}{more}")
     for remark, times in report.remarks.items():
         session.warn_of(remark + (f" ({times} times)" if times > 1 else ""))
     for one in report.set_aside:
@@ -99,28 +106,12 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"{one['file']} was not written: {one['reason']}")
 
 
-def tell_places(session: Session, places: Sequence[dict[str, Any]]) -> None:
-    """A line on the places where the terrain may be wrong, with the largest ones."""
-    if places:
-        listed = [
-            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
-            for one in places[:_PLACES_LISTED]
-        ]
-        more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
-        session.note(
-            f"{count(len(places), 'place')} where the terrain may be wrong, please check: {'; '.join(listed)}{more}"
-        )
-
-
 def plan_answer(plan: Forecast) -> Answer:
     """What a run would do."""
     each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"
     read = "" if plan.tiles == 1 else f", each point read {plan.times_read:.1f} times"
-    time = (
-        "unknown: the piece that was tried has no result"
-        if math.isnan(plan.seconds)
-        else f"about {_span(plan.seconds)}"
-    )
+    unknown = "unknown: the piece that was tried has no result"
+    time = unknown if math.isnan(plan.seconds) else f"about {_span(plan.seconds)}"
     more = ", ..." * (len(plan.files) > _FILES_LISTED)
     lines = [
         f"points  {plan.points:,} in {count(plan.tiles, 'tile')}{each}{read}",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 INPUT = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUTPUT = click.Path(dir_okay=False, path_type=Path)
@@ -61,6 +63,12 @@ def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option
     if more.get("multiple"):
         help = help.replace(".", "; may be repeated.", 1)
     return click.Option(flags.split(), help=help, type=kind, is_flag=kind is bool, **more)
+
+
+def on_command_line(names: Iterable[str]) -> dict[str, Any]:
+    """The arguments out of these that the command line gives to the running command, by name."""
+    context = click.get_current_context()
+    return {n: context.params[n] for n in names if context.get_parameter_source(n) == ParameterSource.COMMANDLINE}
 
 
 NAMES = click.Argument(["names"], metavar="IN... OUT", nargs=-1, required=True)
