@@ -24,28 +24,23 @@ if TYPE_CHECKING:
 
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
+    from ..surveys.measures import Recipe
 
 SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
+_VALUES = "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from."
+_DESIGN = (
+    "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ..."
+)
+_SEARCHED = "Search this field between these values.  [default: the thresholds of the method]"
 
 
 @command(
     click.Argument(["filter"], metavar="METHOD"),
     click.Argument(["sources"], metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT),
     click.Argument(["directory"], metavar="OUT_DIR", type=FOLDER),
-    option(
-        "--axis axes",
-        "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from.",
-        "FIELD=VALUES",
-        multiple=True,
-        required=True,
-    ),
-    option(
-        "--design",
-        "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ...",
-        click.Choice(["grid", "random", "sobol", "list"]),
-        default="grid",
-    ),
+    option("--axis axes", _VALUES, "FIELD=VALUES", multiple=True, required=True),
+    option("--design", _DESIGN, click.Choice(["grid", "random", "sobol", "list"]), default="grid"),
     option("--size", "Number of sets of a random or sobol design.", int),
     option("--seed", "Seed of a random or sobol design.", SEED, default=0),
     option("--votes", "Count for every point how many sets call it ground.", bool),
@@ -65,18 +60,10 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    recipe, reading, axes, score = (
-        take_recipe(options),
-        take(Reading, options),
-        options.pop("axes"),
-        options.pop("score"),
-    )
-    assert recipe is not None
-    filter_ = recipe.alone()
-    assert filter_ is not None
-    design = {name: options.pop(name) for name in ("design", "size", "seed")}
-    drawn = design["design"] in ("random", "sobol")
-    ranges = {name: axis(type(filter_), name, text, drawn) for name, text in pairs("--axis", axes).items()}
+    recipe, filter_, reading = _take_method(options)
+    design, score = {name: options.pop(name) for name in ("design", "size", "seed")}, options.pop("score")
+    drawn, axes = design["design"] in ("random", "sobol"), pairs("--axis", options.pop("axes"))
+    ranges = {name: axis(type(filter_), name, text, drawn) for name, text in axes.items()}
     plan = make_design(filter_, ranges, *design.values())
     checkpoint = directory / CHECKPOINT
     if resume and (directory / DATASET).exists() and not checkpoint.exists():
@@ -136,12 +123,7 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     option("--labels labels_file", "File with some of the points and their classes or labels.  [default: IN]", INPUT),
     option("--unlabelled", "Points of this class have no label.", CLASS, multiple=True, default=(0,)),
     option("--bounds patches", "Take only the labels within.", float, nargs=4, multiple=True, metavar=BOX),
-    option(
-        "--axis axes",
-        "Search this field between these values.  [default: the thresholds of the method]",
-        "FIELD=LOW..HIGH",
-        multiple=True,
-    ),
+    option("--axis axes", _SEARCHED, "FIELD=LOW..HIGH", multiple=True),
     option("--size", "Number of sets that each round tries.", COUNT, default=256),
     option("--rounds", "Rounds; all but the first search around the best set so far.", COUNT, default=2),
     option("--score", "The score that decides.", click.Choice(["total", "kappa"]), default="total"),
@@ -167,11 +149,8 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     from ..sweeps.design import make_design
     from . import flags
 
-    words, recipe, reading = options["units"], take_recipe(options), take(Reading, options)
+    words, (recipe, alone, reading) = options["units"], _take_method(options)
     given, overwrite = pairs("--axis", options.pop("axes")), options.pop("overwrite")
-    assert recipe is not None
-    alone = recipe.alone()
-    assert alone is not None
     ranges = {name: axis(type(alone), name, text, True) for name, text in given.items()} or None
     if ranges is not None:
         if lists := [name for name, ends in ranges.items() if isinstance(ends, list)]:
@@ -222,6 +201,15 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
         f"{found.before:.2f} % before\n{facts['sets']:,} sets; {times(session.seconds)}\n{facts['command']}"
     )
     return Answer(facts, text + (f"\nin {out}" if out is not None else ""))
+
+
+def _take_method(options: dict[str, Any]) -> tuple[Recipe, Filter, Reading]:
+    """What the options say of METHOD, which has to be named, the filter before any cloud is read, and how clouds are read."""
+    recipe = take_recipe(options)
+    assert recipe is not None
+    filter_ = recipe.alone()
+    assert filter_ is not None
+    return recipe, filter_, take(Reading, options)
 
 
 def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] | tuple[Any, Any]:
