@@ -22,7 +22,7 @@ import click
 from ..core.process import collect_seldom
 from ..core.version import __version__
 from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
-from .output import SESSION, Answer, in_session, json_text, plan_answer, print_report, print_table, run_facts, tell
+from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
 from .session import Session, logger, stoppable
 from .values import CLASS, INPUT, OUTPUT, on_command_line, option
 
@@ -195,7 +195,7 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     if not report.classes:
         labels = ((0, report.ground), (1, report.points - report.ground))
         facts["labels"] = [{"label": one, "points": n} for one, n in labels]
-    return Answer(facts, lambda: print_report(facts), complete=report.complete)
+    return Answer(facts, report_text(facts), complete=report.complete)
 
 
 @command(
@@ -230,17 +230,17 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
     ignored = ~cloud.candidate[match] if options["candidates_only"] else None
     scores = score(result[match], truth, classes=classes, ignore_classes=options["ignore_classes"], ignore=ignored)
     facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}
-    return Answer(facts, lambda: _print_scores(scores), always=True)
+    return Answer(facts, _scores_text(scores), always=True)
 
 
-def _print_scores(scores: Scores) -> None:
+def _scores_text(scores: Scores) -> str:
     values = scores.as_dict()
     counts, words = values.pop("confusion"), {"type1": "Type I (ground lost)", "type2": "Type II (objects accepted)"}
     rows = [(words.get(name, name), "undefined" if math.isnan(one) else f"{one:.2f}") for name, one in values.items()]
-    print_table(("score", "percent"), rows, left=1)
     names = ("reference ground", "reference object")
     table = [(name, *(f"{v:,}" for v in row)) for name, row in zip(names, counts, strict=True)]
-    print_table(("points", "labelled ground", "labelled object"), table, left=1)
+    heading = ("points", "labelled ground", "labelled object")
+    return f"{table_text(('score', 'percent'), rows, left=1)}\n{table_text(heading, table, left=1)}"
 
 
 @main.command(params=[option("--json as_json", "Print JSON.", bool)])

@@ -10,7 +10,7 @@ import click
 
 from .commands import command
 from .options import take_run
-from .output import Answer, print_report, run_facts
+from .output import Answer, report_text, run_facts
 from .session import BadUsage, Session
 from .values import FOLDER, SEED, option
 
@@ -73,13 +73,9 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     with session.step("pictures"):
         _draw(directory, scene, labels)
     facts = run_facts(session, report) | {"output": str(target)}
-
-    def show() -> None:
-        print_report(facts)
-        click.echo(f"{scores}\nin {directory}: {', '.join(DEMO_FILES)}")
-
     files = [str(directory / name) for name in DEMO_FILES]
-    return Answer(facts | {"scores": scores.as_dict(), "files": files}, show)
+    text = f"{report_text(facts)}\n{scores}\nin {directory}: {', '.join(DEMO_FILES)}"
+    return Answer(facts | {"scores": scores.as_dict(), "files": files}, text)
 
 
 def _write_scene(directory: Path, scene: Scene) -> None:

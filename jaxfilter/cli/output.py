@@ -38,40 +38,40 @@ def run_facts(session: Session, report: RunReport, files: Files | None = None) -
     return facts
 
 
-def print_report(report: dict[str, Any]) -> None:
-    """Print what `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
+def report_text(report: dict[str, Any]) -> str:
+    """What `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
     ground, points, compiled = report["ground"], report["points"], report["compilations"]
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
-    click.echo(
-        f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({100 * ground / max(points, 1):.1f} %), "
-        f"{report['candidates']:,} were judged"
-    )
+    share, judged = 100 * ground / max(points, 1), f"{report['candidates']:,} were judged"
+    lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
     if kept := (report.get("of_ground_class") or ground) - ground:
         what = "that were not judged" if report["all_reset"] else "that are not ground"
         words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
         of_class = count(report["of_ground_class"], "point")
-        click.echo(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
+        lines.append(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
     xy, z = report.get("metres_per_unit", (1.0, 1.0))
     if (xy, z) != (1.0, 1.0):
-        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
+        lines.append(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
     made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     sensor = (report["parameters"] or {}).get("sensor")
-    click.echo(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
+    lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
     if report["tiles"] > 1:
-        click.echo(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
+        lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report["review"]:
         volume = sum(place["volume"] for place in report["places"])
-        click.echo(f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect")
+        lines.append(
+            f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect"
+        )
     if report["breaklines"]:
-        click.echo(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
+        lines.append(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
-        click.echo("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
+        lines.append("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
     marked = report["overlap"]
     if marked.get("points"):
         what = f"{marked['judged']:,} of them were judged and {marked['ground']:,} are ground; --ignore-overlap sets them aside"
         what = what if marked["judged"] else "were not judged"
-        click.echo(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
+        lines.append(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
     if report["classes"]:
         from ..files.classes import class_name
 
@@ -79,7 +79,8 @@ def print_report(report: dict[str, Any]) -> None:
         rows = [
             (class_name(old), "kept" if old == new else class_name(new), f"{points:,}") for old, new, points in moves
         ]
-        print_table(("class before", "class after", "points"), rows, left=2)
+        lines.append(table_text(("class before", "class after", "points"), rows, left=2))
+    return "\n".join(lines)
 
 
 def tell(session: Session, report: RunReport) -> None:
@@ -139,15 +140,12 @@ def count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def print_table(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0, title: str = "") -> None:
-    """Print a table on standard output, a line for each row; columns are set to the right, but the first ``left`` ones."""
+def table_text(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> str:
+    """A table, a line for each row; columns are set to the right, but the first ``left`` ones."""
     lines = [heading, *rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    if title:
-        click.echo(title)
-    for line in lines:
-        cells = [f"{cell:{'<' if k < left else '>'}{widths[k]}}" for k, cell in enumerate(line)]
-        click.echo("  ".join(cells).rstrip())
+    cells = ([f"{cell:{'<' if k < left else '>'}{widths[k]}}" for k, cell in enumerate(line)] for line in lines)
+    return "\n".join("  ".join(line).rstrip() for line in cells)
 
 
 def json_text(value: Any) -> str:
@@ -174,13 +172,13 @@ class Answer:
 
     Attributes:
         facts: printed by --json.
-        show: text for people, or what prints it.
+        text: for people.
         always: printed with --quiet as well.
         complete: False: something could not be done, and the exit code is 1.
     """
 
     facts: dict[str, Any]
-    show: str | Callable[[], None]
+    text: str
     always: bool = False
     complete: bool = True
 
@@ -217,10 +215,7 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
             if as_json:
                 click.echo(json_text(session.as_dict() | answer.facts))
             elif answer.always or not session.quiet:
-                if isinstance(answer.show, str):
-                    click.echo(answer.show)
-                else:
-                    answer.show()
+                click.echo(answer.text)
         if not answer.complete:
             click.get_current_context().exit(1)
 

@@ -50,13 +50,9 @@ def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
         "command": shlex.join(words),
         "notes": remarks,
     }
-
-    def show() -> None:
-        click.echo(facts["command"])
-        for text in () if session.quiet else remarks:
-            click.echo(f"note: {text}", err=True)
-
-    return Answer(facts, show, always=True)
+    for text in remarks:
+        session.note(f"note: {text}")
+    return Answer(facts, shlex.join(words), always=True)
 
 
 def _units_of(inputs: tuple[str, ...]) -> Units | None:

@@ -151,7 +151,7 @@ class Session:
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
-        warnings.showwarning = self._warn
+        warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
         self._stack.callback(compilation.keep_compilations, compilation.keep_compilations())
         Session.running, Session.stopped_by = Session.running + 1, None
         return self
@@ -261,9 +261,6 @@ class Session:
         if running:
             self.steps[running] = self.steps.get(running, 0.0) + now - since
         self._mark = (step, now)
-
-    def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        self.warn_of(str(message))
 
     def warn_of(self, message: str) -> None:
         """A line on a warning of the library, the first time that it comes."""

@@ -11,7 +11,7 @@ import click
 from ..core.reading import Reading
 from .commands import command
 from .options import REPLACE, STATED, check_target, open_survey, take
-from .output import Answer, count, print_table
+from .output import Answer, count, table_text
 from .session import Session, in_flags
 from .values import OUTPUT, option
 
@@ -60,12 +60,6 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         figure = survey.plot().figure
         with new_file(picture, overwrite=overwrite) as part:
             figure.savefig(part, format=picture.suffix[1:].lower())
-
-    def show() -> None:
-        _print_survey(survey)
-        for line in findings.lines():
-            click.echo(in_flags(line))
-
     mixed, area = findings.mixed is not None, float(survey.areas.sum())
     facts = {
         "files": len(survey),
@@ -78,7 +72,7 @@ def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Pa
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, show)
+    return Answer(facts, "\n".join([_survey_text(survey), *map(in_flags, findings.lines())]))
 
 
 def _plain(value: Any) -> str:
@@ -92,7 +86,7 @@ def _plain(value: Any) -> str:
     return "none" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _print_survey(survey: Collection) -> None:
+def _survey_text(survey: Collection) -> str:
     frame = survey.table()
     rows = []
     for row in frame.head(_ROWS).itertuples():
@@ -100,8 +94,8 @@ def _print_survey(survey: Collection) -> None:
         crs = row.crs if isinstance(row.crs, str) else ""
         heights, density = f"{row.zmin:.2f} to {row.zmax:.2f}", f"{row.density:.3g}"
         rows.append((Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs))
-    print_table(("file", "format", "points", "x", "y", "z", "per m2", "CRS"), rows, left=2)
+    table = table_text(("file", "format", "points", "x", "y", "z", "per m2", "CRS"), rows, left=2)
     area = float(survey.areas.sum())
     more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
     points = f"{survey.count:,} points on {area / 1e6:,.4g} km2, {survey.count / max(area, 1e-9):.3g} per m2"
-    click.echo(f"{more}{count(len(frame), 'file')}, {points}")
+    return f"{table}\n{more}{count(len(frame), 'file')}, {points}"

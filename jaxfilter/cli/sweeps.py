@@ -14,7 +14,7 @@ import click
 from ..core.reading import Reading
 from .commands import command
 from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
-from .output import Answer, count, json_text, print_table, times
+from .output import Answer, count, json_text, table_text, times
 from .session import BadUsage, Session
 from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option
 
@@ -105,16 +105,9 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
         "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
         "files": files,
     }
-
-    def show() -> None:
-        if scored:
-            _print_sets(dataset, table.head(10), score)
-        click.echo(
-            f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
-            f"{times(session.seconds)}\nin {directory}: {', '.join(files)}"
-        )
-
-    return Answer(facts, show)
+    text = f"{_sets_text(dataset, table.head(10), score)}\n" if scored else ""
+    text += f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
+    return Answer(facts, f"{text}{times(session.seconds)}\nin {directory}: {', '.join(files)}")
 
 
 @command(
@@ -296,7 +289,7 @@ def _write(
     return list(writers)
 
 
-def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:
+def _sets_text(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> str:
     from ..sweeps.best import SCORES, axes_of, word
 
     names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
@@ -305,4 +298,4 @@ def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) ->
         for number, row in table.iterrows()
     ]
     title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
-    print_table(("set", *names, *(heads.get(name, name) for name in SCORES)), rows, title=title)
+    return f"{title}\n{table_text(('set', *names, *(heads.get(name, name) for name in SCORES)), rows)}"
