@@ -180,7 +180,7 @@ class Writer:
         header: as the output shall have it, see ``Header.rewritten``.
         recount: bring the counts and the extent in the header up to date with what was written; otherwise they stay.
         rescale: bring the extent of Z up to date in any case.
-        chunks: of LAZ whole chunks come, by :meth:`append`, as they are in a file.
+        chunks: the points of LAZ are written to ``file`` by others, in whole chunks.
     """
 
     def __init__(
@@ -193,10 +193,7 @@ class Writer:
         file.write(header.head)
         self.encoded = _Recording(file)
         self.encoder = None
-        self.table: list[tuple[int, int]] | None = [] if chunks else None
-        if chunks:
-            file.write(bytes(8))  # where the table of chunks will be
-        elif header.compressed:
+        if header.compressed and not chunks:
             need_threads()
             with self.encoded.heard():
                 self.encoder = lazrs.ParLasZipCompressor(self.encoded, lazrs.LazVlr(header.laszip))
@@ -218,20 +215,8 @@ class Writer:
         else:
             self.file.write(records.data)
 
-    def append(self, points: int, packed: bytes | memoryview) -> None:
-        """Append a chunk of LAZ."""
-        assert self.table is not None
-        self.table.append((points, len(packed)))
-        self.file.write(packed)
-
     def finish(self, source: Header | None = None) -> None:
         """Complete the points, append the tail of ``source`` without an octree, patch the header."""
-        if self.table is not None:
-            end = self.file.tell()
-            with self.encoded.heard():
-                lazrs.write_chunk_table(self.encoded, self.table, lazrs.LazVlr(self.header.laszip))
-            self.file.seek(len(self.head))
-            self.file.write(struct.pack("<q", end))
         if self.encoder is not None:
             with self.encoded.heard():
                 self.encoder.done()

@@ -306,15 +306,21 @@ def _write_chunks(
     file: BinaryIO, source: Handle, header: Header, labels: _Labels, same: np.ndarray, tally: Tally
 ) -> None:
     """A LAZ file once more: chunks that are the ``same``, bool[k], are copied, and not even decompressed."""
-    writer, counts = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist()
+    writer, counts, sizes = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist(), []
+    file.write(bytes(8))  # where the table of chunks will be
     for chunk, points in zip(records.read_chunks(header, source.blocks, same), counts, strict=True):
         if chunk.ndim == 1:
             tally.points += points
-            writer.append(points, chunk.data)
+            sizes.append(file.write(chunk.data))
         else:
             tally.add(chunk[:, :12].view("V12"))
             labels.put(chunk, slice(tally.points - points, tally.points), header.point_format)
-            writer.append(points, records.in_one_chunk(chunk, header.laszip))
+            sizes.append(file.write(records.in_one_chunk(chunk, header.laszip)))
+    end = file.tell()
+    with writer.encoded.heard():
+        lazrs.write_chunk_table(writer.encoded, list(zip(counts, sizes, strict=True)), lazrs.LazVlr(header.laszip))
+    file.seek(len(header.head))
+    file.write(end.to_bytes(8, "little"))
     writer.finish(header)
 
 
