@@ -12,6 +12,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
+from ..core.inputs import COLUMNS
 from ..core.process import need_threads
 from .blocks import NEEDED, Blocks, nodes, read_blocks, read_packed, runs, sound
 from .disk import Bounds
@@ -104,36 +105,30 @@ def coordinates(records: np.ndarray, header: Header, axes: int = 3) -> np.ndarra
     return integers(records)[:, :axes] * header.scales[:axes] + header.offsets[:axes]
 
 
-def echoes(records: np.ndarray, point_format: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return number and number of returns, u8[n] each."""
-    bits = records[:, 14]
-    return (bits & 7, (bits >> 3) & 7) if point_format < 6 else (bits & 15, bits >> 4)
+_FIELDS: tuple[dict[str, tuple[int, int, int]], ...] = (
+    {"return_number": (14, 0, 7), "number_of_returns": (14, 3, 7), "classification": (15, 0, 31), "withheld": (15, 7, 1)},
+    {"return_number": (14, 0, 15), "number_of_returns": (14, 4, 15), "classification": (16, 0, 255),
+     "withheld": (15, 2, 1), "overlap": (15, 3, 1), "channel": (15, 4, 3)},
+)  # fmt: skip
+"""Byte of a record, first bit and mask of fields, in point formats 0 to 5 and 6 to 10."""
 
 
-def classes(records: np.ndarray, point_format: int) -> np.ndarray:
-    """u8[n] classification."""
-    return records[:, 15] & 31 if point_format < 6 else records[:, 16].copy()
+def get(records: np.ndarray, point_format: int, name: str) -> np.ndarray:
+    """u8[n], a field of the points."""
+    byte, bit, mask = _FIELDS[point_format >= 6][name]
+    return (records[:, byte] >> bit) & mask
 
 
-def set_classes(records: np.ndarray, point_format: int, values: np.ndarray) -> None:
-    """Put in new classes; the flags that share their byte in point formats 0 to 5 stay."""
-    if point_format < 6:
-        records[:, 15] = (records[:, 15] & 0xE0) | values
-    else:
-        records[:, 16] = values
+def put(records: np.ndarray, point_format: int, name: str, values: np.ndarray | int) -> None:
+    """Put in new values of a field, u8[n] or one for all; fields that share its byte stay."""
+    byte, bit, mask = _FIELDS[point_format >= 6][name]
+    records[:, byte] &= 0xFF ^ (mask << bit)
+    records[:, byte] |= (np.asarray(values, np.uint8) & mask) << bit
 
 
 def attributes(records: np.ndarray, point_format: int) -> dict[str, np.ndarray]:
-    """The columns of a cloud, [n] each: echoes, classes, flags; overlap for point formats 6 to 10."""
-    number, total = echoes(records, point_format)
-    flags = records[:, 15] >> (7 if point_format < 6 else 2)
-    found = {"return_number": number, "number_of_returns": total, "classification": classes(records, point_format)}
-    return found | {"withheld": flags & 1} | ({"overlap": (flags >> 1) & 1} if point_format >= 6 else {})
-
-
-def channels(records: np.ndarray) -> int:
-    """The scanner channels that occur, as bits; for point formats 6 to 10."""
-    return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))
+    """The columns of a cloud, u8[n] each, as far as the point format has them."""
+    return {name: get(records, point_format, name) for name in COLUMNS if name in _FIELDS[point_format >= 6]}
 
 
 class _Recording:
@@ -205,7 +200,7 @@ class Writer:
             return
         self.count += len(records)
         if self.recount:
-            self.by_return += np.bincount(echoes(records, self.header.point_format)[0], minlength=16)
+            self.by_return += np.bincount(get(records, self.header.point_format, "return_number"), minlength=16)
         if self.recount or self.rescale:
             ticks = integers(records)
             self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))

@@ -229,11 +229,12 @@ class _Labels:
 
     def put(self, chunk: np.ndarray, rows: slice, point_format: int) -> None:
         """Put classes into the records u8[k, record_length] of the points ``rows``."""
-        old = records.classes(chunk, point_format)
+        old = records.get(chunk, point_format, "classification")
         new = self.classes(old, rows)
         if self.rule.overlap_flag and point_format >= 6:
-            chunk[(old == OVERLAP_CLASS) & (new != old), 15] |= 8
-        records.set_classes(chunk, point_format, new)
+            flags = records.get(chunk, point_format, "overlap") | ((old == OVERLAP_CLASS) & (new != old))
+            records.put(chunk, point_format, "overlap", flags)
+        records.put(chunk, point_format, "classification", new)
 
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
@@ -267,12 +268,12 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             return
     writer = Writer(file, header.rewritten(compressor, added, crs), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
-    channels = 0
+    channels: set[int] = set()
     for chunk in chunks:
         rows = slice(tally.points - len(chunk), tally.points)
         if packed_waves:
-            channels |= records.channels(chunk)
-            if channels.bit_count() > 1:  # lazrs 0.8 mixes up the wave packets of different channels
+            channels |= set(np.unique(records.get(chunk, number, "channel")).tolist())
+            if len(channels) > 1:  # lazrs 0.8 mixes up the wave packets of different channels
                 raise OutputError(
                     f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
                     ".las for input and output"
@@ -375,12 +376,9 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally)
         columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
         records.integers(chunk)[:] = _ticks(path, header, xyz)
-        one, no = np.ones(len(xyz), np.uint8), np.zeros(len(xyz), np.uint8)
-        number, total = (columns.get(name, one) & 15 for name in ("return_number", "number_of_returns"))
-        withheld, overlap = (columns.get(name, no).astype(np.uint8) for name in ("withheld", "overlap"))
-        chunk[:, 14] = number | total << 4
-        chunk[:, 15] = withheld << 2 | overlap << 3
-        chunk[:, 16] = columns.get("classification", no)
+        for name in COLUMNS:
+            one = name in ("return_number", "number_of_returns")  # where nothing is said: the only echo
+            records.put(chunk, header.point_format, name, columns.get(name, int(one)))
         yield chunk
 
 
