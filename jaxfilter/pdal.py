@@ -29,10 +29,6 @@ class Option:
     xy: float
     z: float
 
-    def factor(self, units: Units) -> float:
-        """What a value is multiplied by."""
-        return float(units.xy**self.xy * units.z**self.z)
-
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
@@ -175,7 +171,8 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
     writing: dict[str, Any] = {"reset": "all"}
     unmatched = []
     # PDAL's defaults are in the units of the coordinates too
-    preset, factors = method.preset(stage.preset), {o.field: o.factor(scale) for o in stage.options.values()}
+    preset = method.preset(stage.preset)
+    factors = {one.field: float(scale.xy**one.xy * scale.z**one.z) for one in stage.options.values()}
     changes = {field: _scaled(getattr(preset, field), factor) for field, factor in factors.items() if factor != 1}
     for key, value in options.items():
         if key in stage.options:

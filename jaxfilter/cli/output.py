@@ -60,9 +60,8 @@ def report_text(report: dict[str, Any]) -> str:
         lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report["review"]:
         volume = sum(place["volume"] for place in report["places"])
-        lines.append(
-            f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect"
-        )
+        places = count(len(report["places"]), "place")
+        lines.append(f"{report['review']}: {places}, {volume:,.0f} m3 of errors to expect")
     if report["breaklines"]:
         lines.append(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
@@ -76,9 +75,7 @@ def report_text(report: dict[str, Any]) -> str:
         from ..files.classes import class_name
 
         moves = [(one["before"], one["after"], one["points"]) for one in report["classes"]]
-        rows = [
-            (class_name(old), "kept" if old == new else class_name(new), f"{points:,}") for old, new, points in moves
-        ]
+        rows = [(class_name(old), "kept" if old == new else class_name(new), f"{n:,}") for old, new, n in moves]
         lines.append(table_text(("class before", "class after", "points"), rows, left=2))
     return "\n".join(lines)
 

@@ -79,10 +79,8 @@ def report(session: Session, source: Path, target: Path, reference: str | None, 
         )
     size, count = target.stat().st_size, int(ground.sum())
     facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
-    return Answer(
-        facts,
-        f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}",
-    )
+    text = f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}"
+    return Answer(facts, text)
 
 
 def _labels(cloud: PointCloud, source: Path, ground_class: int) -> Any:

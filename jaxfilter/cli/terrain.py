@@ -49,29 +49,21 @@ _MODEL = [
     option("--level-water/--raw-water", "Give water its level, or the triangles of its points.", bool, default=True),
 ]
 _LEVELS, _GAP = (0.0, 2.0, 5.0, 10.0, 15.0), 10.0
+_FROM = "Metres above the ground from which echoes make a surface."
 _SURFACE = [
-    option(
-        "--level levels",
-        "Metres above the ground from which echoes make a surface.",
-        float,
-        multiple=True,
-        default=_LEVELS,
-    ),
+    option("--level levels", _FROM, float, multiple=True, default=_LEVELS),
     option("--gap", "Radius of the circle of triangles up to which voids are bridged.", METRES, default=_GAP),
     option("--radius", "The same for levels above 0.  [default: one and a half cells]", METRES),
+]
+_LIGHT = [
+    option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
+    option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
 ]
 _LAYERS: dict[str, tuple[str, list[click.Option]]] = {
     "dtm": ("a terrain model: ground heights", _MODEL),
     "dsm": ("a surface model without pits: trees, roofs and ground, from the first echoes", _SURFACE),
     "chm": ("a canopy height model: how high the surface without pits lies above the ground", _SURFACE),
-    "hillshade": (
-        "a shaded relief of the terrain model, 1 to 255, as GDAL has it",
-        [
-            option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
-            option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
-            *_MODEL,
-        ],
-    ),
+    "hillshade": ("a shaded relief of the terrain model, 1 to 255, as GDAL has it", [*_LIGHT, *_MODEL]),
     "density": ("a raster of the number of ground points per square metre", []),
     "count": ("a raster of the number of ground points in each cell", []),
     "voids": (
@@ -230,9 +222,8 @@ def _answer(report: RunReport, files: Files, text: str, what: str) -> Answer:
     session = files.session
     logger.info(f"{files.output}: {text.partition(chr(10))[0]}")
     if report.uncertain:
-        session.warn(
-            f"heights of {count(report.uncertain, what)} over wide voids may differ between neighbouring tiles"
-        )
+        where = count(report.uncertain, what)
+        session.warn(f"heights of {where} over wide voids may differ between neighbouring tiles")
     tell(session, report)
     if report.breaklines:
         text += f"{report.breaklines}: {count(report.as_dict()['water_bodies'], 'outline')} of water\n"

@@ -311,9 +311,8 @@ def geokeys(crs: pyproj.CRS) -> bytes | None:
     if None in codes or not parts[0].is_projected:
         return None
     keys = [(_MODEL, 1), *zip((_PROJECTED, _VERTICAL), codes, strict=False)]
-    return struct.pack(
-        f"<{4 + 4 * len(keys)}H", 1, 1, 0, len(keys), *(v for key, code in keys for v in (key, 0, 1, code))
-    )
+    entries = [value for key, code in keys for value in (key, 0, 1, code)]
+    return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)
 
 
 def _vertical_unit(code: int) -> tuple[float, str] | None:

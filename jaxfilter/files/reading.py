@@ -199,9 +199,7 @@ class LasFile:
         most = header.count if most is None else most
         if chunks is None:
             chunks = (chunk for chunk, _ in read_records(header, reading.bounds, every_field=False))
-        with reading_errors(
-            path
-        ):  # arrays take memory only as they are filled, so little where bounds leave few points
+        with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
             named = [name for name in COLUMNS if header.point_format >= 6 or name != "overlap"]
             columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}

@@ -161,9 +161,8 @@ class _Recording:
 
 def in_one_chunk(records: np.ndarray, laszip: bytes) -> bytes:
     """A chunk of LAZ of u8[k, record_length], no more than the record ``laszip`` says that a chunk has."""
-    packed = bytes(
-        lazrs.compress_points(lazrs.LazVlr(laszip), np.ascontiguousarray(records).reshape(-1), parallel=False)
-    )
+    points = np.ascontiguousarray(records).reshape(-1)
+    packed = bytes(lazrs.compress_points(lazrs.LazVlr(laszip), points, parallel=False))
     return packed[8 : int.from_bytes(packed[:8], "little")]  # before the table
 
 

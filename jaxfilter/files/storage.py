@@ -135,9 +135,7 @@ class Remote:
 
     def put(self, local: Path) -> None:
         """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
-        self._ask(
-            lambda system, path: system.put_file(str(local), path), "there is no such bucket or folder to write to"
-        )
+        self._ask(lambda store, path: store.put_file(str(local), path), "there is no such bucket or folder to write to")
 
     def _ask(self, act: Callable[[Any, str], _T], missing: str = "no such file") -> _T:
         """What ``act`` returns for the file system and the path there, tried again after failures that may pass. Raises
@@ -147,9 +145,7 @@ class Remote:
         try:
             system, path = fsspec.core.url_to_fs(self.uri)
         except Exception as error:  # a store raises what it likes where a URL is not what it expects
-            hint = (
-                "; pip install 'jaxfilter[remote]' brings s3:// and https://" if isinstance(error, ImportError) else ""
-            )
+            hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(error, ImportError)
             raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}{hint}") from error
         system.invalidate_cache()
         for attempt in range(1, ATTEMPTS + 1):

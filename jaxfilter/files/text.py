@@ -131,10 +131,9 @@ def read_text(
             odd &= (keep | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
             if odd.any():
                 row, axis = np.argwhere(odd)[0]
-                hint = (
-                    "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
-                )
-                raise InputError(f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
+                found = f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}"
+                hint = "pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
+                raise InputError(f"{found}; remove it, or {hint}")
         attributes = {}
         for name in _LARGEST.keys() & values.keys():
             column = values[name][keep]

@@ -49,10 +49,8 @@ def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: st
     kind = DRIVERS[target.suffix.lower()]
     options = {"layer": layer} if kind == "GPKG" else {}
     if first and table.crs is None:
-        taken = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
-        warn(
-            f"{target}: the cloud has no CRS, so the file has none{taken}: set the CRS of the layer where it is opened"
-        )
+        also = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
+        warn(f"{target}: the cloud has no CRS, so the file has none{also}: set the CRS of the layer where it is opened")
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)

@@ -159,9 +159,8 @@ def write_cloud(
     """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES:
-        raise OutputError(
-            f"{path}: the suffix must be one of {', '.join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))}"
-        )
+        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))
+        raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
     source: Handle | None = cloud.source
     if source is not None and source.points != len(cloud):
@@ -347,9 +346,8 @@ def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, by
         return None if wkt is None else (WKT, wkt.encode() + b"\0")
     keys = geokeys(cloud.crs)
     if keys is None:
-        warn(
-            f"{path}: its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out: convert the input to LAS 1.4"
-        )
+        without = f"its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out"
+        warn(f"{path}: {without}: convert the input to LAS 1.4")
     return None if keys is None else (GEOKEYS, keys)
 
 
