@@ -201,11 +201,8 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     if is_there(target) and not overwrite:
         raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if (
-        isinstance(target, Path)
-        and not (parent := target.absolute().parent).is_dir()
-        and parent != Path(made).absolute()
-    ):
+    parent = target.absolute().parent if isinstance(target, Path) else None
+    if parent is not None and not parent.is_dir() and parent != Path(made).absolute():
         raise BadUsage(f"{parent} is not a folder: make it first")
 
 

@@ -104,6 +104,12 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"{one['file']} was not written: {one['reason']}")
 
 
+def answer_of(files: Files, report: RunReport, text: str) -> Answer:
+    """What a run has found, with lines on what it warned of and could not do."""
+    tell(files.session, report)
+    return Answer(run_facts(files.session, report, files), text, complete=report.complete)
+
+
 def plan_answer(plan: Forecast) -> Answer:
     """What a run would do."""
     each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"

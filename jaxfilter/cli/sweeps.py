@@ -267,9 +267,7 @@ def _write(
         TABLE: lambda path: table.to_csv(path),
     }
     ends = {name: f"_{name}" if len(clouds) > 1 else "" for name in clouds}
-    figures: dict[str, Any] = dict.fromkeys(
-        ["curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)]
-    )
+    figures: dict[str, Any] = {}
     if dataset[score].notnull().any():
         figures["curves.png"] = plots.sweep_curves(dataset, score)
         if len(axes_of(dataset)) > 1:
@@ -278,11 +276,10 @@ def _write(
         if f"votes{end}" in dataset and len(clouds[name]):
             votes = dataset[f"votes{end}"].values
             figures[f"votes{end}.png"] = plots.votes_map(clouds[name], votes, title=name if end else "").figure
-    for name, figure in figures.items():
-        if figure is None:
+    writers |= {name: functools.partial(figure.savefig, format="png") for name, figure in figures.items()}
+    for name in ("curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)):
+        if name not in figures:
             (directory / name).unlink(missing_ok=True)
-        else:
-            writers[name] = functools.partial(figure.savefig, format="png")
     for name, write in writers.items():
         with new_file(directory / name, overwrite=True) as path:
             write(path)

@@ -24,7 +24,7 @@ from .options import (
     take_classes,
     take_recipe,
 )
-from .output import Answer, count, plan_answer, run_facts, tell, times
+from .output import Answer, answer_of, count, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
 from .values import BOX, CLASS, METRES, NAMES, option
 
@@ -219,13 +219,11 @@ def _ground(options: dict[str, Any]) -> GroundSource:
 
 def _answer(report: RunReport, files: Files, text: str, what: str) -> Answer:
     """The facts on a run, and its text with the time added; says what went wrong."""
-    session = files.session
     logger.info(f"{files.output}: {text.partition(chr(10))[0]}")
     if report.uncertain:
         where = count(report.uncertain, what)
-        session.warn(f"heights of {where} over wide voids may differ between neighbouring tiles")
-    tell(session, report)
+        files.session.warn(f"heights of {where} over wide voids may differ between neighbouring tiles")
     if report.breaklines:
         text += f"{report.breaklines}: {count(report.as_dict()['water_bodies'], 'outline')} of water\n"
     text += f"{count(report.tiles, 'tile')} in {report.elapsed:.1f} s; {times(report.seconds)}"
-    return Answer(run_facts(session, report, files), f"{files.output}: {text}", complete=report.complete)
+    return answer_of(files, report, f"{files.output}: {text}")

@@ -10,7 +10,7 @@ import click
 from ..core.reading import Reading
 from .commands import command
 from .options import READING, RUN, STATED, check_inputs, check_target, open_files, open_survey, take, take_run
-from .output import Answer, count, run_facts, tell
+from .output import Answer, answer_of, count, run_facts, tell
 from .session import BadUsage, Session
 from .values import CLASS, INPUT, NAMES, option
 
@@ -36,10 +36,9 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
 
     files = open_files(session, names, options, tuple(DRIVERS))
     report = files.do(review_survey, files.out, classes)
-    tell(session, report)
     area = sum(place["area"] for place in report.places)
     text = f"{files.out}: {count(len(report.places), 'place')} of {area:,.0f} m2 in all; column verdict takes {', '.join(WORDS)}"
-    return Answer(run_facts(session, report, files), text, complete=report.complete)
+    return answer_of(files, report, text)
 
 
 @command(

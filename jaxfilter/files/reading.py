@@ -21,12 +21,13 @@ from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, linear_units, not_metric, reference_of, sampled
 from . import records, text
+from .classes import Classes, class_changes
 from .disk import CHANGED_IN_READING, Bounds, Identity, Tally
 from .handles import Handle
 from .header import Header, opened, read_header
 from .records import inside, read_records, reading_errors
 from .storage import Place, Remote, place_of
-from .writing import LAS_SUFFIXES, Classes, class_changes, write
+from .writing import LAS_SUFFIXES, write
 
 if TYPE_CHECKING:
     import laspy

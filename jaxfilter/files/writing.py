@@ -20,10 +20,7 @@ from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, records, text
-from .classes import RESETS as RESETS
-from .classes import Classes as Classes
-from .classes import Found, asked, findings_of, largest, table_of
-from .classes import class_changes as class_changes
+from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import Tally, new_file
 from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
