@@ -149,11 +149,6 @@ class Reference:
     problem: str | None = None
     shown: str = ""
 
-    @property
-    def name(self) -> str | None:
-        """Name of the CRS, or None."""
-        return None if self.crs is None else self.crs.name
-
 
 def reference_of(records: dict[int, bytes], name: str) -> Reference:
     """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys. Warns

@@ -134,7 +134,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
         "path": str(place),
         "format": cloud.source.format,
         "points": len(cloud),
-        "crs": reference.name,
+        "crs": None if reference.crs is None else reference.crs.name,
         "units": str(cloud.units),
         "metres_per_unit": None if angular else [cloud.units.xy, cloud.units.z],
         "bounds": None if corners is None else corners[:, :2].ravel().tolist(),

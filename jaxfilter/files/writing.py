@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -170,22 +169,19 @@ def write_cloud(
         named += [] if table is not None and "classification" in table.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if copc.is_copc(path) and source is not None and source.kind == "las":
+    if (octree := copc.is_copc(path)) and source is not None and source.kind == "las":
         copc.check_format(path, source.header().point_format)
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Tally()) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
         if kind in text.SUFFIXES:
             _write_text(path, temporary, cloud, labels, tally)
-        elif copc.is_copc(path):
-            with tempfile.TemporaryDirectory(dir=temporary.parent) as folder:
-                plain = Path(folder) / "plain.las"
-                with open(plain, "xb") as file:
-                    _write_las(path, file, cloud, labels, tally)
-                copc.write_octree(plain, temporary)
         else:
-            with open(temporary, "xb") as file:
+            plain = temporary.with_name("plain.las") if octree else temporary
+            with open(plain, "xb") as file:
                 _write_las(path, file, cloud, labels, tally)
+            if octree:
+                copc.write_octree(plain, temporary)
     return path
 
 
@@ -197,7 +193,7 @@ class _Labels:
         cloud: PointCloud,
         result: FilterResult | np.ndarray | Found | None,
         classes: Classes,
-        additions: Additions = Additions(),
+        additions: Additions,
     ) -> None:
         found = result if isinstance(result, FilterResult) else None
         if result is None:
