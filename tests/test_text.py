@@ -234,6 +234,7 @@ def test_only_labels_change(made, mark, cut, block, seed):
     ("x, y, z, note\n1.50, 2, 3, a;b\n4, 5, 6, \"c, d\"\n", "x, y, z, note,label\n1.50,2,3,a;b,0\n4,5,6,\"c, d\",1\n"),
     ("  1.50   2\t3 \n  4  5 6\r\n", "1.50\t2\t3\t0\n4\t5\t6\t1\r\n"),
     ('x y z n\n1.5 2 3 "a b"\n4 5 6 ""\n', 'x y z n label\n1.5 2 3 "a b" 0\n4 5 6 "" 1\n'),
+    ('x y z n\n1.5  2\t3 "a\tb  c"\n4 5 6 6"\n', 'x y z n\tlabel\n1.5\t2\t3\t"a\tb  c"\t0\n4\t5\t6\t6"\t1\n'),
     ('x;y;z;n\n1.5;2;3;"#1"\n4;5;6;"c"\n', 'x;y;z;n;label\n1.5;2;3;"#1";0\n4;5;6;c;1\n'),
 ])  # fmt: skip
 def test_layouts(tmp_path, content, expected):

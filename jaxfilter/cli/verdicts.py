@@ -114,4 +114,4 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
         nva, vva = points["nva"], points["vva"]
         text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
         text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
-    return Answer(session.as_dict() | facts, text)
+    return Answer(facts, text)

@@ -39,6 +39,7 @@ _END = 8e88  # no cell of points; it is put behind the last cell of each line, s
 _DELIMITERS = (";", ",", "\t", None)
 _WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
 _NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE | re.ASCII)
+_BETWEEN = re.compile(r'(?<![^ \t])("(?:[^"]|"")*")|[ \t]+')  # white space, where it is not in quotes
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
@@ -345,7 +346,7 @@ def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str
     and for quotes that do not close where a cell ends."""
     text = line.decode("utf-8", "surrogateescape").strip("\r\n")
     if delimiter is None:
-        text = " ".join(re.split(r"[ \t]+", text.strip(" \t")))
+        text = _BETWEEN.sub(lambda found: found[1] or " ", text.strip(" \t"))
     text = re.sub(f'" +(?={delimiter}|$)', '"', text) if delimiter and strict else text
     with contextlib.nullcontext() if strict else contextlib.suppress(csv.Error):
         row = next(csv.reader([text], delimiter=delimiter or " ", skipinitialspace=True, strict=strict), [])
