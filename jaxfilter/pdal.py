@@ -29,10 +29,6 @@ class Option:
     xy: float
     z: float
 
-    def factor(self, units: Units) -> float:
-        """What a value is multiplied by."""
-        return float(units.xy**self.xy * units.z**self.z)
-
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
@@ -160,11 +156,9 @@ def from_pdal(what: Any, *, units: str | Units = "m") -> Filter:
 
 
 def translate(what: Any, *, units: str | Units = "m") -> Translation:
-    """All of a pipeline that has a counterpart, and what has none. Arguments and errors as of :func:`from_pdal`.
-
-    Reading and writing are as PDAL does it: it judges the points of all classes unless told to ``ignore`` some, withheld
-    points too, and all that it judges lose their class.
-    """
+    """All of a pipeline that has a counterpart, and what has none. Arguments and errors as of :func:`from_pdal`. Reading and
+    writing are as PDAL does it: it judges the points of all classes unless told to ``ignore`` some, withheld points too, and
+    all that it judges lose their class."""
     from .core.reading import ECHOES
     from .core.units import parse_units
     from .methods import FILTERS
@@ -177,7 +171,8 @@ def translate(what: Any, *, units: str | Units = "m") -> Translation:
     writing: dict[str, Any] = {"reset": "all"}
     unmatched = []
     # PDAL's defaults are in the units of the coordinates too
-    preset, factors = method.preset(stage.preset), {o.field: o.factor(scale) for o in stage.options.values()}
+    preset = method.preset(stage.preset)
+    factors = {one.field: float(scale.xy**one.xy * scale.z**one.z) for one in stage.options.values()}
     changes = {field: _scaled(getattr(preset, field), factor) for field, factor in factors.items() if factor != 1}
     for key, value in options.items():
         if key in stage.options:
@@ -304,10 +299,8 @@ _RANGE = re.compile(r"(\w+)(!?)([\[(])([^:]*):([^\])]*)([\])])")
 
 
 def _classes(stage: str, ranges: Sequence[str]) -> tuple[tuple[int, ...], list[str]]:
-    """Classes in ranges such as ``Classification[7:7]``, and what is said of ranges of something else.
-
-    Raises ParameterError.
-    """
+    """Classes in ranges such as ``Classification[7:7]``, and what is said of ranges of something else. Raises
+    ParameterError."""
     chosen: set[int] = set()
     unfit = []
     for text in ranges:

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli import flags, main
 from jaxfilter.cli.commands import ground_command
+from jaxfilter.cli.values import on_command_line
 from jaxfilter.core.filter import Filter
 from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
@@ -108,8 +109,8 @@ def test_fields_of_every_kind_become_flags():
 
     def given(*arguments):
         command = flags.click.Command("toy", params=flags.options(Toy))
-        with command.make_context("toy", list(arguments)) as ctx:
-            return flags.given(Toy, ctx)
+        with command.make_context("toy", list(arguments)):
+            return on_command_line(flags.fields(Toy))
 
     assert given() == {}
     assert given("--number", "2", "--count", "4") == {"number": 2.0, "count": 4}

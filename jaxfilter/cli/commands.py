@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,30 +21,10 @@ import click
 
 from ..core.process import collect_seldom
 from ..core.version import __version__
-from .options import (
-    BREAKLINES,
-    BY_DATA,
-    READING,
-    RUN,
-    WRITTEN,
-    check_shapes,
-    open_files,
-    take,
-    take_classes,
-)
-from .output import (
-    Answer,
-    in_session,
-    json_text,
-    plan_answer,
-    print_report,
-    print_table,
-    run_facts,
-    session_options,
-    tell,
-)
+from .options import BREAKLINES, BY_DATA, READING, RUN, WRITTEN, check_shapes, open_files, take, take_classes
+from .output import SESSION, Answer, in_session, json_text, plan_answer, report_text, run_facts, table_text, tell
 from .session import Session, logger, stoppable
-from .values import CLASS, INPUT, OUTPUT, option, with_options
+from .values import CLASS, INPUT, OUTPUT, on_command_line, option
 
 if TYPE_CHECKING:
     from ..core.filter import Filter
@@ -103,6 +84,13 @@ def main() -> None:
     """Ground filtering of airborne lidar: LAS in, classified LAS out."""
 
 
+def command(
+    *parameters: click.Parameter, name: str | None = None, help: str | None = None
+) -> Callable[[Callable[..., Answer]], click.Command]:
+    """A decorator that makes a command of :data:`main`: it gets a Session, and has these parameters, in this order."""
+    return lambda act: main.command(name, params=[*parameters, *SESSION], help=help)(in_session(act))
+
+
 class Ground(click.Command):
     """The command of a method where one is named first, and else that of the default."""
 
@@ -144,8 +132,9 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
     def run(session: Session, paths: tuple[str, ...], **options: Any) -> Answer:
         from ..surveys.measures import Recipe
 
-        changes = {} if method is None else flags.given(method, click.get_current_context())
-        for name in () if method is None else flags.fields(method):
+        fields = {} if method is None else flags.fields(method)
+        changes = on_command_line(fields)
+        for name in fields:
             del options[name]
         return _ground(session, paths, take(Recipe, options, method=method, changes=changes), options)
 
@@ -166,7 +155,7 @@ def ground_command(method: type[Filter] | None, help: str | None = None) -> clic
         REVIEW,
         BREAKLINES,
         *RUN,
-        *session_options(),
+        *SESSION,
     ]
     if method is not None:
         return click.Command(method.__name__.lower(), params=parameters, callback=run, help=_summary(method))
@@ -183,18 +172,8 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     check_shapes(options, review, breaklines)
     classes, extra = take_classes(options), options["extra"]
     files = open_files(session, paths, options, bare=recipe.method is None)
-    with session.step("run", files.collection.count):
-        report = ground(
-            files.collection,
-            files.out,
-            recipe,
-            reading=files.reading,
-            classes=classes,
-            extra=extra,
-            review=review,
-            breaklines=breaklines,
-            run=files.run,
-        )
+    outputs = {"extra": extra, "review": review, "breaklines": breaklines}
+    report = files.do(ground, files.out, recipe, classes=classes, **outputs)
     if report.forecast is not None:
         return plan_answer(report.forecast)
     units, of_class = files.collection.units, classes.ground_class
@@ -216,18 +195,16 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
     if not report.classes:
         labels = ((0, report.ground), (1, report.points - report.ground))
         facts["labels"] = [{"label": one, "points": n} for one, n in labels]
-    return Answer(facts, lambda: print_report(facts), complete=report.complete)
+    return Answer(facts, report_text(facts), complete=report.complete)
 
 
-@main.command()
-@click.argument("labelled", metavar="OUT", type=INPUT)
-@click.argument("reference", metavar="REFERENCE", type=INPUT)
-@with_options(
+@command(
+    click.Argument(["labelled"], metavar="OUT", type=INPUT),
+    click.Argument(["reference"], metavar="REFERENCE", type=INPUT),
     option("--ignore-class ignore_classes", "Leave points of this class of REFERENCE out.", int, multiple=True),
     option("--candidates-only", "Count only points of OUT that are judged by default.", bool),
     option("--ground-class", "Of OUT.", CLASS, default=2),
 )
-@in_session
 def evaluate(session: Session, labelled: Path, reference: Path, ground_class: int, **options: Any) -> Answer:
     """Score the ground labels of OUT against those of REFERENCE.
 
@@ -253,21 +230,20 @@ def evaluate(session: Session, labelled: Path, reference: Path, ground_class: in
     ignored = ~cloud.candidate[match] if options["candidates_only"] else None
     scores = score(result[match], truth, classes=classes, ignore_classes=options["ignore_classes"], ignore=ignored)
     facts = scores.as_dict() | {"output": str(labelled), "reference": str(reference)}
-    return Answer(facts, lambda: _print_scores(scores), always=True)
+    return Answer(facts, _scores_text(scores), always=True)
 
 
-def _print_scores(scores: Scores) -> None:
+def _scores_text(scores: Scores) -> str:
     values = scores.as_dict()
     counts, words = values.pop("confusion"), {"type1": "Type I (ground lost)", "type2": "Type II (objects accepted)"}
     rows = [(words.get(name, name), "undefined" if math.isnan(one) else f"{one:.2f}") for name, one in values.items()]
-    print_table(("score", "percent"), rows, left=1)
     names = ("reference ground", "reference object")
     table = [(name, *(f"{v:,}" for v in row)) for name, row in zip(names, counts, strict=True)]
-    print_table(("points", "labelled ground", "labelled object"), table, left=1)
+    heading = ("points", "labelled ground", "labelled object")
+    return f"{table_text(('score', 'percent'), rows, left=1)}\n{table_text(heading, table, left=1)}"
 
 
-@main.command()
-@with_options(option("--json as_json", "Print JSON.", bool))
+@main.command(params=[option("--json as_json", "Print JSON.", bool)])
 def methods(as_json: bool) -> None:
     """List the methods with their parameters and presets."""
     from ..citing import citation

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .commands import main
+from .commands import command
 from .options import take_run
-from .output import Answer, in_session, print_report, run_facts
+from .output import Answer, report_text, run_facts
 from .session import BadUsage, Session
-from .values import FOLDER, SEED, option, with_options
+from .values import FOLDER, SEED, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,16 +31,14 @@ DEMO_FILES = (
 )
 
 
-@main.command()
-@click.argument("directory", metavar="[DIR]", default="jaxfilter-demo", type=FOLDER)
-@with_options(
+@command(
+    click.Argument(["directory"], metavar="[DIR]", default="jaxfilter-demo", type=FOLDER),
     option("--size", "Width and height of the scene, metres.", float, nargs=2, default=(400.0, 300.0)),
     option("--density", "Number of pulses per m2.", float, default=1.5),
     option("--seed", "Seed of the scene.", SEED, default=0),
     option("--method", "Filter by this method.  [default: the default filter]", "METHOD"),
     option("--overwrite", "Write into DIR even if it holds other files.", bool),
 )
-@in_session
 def demo(session: Session, directory: Path, method: str | None, overwrite: bool, **survey: Any) -> Answer:
     """Make a scene whose ground is known, filter it, score the result and draw it.
 
@@ -75,13 +73,9 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
     with session.step("pictures"):
         _draw(directory, scene, labels)
     facts = run_facts(session, report) | {"output": str(target)}
-
-    def show() -> None:
-        print_report(facts)
-        click.echo(f"{scores}\nin {directory}: {', '.join(DEMO_FILES)}")
-
     files = [str(directory / name) for name in DEMO_FILES]
-    return Answer(facts | {"scores": scores.as_dict(), "files": files}, show)
+    text = f"{report_text(facts)}\n{scores}\nin {directory}: {', '.join(DEMO_FILES)}"
+    return Answer(facts | {"scores": scores.as_dict(), "files": files}, text)
 
 
 def _write_scene(directory: Path, scene: Scene) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from ..core.errors import ParameterError
 from ..core.filter import Filter
@@ -42,12 +41,6 @@ def options(method: type[Filter]) -> list[click.Option]:
             names = [f"{flag}/--no-{flag[2:]}"]
         made.append(click.Option([*names, name], type=kind, default=None, help=describe(field)))
     return made
-
-
-def given(method: type[Filter], ctx: click.Context) -> dict[str, Any]:
-    """The fields that the command line sets, by name."""
-    said = [name for name in fields(method) if ctx.get_parameter_source(name) == ParameterSource.COMMANDLINE]
-    return {name: ctx.params[name] for name in said}
 
 
 def describe(field: dataclasses.Field[Any]) -> str:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from click.core import ParameterSource
 
 from ..core.reading import KEPT_CLASSES, Reading
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, option
+from .values import BOX, CLASS, COUNT, METRES, OUTPUT, Bytes, Number, on_command_line, option
 
 if TYPE_CHECKING:
     from ..files.classes import Classes
@@ -125,13 +124,8 @@ def take_classes(options: dict[str, Any]) -> Classes:
     """The classes to write: of the preset, with what the command line says besides. Raises ParameterError."""
     from ..files.classes import Classes
 
-    context, preset = click.get_current_context(), options.pop("preset_of_classes")
-    said = [
-        f.name
-        for f in dataclasses.fields(Classes)
-        if context.get_parameter_source(f.name) == ParameterSource.COMMANDLINE
-    ]
-    return Classes.preset(preset, **{name: context.params[name] for name in said})
+    said = on_command_line(field.name for field in dataclasses.fields(Classes))
+    return Classes.preset(options.pop("preset_of_classes"), **said)
 
 
 def take_run(options: dict[str, Any], session: Session) -> RunOptions:
@@ -207,11 +201,8 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
         raise BadUsage(f"{target}: the suffix must be one of {', '.join(suffixes)}")
     if is_there(target) and not overwrite:
         raise BadUsage(f"{target} exists: name another file, or pass --overwrite")
-    if (
-        isinstance(target, Path)
-        and not (parent := target.absolute().parent).is_dir()
-        and parent != Path(made).absolute()
-    ):
+    parent = target.absolute().parent if isinstance(target, Path) else None
+    if parent is not None and not parent.is_dir() and parent != Path(made).absolute():
         raise BadUsage(f"{parent} is not a folder: make it first")
 
 
@@ -234,6 +225,7 @@ class Files:
         reading, run: what the options say.
     """
 
+    session: Session
     inputs: list[str]
     out: str | None
     collection: Collection
@@ -241,17 +233,28 @@ class Files:
     run: RunOptions
     output: str
 
+    def do(self, act: Callable[..., T], *arguments: Any, **options: Any) -> T:
+        """What a function of the library returns for these files, as a step of the session."""
+        with self.session.step("run", self.collection.count):
+            return act(self.collection, *arguments, reading=self.reading, run=self.run, **options)
+
+
+def open_survey(session: Session, names: Sequence[str], reading: Reading, bare: bool = False) -> Collection:
+    """A collection of what is named, in a step; ``bare``: the first name might be meant as a method. Raises: BadUsage,
+    JaxfilterError."""
+    from ..surveys.collection import open as open_collection
+
+    check_inputs(names, bare)
+    with session.step("headers"):
+        return open_collection(names, units=reading.units, crs=reading.crs)
+
 
 def open_files(
     session: Session, names: Sequence[str], options: dict[str, Any], suffixes: Sequence[str] = (), bare: bool = False
 ) -> Files:
-    """The files that a command names; what does not fit together in several of them is noted.
-
-    ``suffixes``: of an output that is no file of points; ``bare``: the first name might be meant as a method. Raises: BadUsage,
-    JaxfilterError.
-    """
+    """The files that a command names; what does not fit together in several of them is noted. ``suffixes``: of an output that
+    is no file of points; ``bare``, and errors: as of :func:`open_survey`."""
     from ..files.storage import place_of
-    from ..surveys.collection import open as open_collection
     from ..surveys.targets import check_out
 
     reading, run = take(Reading, options), take_run(options, session)
@@ -259,7 +262,6 @@ def open_files(
     if not inputs:
         what = f"a {' or '.join(suffixes)} to write" if suffixes else "a file or a folder to write, or pass --in-place"
         raise BadUsage(f"OUT is missing: name {what}")
-    check_inputs(inputs, bare)
     output = out or ", ".join(inputs)
     if out == "-":
         out = str(session.piped(suffixes[-1] if suffixes else _suffix_of(inputs), run.resume))
@@ -268,12 +270,11 @@ def open_files(
             check_target(place_of(out), run.overwrite or run.resume, suffixes)
         else:
             check_out(out, inputs, run)
-    with session.step("headers"):
-        collection = open_collection(inputs, units=reading.units, crs=reading.crs)
-        findings = [] if len(collection) < 2 else dataclasses.replace(collection.check(), mixed=None).lines()
+    collection = open_survey(session, inputs, reading, bare)
+    findings = [] if len(collection) < 2 else dataclasses.replace(collection.check(), mixed=None).lines()
     for line in findings:  # mixed units are an error of the run
         session.note(f"note: {line}")
-    return Files(inputs, out, collection, reading, run, output)
+    return Files(session, inputs, out, collection, reading, run, output)
 
 
 def _suffix_of(inputs: Sequence[str]) -> str:

@@ -38,55 +38,60 @@ def run_facts(session: Session, report: RunReport, files: Files | None = None) -
     return facts
 
 
-def print_report(report: dict[str, Any]) -> None:
-    """Print what `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
+def report_text(report: dict[str, Any]) -> str:
+    """What `run_facts` tells of a run, a line each: points, units, seconds, and what was kept or listed."""
     ground, points, compiled = report["ground"], report["points"], report["compilations"]
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
-    click.echo(
-        f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({100 * ground / max(points, 1):.1f} %), "
-        f"{report['candidates']:,} were judged"
-    )
+    share, judged = 100 * ground / max(points, 1), f"{report['candidates']:,} were judged"
+    lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
     if kept := (report.get("of_ground_class") or ground) - ground:
         what = "that were not judged" if report["all_reset"] else "that are not ground"
         words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
         of_class = count(report["of_ground_class"], "point")
-        click.echo(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
+        lines.append(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
     xy, z = report.get("metres_per_unit", (1.0, 1.0))
     if (xy, z) != (1.0, 1.0):
-        click.echo(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
+        lines.append(f"coordinates are in {report['units']}: X and Y times {xy:.10g}, Z times {z:.10g} gave metres")
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
     made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     sensor = (report["parameters"] or {}).get("sensor")
-    click.echo(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
+    lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
     if report["tiles"] > 1:
-        click.echo(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
+        lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report["review"]:
         volume = sum(place["volume"] for place in report["places"])
-        click.echo(f"{report['review']}: {count(len(report['places']), 'place')}, {volume:,.0f} m3 of errors to expect")
+        places = count(len(report["places"]), "place")
+        lines.append(f"{report['review']}: {places}, {volume:,.0f} m3 of errors to expect")
     if report["breaklines"]:
-        click.echo(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
+        lines.append(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
-        click.echo("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
+        lines.append("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
     marked = report["overlap"]
     if marked.get("points"):
         what = f"{marked['judged']:,} of them were judged and {marked['ground']:,} are ground; --ignore-overlap sets them aside"
         what = what if marked["judged"] else "were not judged"
-        click.echo(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
+        lines.append(f"{marked['points']:,} points are of class 12 or have the overlap flag: {what}")
     if report["classes"]:
         from ..files.classes import class_name
 
         moves = [(one["before"], one["after"], one["points"]) for one in report["classes"]]
-        rows = [
-            (class_name(old), "kept" if old == new else class_name(new), f"{points:,}") for old, new, points in moves
-        ]
-        print_table(("class before", "class after", "points"), rows, left=2)
+        rows = [(class_name(old), "kept" if old == new else class_name(new), f"{n:,}") for old, new, n in moves]
+        lines.append(table_text(("class before", "class after", "points"), rows, left=2))
+    return "\n".join(lines)
 
 
 def tell(session: Session, report: RunReport) -> None:
     """Lines on the steps of a run, on what it warned of, and on what it could not do."""
     for name, seconds in report.seconds.items():
         logger.info(f"{name}: {seconds:.2f} s")
-    tell_places(session, report.places)
+    if places := report.places:
+        listed = [
+            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
+            for one in places[:_PLACES_LISTED]
+        ]
+        more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
+        words = f"{count(len(places), 'place')} where the terrain may be wrong, please check"
+        session.note(f"{words}: {'; '.join(listed)}{more}")
     for remark, times in report.remarks.items():
         session.warn_of(remark + (f" ({times} times)" if times > 1 else ""))
     for one in report.set_aside:
@@ -99,28 +104,18 @@ def tell(session: Session, report: RunReport) -> None:
         session.warn(f"{one['file']} was not written: {one['reason']}")
 
 
-def tell_places(session: Session, places: Sequence[dict[str, Any]]) -> None:
-    """A line on the places where the terrain may be wrong, with the largest ones."""
-    if places:
-        listed = [
-            f"{one['area']:,.0f} m2 at {one['x']:.10g} {one['y']:.10g} ({one['reason']})"
-            for one in places[:_PLACES_LISTED]
-        ]
-        more = f"; and {len(places) - len(listed):,} more (--json lists all)" if len(places) > len(listed) else ""
-        session.note(
-            f"{count(len(places), 'place')} where the terrain may be wrong, please check: {'; '.join(listed)}{more}"
-        )
+def answer_of(files: Files, report: RunReport, text: str) -> Answer:
+    """What a run has found, with lines on what it warned of and could not do."""
+    tell(files.session, report)
+    return Answer(run_facts(files.session, report, files), text, complete=report.complete)
 
 
 def plan_answer(plan: Forecast) -> Answer:
     """What a run would do."""
     each = "" if plan.tiles == 1 else f" of {plan.side:,.0f} m with {plan.halo:,.0f} m around"
     read = "" if plan.tiles == 1 else f", each point read {plan.times_read:.1f} times"
-    time = (
-        "unknown: the piece that was tried has no result"
-        if math.isnan(plan.seconds)
-        else f"about {_span(plan.seconds)}"
-    )
+    unknown = "unknown: the piece that was tried has no result"
+    time = unknown if math.isnan(plan.seconds) else f"about {_span(plan.seconds)}"
     more = ", ..." * (len(plan.files) > _FILES_LISTED)
     lines = [
         f"points  {plan.points:,} in {count(plan.tiles, 'tile')}{each}{read}",
@@ -148,15 +143,12 @@ def count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def print_table(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0, title: str = "") -> None:
-    """Print a table on standard output, a line for each row; columns are set to the right, but the first ``left`` ones."""
+def table_text(heading: Sequence[str], rows: Iterable[Sequence[str]], left: int = 0) -> str:
+    """A table, a line for each row; columns are set to the right, but the first ``left`` ones."""
     lines = [heading, *rows]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    if title:
-        click.echo(title)
-    for line in lines:
-        cells = [f"{cell:{'<' if k < left else '>'}{widths[k]}}" for k, cell in enumerate(line)]
-        click.echo("  ".join(cells).rstrip())
+    cells = ([f"{cell:{'<' if k < left else '>'}{widths[k]}}" for k, cell in enumerate(line)] for line in lines)
+    return "\n".join("  ".join(line).rstrip() for line in cells)
 
 
 def json_text(value: Any) -> str:
@@ -183,45 +175,39 @@ class Answer:
 
     Attributes:
         facts: printed by --json.
-        show: text for people, or what prints it.
+        text: for people.
         always: printed with --quiet as well.
         complete: False: something could not be done, and the exit code is 1.
     """
 
     facts: dict[str, Any]
-    show: str | Callable[[], None]
+    text: str
     always: bool = False
     complete: bool = True
 
 
-def session_options() -> list[click.Option]:
-    """The options of every command that works."""
-    return [
-        option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
-        option("--json as_json", "Print the result as JSON.", bool),
-        option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
-        option(
-            "--progress-every",
-            "Seconds between lines of progress on standard error, where that is no terminal.",
-            click.FloatRange(0),
-            default=LINE_EVERY,
-        ),
-        option("--debug", "Show the traceback of an error.", bool),
-    ]
+_EVERY = "Seconds between lines of progress on standard error, where that is no terminal."
+SESSION = [
+    option("--quiet -q", "Show no progress and no summary; warnings stay.", bool),
+    option("--json as_json", "Print the result as JSON.", bool),
+    option("--log", "Append every step with its time, warnings and errors to this file.", OUTPUT),
+    option("--progress-every", _EVERY, click.FloatRange(0), default=LINE_EVERY),
+    option("--debug", "Show the traceback of an error.", bool),
+]
+"""The options of every command that works."""
 
 
 def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
-    """A decorator: ``command`` gets a Session before its arguments, and the options of all commands that work."""
+    """``command``, which gets a Session before its arguments, with the options of all commands that work."""
 
     @functools.wraps(command)
-    def run(
-        *, quiet: bool, as_json: bool, debug: bool, log: Path | None, progress_every: float, **arguments: Any
-    ) -> None:
+    def run(as_json: bool, log: Path | None, **arguments: Any) -> None:
+        how = {name: arguments.pop(name) for name in ("quiet", "debug", "progress_every")}
         names = [one for value in arguments.values() for one in (value if isinstance(value, tuple) else [value])]
         files = {os.path.realpath(name) for name in names if isinstance(name, (str, Path))}
         if log is not None and os.path.realpath(log) in files:
             raise BadUsage(f"--log {log}: is an input or output as well: name another file")
-        with Session(quiet=quiet, debug=debug, log=log, progress_every=progress_every) as session:
+        with Session(log=log, **how) as session:
             answer = command(session, **arguments)
             if session.pipe is not None and session.pipe.exists():
                 with session.pipe.open("rb") as file:
@@ -231,13 +217,9 @@ def in_session(command: Callable[..., Answer]) -> Callable[..., None]:
                 stack.enter_context(contextlib.redirect_stdout(sys.stderr))
             if as_json:
                 click.echo(json_text(session.as_dict() | answer.facts))
-            elif answer.always or not quiet:
-                if isinstance(answer.show, str):
-                    click.echo(answer.show)
-                else:
-                    answer.show()
+            elif answer.always or not session.quiet:
+                click.echo(answer.text)
         if not answer.complete:
             click.get_current_context().exit(1)
 
-    run.__dict__["__click_params__"] = session_options()[::-1]
     return run

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .commands import main
+from .commands import command
 from .options import UNITS
-from .output import Answer, in_session
+from .output import Answer
 from .session import Session
-from .values import INPUT, with_options
+from .values import INPUT
 
 if TYPE_CHECKING:
     from ..core.units import Units
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 _SUFFIXES = (".las", ".laz")
 
 
-@main.command("from-pdal")
-@click.argument("pipeline", metavar="PIPELINE.json", type=INPUT)
-@with_options(UNITS)
-@in_session
+@command(click.Argument(["pipeline"], metavar="PIPELINE.json", type=INPUT), UNITS)
 def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
     """Print the command that does what the ground stage of a pipeline of PDAL does.
 
@@ -53,13 +50,9 @@ def from_pdal(session: Session, pipeline: Path, units: str | None) -> Answer:
         "command": shlex.join(words),
         "notes": remarks,
     }
-
-    def show() -> None:
-        click.echo(facts["command"])
-        for text in () if session.quiet else remarks:
-            click.echo(f"note: {text}", err=True)
-
-    return Answer(facts, show, always=True)
+    for text in remarks:
+        session.note(f"note: {text}")
+    return Answer(facts, shlex.join(words), always=True)
 
 
 def _units_of(inputs: tuple[str, ...]) -> Units | None:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
-from .commands import main
+from .commands import command
 from .options import BOUNDS, FILTER, REPLACE, STATED, THREADS, check_target, take, take_recipe
-from .output import Answer, in_session, times
+from .output import Answer, times
 from .session import BadUsage, Session
-from .values import CLASS, COUNT, INPUT, OUTPUT, option, with_options
+from .values import CLASS, COUNT, INPUT, OUTPUT, option
 
 if TYPE_CHECKING:
     from ..core.cloud import PointCloud
@@ -21,10 +21,9 @@ OWN = "own"
 """The word for the labels of IN as a reference."""
 
 
-@main.command()
-@click.argument("source", metavar="IN", type=INPUT)
-@click.argument("target", metavar="OUT.html", type=OUTPUT)
-@with_options(
+@command(
+    click.Argument(["source"], metavar="IN", type=INPUT),
+    click.Argument(["target"], metavar="OUT.html", type=OUTPUT),
     *FILTER,
     option(
         "--reference",
@@ -41,16 +40,7 @@ OWN = "own"
     option("--title", "Title of the page.  [default: the name of IN]"),
     *(BOUNDS, *STATED, THREADS, REPLACE),
 )
-@in_session
-def report(
-    session: Session,
-    source: Path,
-    target: Path,
-    reference: str | None,
-    ground_class: int,
-    overwrite: bool,
-    **options: Any,
-) -> Answer:
+def report(session: Session, source: Path, target: Path, reference: str | None, **options: Any) -> Answer:
     """Make a page on a classification: maps, profiles, doubtful places, and a slider for the threshold.
 
     The page is one HTML file that needs no network. The ground is what --filter finds, with a slider that labels the points
@@ -61,7 +51,7 @@ def report(
     from ..reports import report as write_report
     from ..reports.page import SUFFIXES
 
-    name = target
+    name, overwrite = target, options["overwrite"]
     if str(target) == "-":
         target = session.piped(SUFFIXES[0])
     check_target(target, overwrite, SUFFIXES)
@@ -82,17 +72,15 @@ def report(
             result = filter_(cloud, workers=shown.workers, progress=session.progress)
         ground = result.ground
     else:
-        result = ground = _labels(cloud, source, ground_class)
+        result = ground = _labels(cloud, source, options["ground_class"])
     with session.step("report", len(cloud)):
         write_report(
             cloud, result, target, reference=truth, options=shown, overwrite=overwrite, progress=session.progress
         )
     size, count = target.stat().st_size, int(ground.sum())
     facts = {"input": str(source), "output": str(name), "points": len(cloud), "ground": count, "bytes": size}
-    return Answer(
-        facts,
-        f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}",
-    )
+    text = f"{name}: {count:,} of {len(cloud):,} points are ground; {size / 1e6:.1f} MB; {times(session.seconds)}"
+    return Answer(facts, text)
 
 
 def _labels(cloud: PointCloud, source: Path, ground_class: int) -> Any:

@@ -115,12 +115,9 @@ def in_flags(text: str) -> str:
 
 
 class Session:
-    """A context in which a command runs.
-
-    Messages go to standard error, one line each, and with steps and times to the file ``log``. Errors of this package and
-    of the system become one line and an exit code: 2 for parameters, and for all that is wrong before the first step, 1 for
-    the rest. Compilations are counted and kept for the next process.
-    """
+    """A context in which a command runs. Messages go to standard error, one line each, and with steps and times to the file
+    ``log``. Errors of this package and of the system become one line and an exit code: 2 for parameters, and for all that is
+    wrong before the first step, 1 for the rest. Compilations are counted and kept for the next process."""
 
     running = 0
     """How many there are now."""
@@ -154,7 +151,7 @@ class Session:
             logger.info(f"jaxfilter {__version__}: {shlex.join(sys.argv[1:])}")
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
-        warnings.showwarning = self._warn
+        warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
         self._stack.callback(compilation.keep_compilations, compilation.keep_compilations())
         Session.running, Session.stopped_by = Session.running + 1, None
         return self
@@ -214,10 +211,8 @@ class Session:
         return self.pipe
 
     def progress(self, fraction: float, step: str, note: str = "", rate: float | None = None) -> None:
-        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step.
-
-        ``rate``: items per second, where it is not that of the fraction.
-        """
+        """The callback for a filter: shows the fraction done, with a note, and adds up seconds by step. ``rate``: items per
+        second, where it is not that of the fraction."""
         self._next(step)
         now = perf_counter()
         self._since = self._since or (now, fraction)
@@ -231,9 +226,7 @@ class Session:
 
     def standing(self, fraction: float, rate: float | None = None) -> str:
         """The fraction of a step that is done, the rate, the time left by the mean rate since its first report, and memory.
-
-        What a sweep that goes on had done before does not count as speed.
-        """
+        What a sweep that goes on had done before does not count as speed."""
         (items, unit), (since, before) = self._items, self._since or (perf_counter(), fraction)
         seconds, done = perf_counter() - since, fraction - before
         if rate is None and items and seconds >= _RATED:
@@ -268,9 +261,6 @@ class Session:
         if running:
             self.steps[running] = self.steps.get(running, 0.0) + now - since
         self._mark = (step, now)
-
-    def _warn(self, message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-        self.warn_of(str(message))
 
     def warn_of(self, message: str) -> None:
         """A line on a warning of the library, the first time that it comes."""

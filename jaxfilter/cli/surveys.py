@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
-from .commands import main
-from .options import REPLACE, STATED, check_inputs, check_target
-from .output import Answer, count, in_session, print_table
+from .commands import command
+from .options import REPLACE, STATED, check_target, open_survey, take
+from .output import Answer, count, table_text
 from .session import Session, in_flags
-from .values import OUTPUT, option, with_options
+from .values import OUTPUT, option
 
 if TYPE_CHECKING:
     from ..surveys.collection import Collection
@@ -22,24 +22,14 @@ _ROWS = 40  # of a table on the screen
 _WORDS = {"spacing": "metres between candidates", "density": "candidates per m2"}  # of the facts on a file
 
 
-@main.command()
-@click.argument("names", metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True)
-@with_options(
+@command(
+    click.Argument(["names"], metavar="FILE|FOLDER|PATTERN|VPC|URL...", nargs=-1, required=True),
     *STATED,
     option("--vpc", "Write the survey as a virtual point cloud.", OUTPUT),
     option("--map picture", "Draw a map of the files as PNG, PDF or SVG.", OUTPUT),
     REPLACE,
 )
-@in_session
-def info(
-    session: Session,
-    names: tuple[str, ...],
-    units: str | None,
-    crs: str | None,
-    vpc: Path | None,
-    picture: Path | None,
-    overwrite: bool,
-) -> Answer:
+def info(session: Session, names: tuple[str, ...], vpc: Path | None, picture: Path | None, **options: Any) -> Answer:
     """What a file says of itself: points, extent, CRS, units, classes and echoes.
 
     Of several files, a folder, a pattern or a virtual point cloud (.vpc): a table of the survey, from the headers alone, and
@@ -48,10 +38,8 @@ def info(
     from ..files import reading
     from ..files.disk import new_file
     from ..files.storage import place_of
-    from ..surveys.collection import open as open_survey
 
-    Reading(units=units, crs=crs)  # checks them
-    check_inputs(names)
+    how, overwrite = take(Reading, options), options["overwrite"]
     for target, suffixes in ((vpc, (".vpc",)), (picture, (".png", ".pdf", ".svg"))):
         if target is not None:
             check_target(target, overwrite, suffixes)
@@ -59,12 +47,11 @@ def info(
     one_file = len(names) == 1 and isinstance(place, Path) and place.is_file() and place.suffix.lower() != ".vpc"
     if one_file and vpc is None and picture is None:
         with session.reading(place):
-            about = reading.info(place, units=units, crs=crs)
+            about = reading.info(place, units=how.units, crs=how.crs)
         lines = {_WORDS.get(key, key.replace("_", " ")): _plain(value) for key, value in about.items()}
         width = max(len(k) for k in lines)
         return Answer(about, "\n".join(f"{key:{width}}  {value}" for key, value in lines.items()), always=True)
-    with session.step("headers"):
-        survey = open_survey(names, units=units, crs=crs)
+    survey = open_survey(session, names, how)
     with session.step("check"):
         findings = survey.check()
     if vpc is not None:
@@ -73,12 +60,6 @@ def info(
         figure = survey.plot().figure
         with new_file(picture, overwrite=overwrite) as part:
             figure.savefig(part, format=picture.suffix[1:].lower())
-
-    def show() -> None:
-        _print_survey(survey)
-        for line in findings.lines():
-            click.echo(in_flags(line))
-
     mixed, area = findings.mixed is not None, float(survey.areas.sum())
     facts = {
         "files": len(survey),
@@ -91,7 +72,7 @@ def info(
         "findings": findings.as_dict(),
         "members": survey.table().to_dict(orient="records"),
     }
-    return Answer(facts, show)
+    return Answer(facts, "\n".join([_survey_text(survey), *map(in_flags, findings.lines())]))
 
 
 def _plain(value: Any) -> str:
@@ -105,7 +86,7 @@ def _plain(value: Any) -> str:
     return "none" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _print_survey(survey: Collection) -> None:
+def _survey_text(survey: Collection) -> str:
     frame = survey.table()
     rows = []
     for row in frame.head(_ROWS).itertuples():
@@ -113,8 +94,8 @@ def _print_survey(survey: Collection) -> None:
         crs = row.crs if isinstance(row.crs, str) else ""
         heights, density = f"{row.zmin:.2f} to {row.zmax:.2f}", f"{row.density:.3g}"
         rows.append((Path(str(row.uri)).name, str(row.format), f"{row.points:,}", *spans, heights, density, crs))
-    print_table(("file", "format", "points", "x", "y", "z", "per m2", "CRS"), rows, left=2)
+    table = table_text(("file", "format", "points", "x", "y", "z", "per m2", "CRS"), rows, left=2)
     area = float(survey.areas.sum())
     more = f"{len(frame) - _ROWS:,} more files; " if len(frame) > _ROWS else ""
     points = f"{survey.count:,} points on {area / 1e6:,.4g} km2, {survey.count / max(area, 1e-9):.3g} per m2"
-    click.echo(f"{more}{count(len(frame), 'file')}, {points}")
+    return f"{table}\n{more}{count(len(frame), 'file')}, {points}"

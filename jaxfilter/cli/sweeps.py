@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..core.reading import Reading
-from .commands import main
+from .commands import command
 from .options import REPLACE, SWEPT, check_target, pairs, take, take_recipe
-from .output import Answer, count, in_session, json_text, print_table, times
+from .output import Answer, count, json_text, table_text, times
 from .session import BadUsage, Session
-from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option, with_options
+from .values import BOX, CLASS, COUNT, FOLDER, INPUT, METRES, OUTPUT, SEED, option
 
 if TYPE_CHECKING:
     import pandas
@@ -24,29 +24,23 @@ if TYPE_CHECKING:
 
     from ..core.cloud import PointCloud
     from ..core.filter import Filter
+    from ..surveys.measures import Recipe
 
 SCORES = ("total", "kappa", "type1", "type2")
 DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
+_VALUES = "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from."
+_DESIGN = (
+    "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ..."
+)
+_SEARCHED = "Search this field between these values.  [default: the thresholds of the method]"
 
 
-@main.command()
-@click.argument("filter", metavar="METHOD")
-@click.argument("sources", metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT)
-@click.argument("directory", metavar="OUT_DIR", type=FOLDER)
-@with_options(
-    option(
-        "--axis axes",
-        "Values of a field. V,V,..., or START:STOP:STEP (with STOP), or LOW..HIGH to draw from.",
-        "FIELD=VALUES",
-        multiple=True,
-        required=True,
-    ),
-    option(
-        "--design",
-        "All combinations; --size sets drawn at random or by Sobol; or the first values of all axes, the second ones, ...",
-        click.Choice(["grid", "random", "sobol", "list"]),
-        default="grid",
-    ),
+@command(
+    click.Argument(["filter"], metavar="METHOD"),
+    click.Argument(["sources"], metavar="IN [IN ...]", nargs=-1, required=True, type=INPUT),
+    click.Argument(["directory"], metavar="OUT_DIR", type=FOLDER),
+    option("--axis axes", _VALUES, "FIELD=VALUES", multiple=True, required=True),
+    option("--design", _DESIGN, click.Choice(["grid", "random", "sobol", "list"]), default="grid"),
     option("--size", "Number of sets of a random or sobol design.", int),
     option("--seed", "Seed of a random or sobol design.", SEED, default=0),
     option("--votes", "Count for every point how many sets call it ground.", bool),
@@ -54,16 +48,7 @@ DATASET, TABLE, CHECKPOINT = "sweep.nc", "sets.csv", "checkpoint.npz"
     *SWEPT,
     click.Option(["--resume/--fresh"], default=True, help="Go on with the sweep in OUT_DIR, or replace it."),
 )
-@in_session
-def sweep(
-    session: Session,
-    sources: tuple[Path, ...],
-    directory: Path,
-    axes: tuple[str, ...],
-    score: str,
-    resume: bool,
-    **options: Any,
-) -> Answer:
+def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: bool, **options: Any) -> Answer:
     """Classify with many sets of parameters, and score each against the labels of IN.
 
     Labels are class 2 of LAS (points of class 0 do not count), or a label column of text. Writes into OUT_DIR: sweep.nc, all
@@ -75,13 +60,10 @@ def sweep(
     from ..sweeps.best import best_sets
     from ..sweeps.design import make_design
 
-    recipe, reading = take_recipe(options), take(Reading, options)
-    assert recipe is not None
-    filter_ = recipe.alone()
-    assert filter_ is not None
-    design = {name: options.pop(name) for name in ("design", "size", "seed")}
-    drawn = design["design"] in ("random", "sobol")
-    ranges = {name: axis(type(filter_), name, text, drawn) for name, text in pairs("--axis", axes).items()}
+    recipe, filter_, reading = _take_method(options)
+    design, score = {name: options.pop(name) for name in ("design", "size", "seed")}, options.pop("score")
+    drawn, axes = design["design"] in ("random", "sobol"), pairs("--axis", options.pop("axes"))
+    ranges = {name: axis(type(filter_), name, text, drawn) for name, text in axes.items()}
     plan = make_design(filter_, ranges, *design.values())
     checkpoint = directory / CHECKPOINT
     if resume and (directory / DATASET).exists() and not checkpoint.exists():
@@ -123,31 +105,18 @@ def sweep(
         "parameters": dataclasses.asdict(filter_),  # type: ignore[call-overload]
         "files": files,
     }
-
-    def show() -> None:
-        if scored:
-            _print_sets(dataset, table.head(10), score)
-        click.echo(
-            f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
-            f"{times(session.seconds)}\nin {directory}: {', '.join(files)}"
-        )
-
-    return Answer(facts, show)
+    text = f"{_sets_text(dataset, table.head(10), score)}\n" if scored else ""
+    text += f"{type(filter_).__name__}: {sets:,} sets, {count(len(clouds), 'cloud')}, {count(groups, 'group')}; "
+    return Answer(facts, f"{text}{times(session.seconds)}\nin {directory}: {', '.join(files)}")
 
 
-@main.command()
-@click.argument("filter", metavar="METHOD")
-@click.argument("source", metavar="IN", type=INPUT)
-@with_options(
+@command(
+    click.Argument(["filter"], metavar="METHOD"),
+    click.Argument(["source"], metavar="IN", type=INPUT),
     option("--labels labels_file", "File with some of the points and their classes or labels.  [default: IN]", INPUT),
     option("--unlabelled", "Points of this class have no label.", CLASS, multiple=True, default=(0,)),
     option("--bounds patches", "Take only the labels within.", float, nargs=4, multiple=True, metavar=BOX),
-    option(
-        "--axis axes",
-        "Search this field between these values.  [default: the thresholds of the method]",
-        "FIELD=LOW..HIGH",
-        multiple=True,
-    ),
+    option("--axis axes", _SEARCHED, "FIELD=LOW..HIGH", multiple=True),
     option("--size", "Number of sets that each round tries.", COUNT, default=256),
     option("--rounds", "Rounds; all but the first search around the best set so far.", COUNT, default=2),
     option("--score", "The score that decides.", click.Choice(["total", "kappa"]), default="total"),
@@ -158,16 +127,7 @@ def sweep(
     option("--out", "Write the result to this JSON file as well.", OUTPUT),
     REPLACE,
 )
-@in_session
-def calibrate(
-    session: Session,
-    source: Path,
-    labels_file: Path | None,
-    axes: tuple[str, ...],
-    out: Path | None,
-    overwrite: bool,
-    **options: Any,
-) -> Answer:
+def calibrate(session: Session, source: Path, labels_file: Path | None, out: Path | None, **options: Any) -> Answer:
     """Find the parameters that suit IN from the labels of some of its points.
 
     Label a few patches in different places by hand, ground as class 2, everything else in them as any other class, and leave
@@ -182,14 +142,12 @@ def calibrate(
     from ..sweeps.design import make_design
     from . import flags
 
-    words, recipe, reading = options["units"], take_recipe(options), take(Reading, options)
-    assert recipe is not None
-    alone = recipe.alone()
-    assert alone is not None
-    ranges = {name: axis(type(alone), name, text, True) for name, text in pairs("--axis", axes).items()} or None
+    words, (recipe, alone, reading) = options["units"], _take_method(options)
+    given, overwrite = pairs("--axis", options.pop("axes")), options.pop("overwrite")
+    ranges = {name: axis(type(alone), name, text, True) for name, text in given.items()} or None
     if ranges is not None:
         if lists := [name for name, ends in ranges.items() if isinstance(ends, list)]:
-            raise BadUsage(f"--axis {lists[0]}={dict(pairs('--axis', axes))[lists[0]]}: write a range as LOW..HIGH")
+            raise BadUsage(f"--axis {lists[0]}={given[lists[0]]}: write a range as LOW..HIGH")
         make_design(alone, ranges, "random", 1)  # checks fields and limits
     unlabelled, patches = options.pop("unlabelled"), [check_bounds(patch) for patch in options.pop("patches")]
     if out is not None:
@@ -238,11 +196,18 @@ def calibrate(
     return Answer(facts, text + (f"\nin {out}" if out is not None else ""))
 
 
-def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] | tuple[Any, Any]:
-    """The values V,V,... or START:STOP:STEP of a field; or the ends of LOW..HIGH, if values are ``drawn`` from it.
+def _take_method(options: dict[str, Any]) -> tuple[Recipe, Filter, Reading]:
+    """What the options say of METHOD, which has to be named, the filter before any cloud is read, and how clouds are read."""
+    recipe = take_recipe(options)
+    assert recipe is not None
+    filter_ = recipe.alone()
+    assert filter_ is not None
+    return recipe, filter_, take(Reading, options)
 
-    Raises: BadUsage, ParameterError.
-    """
+
+def axis(method: type[Filter], name: str, text: str, drawn: bool) -> list[Any] | tuple[Any, Any]:
+    """The values V,V,... or START:STOP:STEP of a field; or the ends of LOW..HIGH, if values are ``drawn`` from it. Raises:
+    BadUsage, ParameterError."""
     from . import flags
 
     def values(pieces: Iterable[str]) -> list[Any]:
@@ -302,9 +267,7 @@ def _write(
         TABLE: lambda path: table.to_csv(path),
     }
     ends = {name: f"_{name}" if len(clouds) > 1 else "" for name in clouds}
-    figures: dict[str, Any] = dict.fromkeys(
-        ["curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)]
-    )
+    figures: dict[str, Any] = {}
     if dataset[score].notnull().any():
         figures["curves.png"] = plots.sweep_curves(dataset, score)
         if len(axes_of(dataset)) > 1:
@@ -313,18 +276,17 @@ def _write(
         if f"votes{end}" in dataset and len(clouds[name]):
             votes = dataset[f"votes{end}"].values
             figures[f"votes{end}.png"] = plots.votes_map(clouds[name], votes, title=name if end else "").figure
-    for name, figure in figures.items():
-        if figure is None:
+    writers |= {name: functools.partial(figure.savefig, format="png") for name, figure in figures.items()}
+    for name in ("curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)):
+        if name not in figures:
             (directory / name).unlink(missing_ok=True)
-        else:
-            writers[name] = functools.partial(figure.savefig, format="png")
     for name, write in writers.items():
         with new_file(directory / name, overwrite=True) as path:
             write(path)
     return list(writers)
 
 
-def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> None:
+def _sets_text(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) -> str:
     from ..sweeps.best import SCORES, axes_of, word
 
     names, heads = axes_of(dataset), {"type1": "Type I", "type2": "Type II"}
@@ -333,4 +295,4 @@ def _print_sets(dataset: xarray.Dataset, table: pandas.DataFrame, score: str) ->
         for number, row in table.iterrows()
     ]
     title = f"best sets by {heads.get(score, score)}, percent" + ", means over the clouds" * ("cloud" in dataset.dims)
-    print_table(("set", *names, *(heads.get(name, name) for name in SCORES)), rows, title=title)
+    return f"{title}\n{table_text(('set', *names, *(heads.get(name, name) for name in SCORES)), rows)}"

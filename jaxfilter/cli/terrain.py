@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .commands import main
+from .commands import command
 from .options import (
     BOUNDS,
     BREAKLINES,
@@ -24,9 +24,9 @@ from .options import (
     take_classes,
     take_recipe,
 )
-from .output import Answer, count, in_session, plan_answer, run_facts, tell, times
+from .output import Answer, answer_of, count, plan_answer, run_facts, tell, times
 from .session import BadUsage, Session, logger
-from .values import BOX, CLASS, METRES, option, with_options
+from .values import BOX, CLASS, METRES, NAMES, option
 
 if TYPE_CHECKING:
     from ..surveys.model import TerrainReport
@@ -49,29 +49,21 @@ _MODEL = [
     option("--level-water/--raw-water", "Give water its level, or the triangles of its points.", bool, default=True),
 ]
 _LEVELS, _GAP = (0.0, 2.0, 5.0, 10.0, 15.0), 10.0
+_FROM = "Metres above the ground from which echoes make a surface."
 _SURFACE = [
-    option(
-        "--level levels",
-        "Metres above the ground from which echoes make a surface.",
-        float,
-        multiple=True,
-        default=_LEVELS,
-    ),
+    option("--level levels", _FROM, float, multiple=True, default=_LEVELS),
     option("--gap", "Radius of the circle of triangles up to which voids are bridged.", METRES, default=_GAP),
     option("--radius", "The same for levels above 0.  [default: one and a half cells]", METRES),
+]
+_LIGHT = [
+    option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
+    option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
 ]
 _LAYERS: dict[str, tuple[str, list[click.Option]]] = {
     "dtm": ("a terrain model: ground heights", _MODEL),
     "dsm": ("a surface model without pits: trees, roofs and ground, from the first echoes", _SURFACE),
     "chm": ("a canopy height model: how high the surface without pits lies above the ground", _SURFACE),
-    "hillshade": (
-        "a shaded relief of the terrain model, 1 to 255, as GDAL has it",
-        [
-            option("--azimuth", "Where the light comes from, degrees from north to east.", float, default=315.0),
-            option("--altitude", "Degrees of the sun above the horizon.", float, default=45.0),
-            *_MODEL,
-        ],
-    ),
+    "hillshade": ("a shaded relief of the terrain model, 1 to 255, as GDAL has it", [*_LIGHT, *_MODEL]),
     "density": ("a raster of the number of ground points per square metre", []),
     "count": ("a raster of the number of ground points in each cell", []),
     "voids": (
@@ -99,10 +91,7 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
     area = "Bounds of the raster, in file units.  [default: the extent of IN]"
     shared = (*GROUND, option("--bounds", area, float, nargs=4, metavar=BOX), *RUN[:-1])
 
-    @main.command(name, help=help)
-    @click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-    @with_options(*CELL, *own, *shared)
-    @in_session
+    @command(NAMES, *CELL, *own, *shared, name=name, help=help)
     def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
         from ..files.storage import place_of
         from ..files.vectors import DRIVERS
@@ -117,13 +106,10 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
         files = open_files(session, names, options, SUFFIXES if layer.SUFFIX in SUFFIXES else tuple(DRIVERS))
         assert files.out is not None
         outputs, (cell, side) = {layer: place_of(files.out)}, _side(files, options)
-        with session.step("run", files.collection.count):
-            report = make_rasters(
-                files.collection, outputs, ground, cell=cell, interpolation=how, reading=files.reading, run=files.run
-            )
+        report = files.do(make_rasters, outputs, ground, cell=cell, interpolation=how)
         if report.forecast is not None:
             return plan_answer(report.forecast)
-        return _answer(session, report, files, f"{_cells(report, side)}\n{name}: ", "cell")
+        return _answer(report, files, f"{_cells(report, side)}\n{name}: ", "cell")
 
 
 for _name, (_what, _own) in _LAYERS.items():
@@ -144,9 +130,8 @@ def _cells(report: TerrainReport, side: str) -> str:
     return f"{text}, {report.empty:,} cells without a value"
 
 
-@main.command()
-@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-@with_options(
+@command(
+    NAMES,
     *FILTER,
     *READING,
     PRESET_OF_CLASSES,
@@ -156,7 +141,6 @@ def _cells(report: TerrainReport, side: str) -> str:
     BREAKLINES,
     *RUN[:-1],
 )
-@in_session
 def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Classify a survey, and make all rasters and contour lines of it, each as one file in the folder OUT.
 
@@ -178,41 +162,28 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
         raise BadUsage("-: products are several files: name a folder")
     check_shapes(options, options["breaklines"], made=names[-1])
     files = open_files(session, names, options)
-    assert files.out is not None
     cell, side = _side(files, options)
-    with session.step("run", files.collection.count):
-        made = make_products(
-            files.collection,
-            files.out,
-            recipe or known or None,
-            only=only,
-            cell=cell,
-            reading=files.reading,
-            classes=classes,
-            breaklines=options["breaklines"],
-            run=files.run,
-        )
+    how = {"only": only, "cell": cell, "classes": classes, "breaklines": options["breaklines"]}
+    made = files.do(make_products, files.out, recipe or known or None, **how)
     plan = made.rasters.forecast
     if plan is not None:
         more = [] if made.ground is None or made.ground.forecast is None else made.ground.forecast.files
         return plan_answer(plan._replace(files=[*more, *plan.files, str(made.page)]))
     if made.ground is not None:
         tell(session, made.ground)
-    answer = _answer(session, made.rasters, files, f"{_cells(made.rasters, side)}\n", "cell")
+    answer = _answer(made.rasters, files, f"{_cells(made.rasters, side)}\n", "cell")
     answer.facts["classified"] = None if made.ground is None else run_facts(session, made.ground)
     answer.facts["page"] = str(made.page)
     return dataclasses.replace(answer, complete=made.complete)
 
 
-@main.command()
-@click.argument("names", metavar="IN... [OUT]", nargs=-1, required=True)
-@with_options(
+@command(
+    click.Argument(["names"], metavar="IN... [OUT]", nargs=-1, required=True),
     *GROUND,
     BOUNDS,
     option("--replace-z", "Write heights in place of Z instead of as an extra dimension.", bool),
     *RUN,
 )
-@in_session
 def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
     """Write the height of every point above the ground, in the units of Z.
 
@@ -229,14 +200,13 @@ def height(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
 
     ground, replace_z = _ground(options), options["replace_z"]
     files = open_files(session, names, options)
-    with session.step("run", files.collection.count):
-        report = heights(files.collection, files.out, ground, replace_z=replace_z, reading=files.reading, run=files.run)
+    report = files.do(heights, files.out, ground, replace_z=replace_z)
     if report.forecast is not None:
         return plan_answer(report.forecast)
     low, high = report.heights or (math.nan, math.nan)
     dimension = "Z" if replace_z else HEIGHT
     text = f"{report.points:,} points above {report.ground:,} ground points, {low:.2f} to {high:.2f}, in {dimension}\n"
-    answer = _answer(session, report, files, text, "point")
+    answer = _answer(report, files, text, "point")
     answer.facts.update(dimension=dimension, lowest=low, highest=high, units=str(files.collection.units))
     return answer
 
@@ -247,15 +217,13 @@ def _ground(options: dict[str, Any]) -> GroundSource:
     return options["ground_classes"] if recipe is None else recipe
 
 
-def _answer(session: Session, report: RunReport, files: Files, text: str, what: str) -> Answer:
+def _answer(report: RunReport, files: Files, text: str, what: str) -> Answer:
     """The facts on a run, and its text with the time added; says what went wrong."""
     logger.info(f"{files.output}: {text.partition(chr(10))[0]}")
     if report.uncertain:
-        session.warn(
-            f"heights of {count(report.uncertain, what)} over wide voids may differ between neighbouring tiles"
-        )
-    tell(session, report)
+        where = count(report.uncertain, what)
+        files.session.warn(f"heights of {where} over wide voids may differ between neighbouring tiles")
     if report.breaklines:
         text += f"{report.breaklines}: {count(report.as_dict()['water_bodies'], 'outline')} of water\n"
     text += f"{count(report.tiles, 'tile')} in {report.elapsed:.1f} s; {times(report.seconds)}"
-    return Answer(run_facts(session, report, files), f"{files.output}: {text}", complete=report.complete)
+    return answer_of(files, report, f"{files.output}: {text}")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
-
-T = TypeVar("T")
+from click.core import ParameterSource
 
 INPUT = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUTPUT = click.Path(dir_okay=False, path_type=Path)
@@ -57,10 +56,8 @@ class Number(click.ParamType):
 
 
 def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option:
-    """An option by its flags, separated by spaces, with the name of its argument last where it is another.
-
-    ``kind``: bool for a switch, a text that stands for words in the help, or a type of click.
-    """
+    """An option by its flags, separated by spaces, with the name of its argument last where it is another. ``kind``: bool for
+    a switch, a text that stands for words in the help, or a type of click."""
     if isinstance(kind, str):
         kind, more["metavar"] = None, kind
     if more.get("multiple"):
@@ -68,11 +65,10 @@ def option(flags: str, help: str, kind: Any = None, **more: Any) -> click.Option
     return click.Option(flags.split(), help=help, type=kind, is_flag=kind is bool, **more)
 
 
-def with_options(*given: click.Parameter) -> Callable[[Callable[..., T]], Callable[..., T]]:
-    """A decorator that gives a command these options, in this order."""
+def on_command_line(names: Iterable[str]) -> dict[str, Any]:
+    """The arguments out of these that the command line gives to the running command, by name."""
+    context = click.get_current_context()
+    return {n: context.params[n] for n in names if context.get_parameter_source(n) == ParameterSource.COMMANDLINE}
 
-    def decorate(command: Callable[..., T]) -> Callable[..., T]:
-        command.__dict__.setdefault("__click_params__", []).extend(reversed(given))
-        return command
 
-    return decorate
+NAMES = click.Argument(["names"], metavar="IN... OUT", nargs=-1, required=True)

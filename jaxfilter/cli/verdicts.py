@@ -7,23 +7,22 @@ from typing import Any
 
 import click
 
-from .commands import main
-from .options import READING, RUN, STATED, check_inputs, check_target, open_files, take, take_run
-from .output import Answer, count, in_session, run_facts, tell
+from ..core.reading import Reading
+from .commands import command
+from .options import READING, RUN, STATED, check_inputs, check_target, open_files, open_survey, take, take_run
+from .output import Answer, answer_of, count, run_facts, tell
 from .session import BadUsage, Session
-from .values import CLASS, INPUT, option, with_options
+from .values import CLASS, INPUT, NAMES, option
 
 _RUN = [one for one in RUN if one.name in ("workers", "memory", "client", "work", "resume", "overwrite")]
 
 
-@main.command()
-@click.argument("names", metavar="IN... OUT", nargs=-1, required=True)
-@with_options(
+@command(
+    NAMES,
     option("--classified classes", "Class of the ground points of IN.", CLASS, multiple=True, default=(2,)),
     *STATED,
     *_RUN,
 )
-@in_session
 def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], **options: Any) -> Answer:
     """List the places of classified files where the terrain may be wrong, worst first.
 
@@ -36,19 +35,15 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     from ..surveys.verdicts import review_survey
 
     files = open_files(session, names, options, tuple(DRIVERS))
-    assert files.out is not None
-    with session.step("run", files.collection.count):
-        report = review_survey(files.collection, files.out, classes, reading=files.reading, run=files.run)
-    tell(session, report)
+    report = files.do(review_survey, files.out, classes)
     area = sum(place["area"] for place in report.places)
     text = f"{files.out}: {count(len(report.places), 'place')} of {area:,.0f} m2 in all; column verdict takes {', '.join(WORDS)}"
-    return Answer(run_facts(session, report, files), text, complete=report.complete)
+    return answer_of(files, report, text)
 
 
-@main.command()
-@click.argument("places", metavar="PLACES", type=INPUT)
-@click.argument("names", metavar="SURVEY...", nargs=-1, required=True)
-@with_options(
+@command(
+    click.Argument(["places"], metavar="PLACES", type=INPUT),
+    click.Argument(["names"], metavar="SURVEY...", nargs=-1, required=True),
     option("--ground-class", "Class of ground points.", CLASS, default=2),
     option("--other-class", "Class for points that are no ground any more.", CLASS, default=1),
     option("--bridge-class bridge", "Class for points of bridges that were ground (ASPRS: 17).", CLASS),
@@ -56,7 +51,6 @@ def review(session: Session, names: tuple[str, ...], classes: tuple[int, ...], *
     *(one for one in READING if one.name not in ("bounds", "aoi")),
     *_RUN,
 )
-@in_session
 def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any) -> Answer:
     """Change classified files by what people have decided at places.
 
@@ -68,15 +62,11 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     carried out; it is not carried out again. Verdicts that contradict each other, are no verdicts, or lie beside the data are
     named and left out. Then the exit code is 1.
     """
-    from ..core.reading import Reading
     from ..files.classes import Classes
-    from ..surveys.collection import open as open_collection
     from ..surveys.verdicts import apply_survey
 
     reading, run, classes = take(Reading, options), take_run(options, session), take(Classes, options)
-    check_inputs(names)
-    with session.step("headers"):
-        collection = open_collection(names, units=reading.units, crs=reading.crs)
+    collection = open_survey(session, names, reading)
     with session.step("run", collection.count):
         report = apply_survey(places, collection, classes=classes, reading=reading, run=run)
     tell(session, report)
@@ -90,15 +80,13 @@ def apply(session: Session, places: Path, names: tuple[str, ...], **options: Any
     return Answer(run_facts(session, report), text, complete=report.complete)
 
 
-@main.command()
-@click.argument("names", metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True)
-@with_options(
+@command(
+    click.Argument(["names"], metavar="CLASSIFIED... MODEL OUT", nargs=-1, required=True),
     option("--checkpoints", "Check points as CSV: x, y, z, and if you like land_cover and vertical_datum.", INPUT),
     option("--classified ground", "Class of the ground points.", CLASS, multiple=True, default=(2,)),
     *STATED,
     *_RUN,
 )
-@in_session
 def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None, **options: Any) -> Answer:
     """State how accurate a terrain model is, on a page for a client, and as JSON.
 
@@ -107,18 +95,15 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     per km2 by doubt, the area of places where the terrain may be wrong, density of ground points, voids, versions and
     parameters. Check points in another vertical datum than that of the model are refused.
     """
-    from ..core.reading import Reading
     from ..surveys.accuracy import accuracy_statement, metres
-    from ..surveys.collection import open as open_collection
 
     if len(names) < 3:
         raise BadUsage("name the classified files, the model, and the page to write: CLASSIFIED... MODEL OUT.html")
     *inputs, model, out = names
-    check_inputs([*inputs, model])
+    check_inputs([model])
     reading, run, ground = take(Reading, options), take_run(options, session), options["ground"]
     check_target(Path(out), run.overwrite, (".html", ".htm"))
-    with session.step("headers"):
-        collection = open_collection(inputs, units=reading.units, crs=reading.crs)
+    collection = open_survey(session, inputs, reading)
     with session.step("run", collection.count):
         facts = accuracy_statement(collection, model, out, checkpoints, ground=ground, reading=reading, run=run)
     for note in facts["notes"]:
@@ -129,4 +114,4 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
         nva, vva = points["nva"], points["vva"]
         text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
         text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
-    return Answer(session.as_dict() | facts, text)
+    return Answer(facts, text)

@@ -149,17 +149,10 @@ class Reference:
     problem: str | None = None
     shown: str = ""
 
-    @property
-    def name(self) -> str | None:
-        """Name of the CRS, or None."""
-        return None if self.crs is None else self.crs.name
-
 
 def reference_of(records: dict[int, bytes], name: str) -> Reference:
-    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys.
-
-    Warns about records that cannot be understood; ``name`` is that of the file.
-    """
+    """From the data of the records :data:`WKT` and :data:`GEOKEYS`: the WKT if it can be understood, else the keys. Warns
+    about records that cannot be understood; ``name`` is that of the file."""
     for number, parse in ((WKT, _from_wkt), (GEOKEYS, _from_geokeys)):
         if not records.get(number, b"").strip(b"\0 "):
             continue
@@ -196,10 +189,8 @@ NOTHING = Stated()
 
 
 def linear_units(reference: Reference, name: str) -> Units:
-    """The units to read coordinates with: as they are known, else metres with a warning.
-
-    Raises: InputError if the CRS is geographic or geocentric, or has an absurd unit.
-    """
+    """The units to read coordinates with: as they are known, else metres with a warning. Raises: InputError if the CRS is
+    geographic or geocentric, or has an absurd unit."""
     if reference.problem is not None:
         raise InputError(f"{name}: {reference.problem}, or pass units= if the CRS record is wrong")
     if reference.units is None:
@@ -315,9 +306,8 @@ def geokeys(crs: pyproj.CRS) -> bytes | None:
     if None in codes or not parts[0].is_projected:
         return None
     keys = [(_MODEL, 1), *zip((_PROJECTED, _VERTICAL), codes, strict=False)]
-    return struct.pack(
-        f"<{4 + 4 * len(keys)}H", 1, 1, 0, len(keys), *(v for key, code in keys for v in (key, 0, 1, code))
-    )
+    entries = [value for key, code in keys for value in (key, 0, 1, code)]
+    return struct.pack(f"<{4 + len(entries)}H", 1, 1, 0, len(keys), *entries)
 
 
 def _vertical_unit(code: int) -> tuple[float, str] | None:

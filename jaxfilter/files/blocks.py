@@ -75,10 +75,6 @@ class Blocks:
         low, high = self.low, self.high
         return self[(low[:, 0] < box[2]) & (high[:, 0] >= box[0]) & (low[:, 1] < box[3]) & (high[:, 1] >= box[1])]
 
-    def everywhere(self) -> Blocks:
-        """The same runs, of which it is not known where they lie."""
-        return dataclasses.replace(self, low=np.full_like(self.low, -np.inf), high=np.full_like(self.high, np.inf))
-
     def records(self) -> np.ndarray:
         """i64[n]: the numbers of the records, run after run."""
         ends = np.cumsum(self.points)
@@ -121,16 +117,13 @@ def runs(header: Header, file: BinaryIO) -> Blocks:
         first = np.arange(0, header.count, RUN)
         points = np.minimum(header.count - first, RUN)
         start, size = len(header.head) + first * header.record_length, points * header.record_length
-    unknown = np.zeros((len(points), 2))
-    first = np.cumsum(points) - points
-    return Blocks(start, size, first, points, unknown, unknown, np.full(len(points), -1)).everywhere()
+    edge, first = np.full((len(points), 2), np.inf), np.cumsum(points) - points
+    return Blocks(start, size, first, points, -edge, edge, np.full(len(points), -1))
 
 
 def measured(header: Header) -> Blocks:
     """The runs of a file with checksums and with the areas that their points cover, which COPC states: reads all of it.
-
-    Raises: InputError.
-    """
+    Raises: InputError."""
     with header.open() as file:
         found = nodes(header, file) if header.is_copc else runs(header, file)
         found = found[found.points > 0]
@@ -141,27 +134,19 @@ def measured(header: Header) -> Blocks:
             packed = read_ranges(header.path, file, group.start, group.size)
             group = dataclasses.replace(group, checksum=_checksums(group, packed))
             if not header.is_copc:
-                low, high = _areas(header, group, _records(header, group, packed, wanted))
+                low, high = _areas(header, group, _KEPT.decoded(header, group, packed, wanted))
                 group = dataclasses.replace(group, low=low, high=high)
             groups.append(group)
     columns = [[getattr(group, field.name) for group in groups] for field in dataclasses.fields(Blocks)]
     return Blocks(*map(np.concatenate, columns))
 
 
-def read_blocks(header: Header, file: BinaryIO, blocks: Blocks, wanted: int) -> np.ndarray:
-    """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress.
-
-    Raises: InputError if they are damaged, Changed if they are not those whose checksums are known.
-    """
-    return _records(header, blocks, read_packed(header, file, blocks), wanted)
-
-
-def _records(header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) -> np.ndarray:
-    """As :func:`_decoded`; out of what is kept, if there is little of it."""
-    large = 2 * int(blocks.points.sum()) * header.record_length > _MOST
-    if large or not header.compressed or (blocks.checksum < 0).any():
-        return _decoded(header, blocks, packed, wanted)
-    return _KEPT.decoded(header, blocks, packed, wanted)
+def read_blocks(
+    header: Header, file: BinaryIO, blocks: Blocks, wanted: int = lazrs.SELECTIVE_DECOMPRESS_ALL
+) -> np.ndarray:
+    """The records of some runs, u8[n, record_length]; ``wanted`` are the parts of LAZ to decompress. Raises: InputError if
+    they are damaged, Changed if they are not those whose checksums are known."""
+    return _KEPT.decoded(header, blocks, read_packed(header, file, blocks), wanted)
 
 
 class _Kept:
@@ -172,7 +157,10 @@ class _Kept:
         self._lock = threading.Lock()
 
     def decoded(self, header: Header, blocks: Blocks, packed: np.ndarray, wanted: int) -> np.ndarray:
-        """As :func:`_decoded`."""
+        """As :func:`_decoded`; out of what is kept, if there is little of it."""
+        large = 2 * int(blocks.points.sum()) * header.record_length > _MOST
+        if large or not header.compressed or (blocks.checksum < 0).any():
+            return _decoded(header, blocks, packed, wanted)
         columns = (blocks.start, blocks.size, blocks.points, blocks.checksum)
         keys = [(str(header.path), wanted, *key) for key in np.stack(columns, axis=1).tolist()]
         with self._lock:
@@ -270,7 +258,8 @@ def sound(header: Header, found: Blocks, group: Blocks, records: np.ndarray) -> 
 
 def _unknown(header: Header, found: Blocks) -> Blocks:
     warn(f"{header.path}: points lie outside the cubes of its octree, so all of it is read to find those within bounds")
-    return found.everywhere()
+    edge = np.full_like(found.low, np.inf)
+    return dataclasses.replace(found, low=-edge, high=edge)
 
 
 def _entries(header: Header, file: BinaryIO, page: int, size: int) -> np.ndarray:

@@ -174,12 +174,9 @@ def findings_of(
     reading: Reading = Reading(),  # noqa: B008
     workers: int | None = None,
 ) -> Found:
-    """What was found of the points of a cloud, by a filter and by what is around them.
-
-    ``reading`` says which points may become high noise and vegetation though another echo of their pulse was judged. Raises:
-    InputError for labels of another length; ParameterError if labels alone do not tell what is asked for. Warns: if the method
-    does not look for it.
-    """
+    """What was found of the points of a cloud, by a filter and by what is around them. ``reading`` says which points may
+    become high noise and vegetation though another echo of their pulse was judged. Raises: InputError for labels of another
+    length; ParameterError if labels alone do not tell what is asked for. Warns: if the method does not look for it."""
     found = result if isinstance(result, FilterResult) else None
     ground = np.asarray(result) if found is None else found.ground
     if ground.shape != (len(cloud),) or ground.dtype != bool:

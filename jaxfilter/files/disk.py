@@ -123,9 +123,7 @@ def _checksum(path: Path) -> str:
 
 class Tally:
     """Counts points and their checksum (CRC-32), in order; of a file that is read again, so many and that one are expected.
-
-    Points of LAS are counted by their integers X, Y, Z, points of text by their float64 coordinates.
-    """
+    Points of LAS are counted by their integers X, Y, Z, points of text by their float64 coordinates."""
 
     def __init__(self, path: Place | None = None, most: int = sys.maxsize, expected: int | None = None) -> None:
         self.points = self.checksum = 0
@@ -145,11 +143,8 @@ class Tally:
 
 
 def existing(path: Path) -> os.stat_result | None:
-    """Status of the regular file that an output of this name would replace, also through a symbolic link; None if there
-    is none.
-
-    Raises: OutputError if the name stands for something else (folder, pipe, device, socket) or cannot be used.
-    """
+    """Status of the regular file that an output of this name would replace, also through a symbolic link; None if there is
+    none. Raises: OutputError if the name stands for something else (folder, pipe, device, socket) or cannot be used."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -293,10 +288,8 @@ _FOREIGN_AGE = 86_400.0  # seconds
 
 @contextlib.contextmanager
 def workplace(parent: Path) -> Iterator[Path]:
-    """A new folder that is locked as long as this process lives, and removed with all that is in it.
-
-    A signal may raise at any place, also while the folder is made or removed.
-    """
+    """A new folder that is locked as long as this process lives, and removed with all that is in it. A signal may raise at
+    any place, also while the folder is made or removed."""
     folder, lock = parent / f"{_PREFIX}{_host()}-{secrets.token_hex(4)}", -1
     try:
         while lock < 0:

@@ -79,10 +79,8 @@ class Handle:
 
     @contextlib.contextmanager
     def again(self) -> Iterator[Tally]:
-        """A block in which the points are read once more, and added to what it is given.
-
-        Raises: InputError if the file is gone, or if the file or its points are not those that were read.
-        """
+        """A block in which the points are read once more, and added to what it is given. Raises: InputError if the file is
+        gone, or if the file or its points are not those that were read."""
         try:
             found = Identity.of(self.path)
         except OSError as error:

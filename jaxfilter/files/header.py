@@ -13,7 +13,7 @@ import datetime
 import hashlib
 import io
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, BinaryIO
 
 import lazrs
@@ -138,6 +138,10 @@ class Header:
         """Cloud Optimised Point Cloud: LAZ with its octree in an info record, which comes first."""
         return bool(self.vlrs) and self.vlrs[0].key == ("copc", 1)
 
+    def without_octree(self, records: Sequence[Record]) -> list[Record]:
+        """Those of some records that are not on the octree of COPC."""
+        return [record for record in records if not self.is_copc or record.key[0] != "copc"]
+
     def remarks(self) -> Iterator[str]:
         """What the header says of the number of points that contradicts itself or the file."""
         full, legacy, said = self._count, self._legacy_count, f"the header announces {self.count} points"
@@ -212,13 +216,12 @@ class Header:
         self,
         compressor: bytes | None,
         extra: Mapping[str, str] | None = None,
-        drop: tuple[str, ...] = (),
         crs: tuple[int, bytes] | None = None,
     ) -> Header:
         """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
-        float32 dimensions ``extra`` (names and descriptions), and without the records of the users in ``drop``; ``crs``: number
-        and data of a record that is added."""
-        kept = [r for r in self.vlrs if r.key != _LASZIP and r.key[0] not in drop]
+        float32 dimensions ``extra`` (names and descriptions), and without an octree; ``crs``: number and data of a record that
+        is added."""
+        kept = self.without_octree([r for r in self.vlrs if r.key != _LASZIP])
         blocks = [self.head[r.start : r.end] for r in kept]
         length = self.record_length
         if extra:
@@ -357,11 +360,9 @@ def chunk_table(header: Header, file: BinaryIO) -> np.ndarray:
 
 
 def _check_chunk_table(header: Header, file: BinaryIO) -> int:
-    """Compare the LAZ chunk table with header and file length, before memory for the points is taken.
-
-    Returns: number of points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed
-    size do not say how full the last one is, unless they are layered.
-    """
+    """Compare the LAZ chunk table with header and file length, before memory for the points is taken. Returns: number of
+    points in the chunks beyond the count of the header, as far as it can be told: chunks of a fixed size do not say how full
+    the last one is, unless they are layered."""
     path, laszip, length, number = header.path, header.laszip, header.record_length, header.point_format
     compressor, begin, file_size = lazrs.LazVlr(header.decoder), len(header.head) + 8, header.file_size
     described = f"the laszip record describes points of {compressor.item_size()} bytes, the header of {length}"

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -21,12 +21,13 @@ from ..core.reading import Reading
 from ..core.result import Progress, silent
 from ..core.units import STATED, Reference, Units, linear_units, not_metric, reference_of, sampled
 from . import records, text
-from .disk import CHANGED_IN_READING, Bounds, Identity, Tally, check_bounds
+from .classes import Classes, class_changes
+from .disk import CHANGED_IN_READING, Bounds, Identity, Tally
 from .handles import Handle
 from .header import Header, opened, read_header
 from .records import inside, read_records, reading_errors
 from .storage import Place, Remote, place_of
-from .writing import LAS_SUFFIXES, Classes, class_changes, write
+from .writing import LAS_SUFFIXES, write
 
 if TYPE_CHECKING:
     import laspy
@@ -89,9 +90,9 @@ def read(
     >>> 0 < len(west) < len(cloud), float(west.xyz[:, 0].max()) < 30
     (True, True)
     """
-    reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor, crs=crs)
-    cut = None if bounds is None else check_bounds(bounds)
-    reading = dataclasses.replace(reading, bounds=cut)
+    box: Any = bounds
+    reading = Reading(returns, ignore_classes, ignore_overlap, keep_withheld, drop_invalid, units, anchor, box, crs)
+    cut = reading.bounds
     if is_laspy(path):
         las: Any = path
         if cut is not None:
@@ -133,7 +134,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
         "path": str(place),
         "format": cloud.source.format,
         "points": len(cloud),
-        "crs": reference.name,
+        "crs": None if reference.crs is None else reference.crs.name,
         "units": str(cloud.units),
         "metres_per_unit": None if angular else [cloud.units.xy, cloud.units.z],
         "bounds": None if corners is None else corners[:, :2].ravel().tolist(),
@@ -152,10 +153,8 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
 
 
 def is_text(path: Place) -> bool:
-    """Whether a file is text, not LAS: by suffix, and for other suffixes by the signature of the file.
-
-    Raises: InputError if it is neither, and for text that is not on a local disk.
-    """
+    """Whether a file is text, not LAS: by suffix, and for other suffixes by the signature of the file. Raises: InputError if
+    it is neither, and for text that is not on a local disk."""
     suffix = path.suffix.lower()
     if suffix in LAS_SUFFIXES:
         return False
@@ -195,23 +194,24 @@ class LasFile:
         Raises: InputError.
         """
         header = self.header
-        path, number, scales, offsets = header.path, header.point_format, header.scales, header.offsets
+        path, scales, offsets = header.path, header.scales, header.offsets
         reference = reading.stated.of(self.reference, str(path))
         units = linear_units(reference, str(path))
         most = header.count if most is None else most
-        with reading_errors(
-            path
-        ):  # np.empty takes memory only as it is filled, so little where bounds leave few points
+        if chunks is None:
+            chunks = (chunk for chunk, _ in read_records(header, reading.bounds, every_field=False))
+        with reading_errors(path):  # memory is taken as arrays fill, so little where bounds leave few points
             ticks, n = np.empty((most, 3), np.int32), 0
-            kinds = {name: kind for name, kind in COLUMNS.items() if number >= 6 or name != "overlap"}
-            columns: dict[str, Any] = {name: np.empty(most, kind) for name, kind in kinds.items()}
+            named = [name for name in COLUMNS if header.point_format >= 6 or name != "overlap"]
+            columns: dict[str, Any] = {name: np.empty(most, COLUMNS[name]) for name in named}
         identity, tally = cast(Identity, header.identity), Tally()
         with identity.kept(path, CHANGED_IN_READING):
-            for chunk in self._chunks(reading.bounds, progress) if chunks is None else chunks:
+            for number, chunk in enumerate(chunks):
+                progress(min(1.0, number * records.CHUNK / max(header.count, 1)), "read")
                 rows = slice(n, n + len(chunk))
                 ticks[rows] = records.integers(chunk)
                 tally.add(ticks[rows])
-                for name, values in records.attributes(chunk, number).items():
+                for name, values in records.attributes(chunk, header.point_format).items():
                     columns[name][rows] = values
                 n = rows.stop
         if n < most:
@@ -230,11 +230,6 @@ class LasFile:
             reference=is_ground if is_ground.any() else None,
             **columns,
         )
-
-    def _chunks(self, bounds: Bounds | None, progress: Progress) -> Iterator[np.ndarray]:
-        for number, (chunk, _) in enumerate(read_records(self.header, bounds, every_field=False)):
-            progress(min(1.0, number * records.CHUNK / max(self.header.count, 1)), "read")
-            yield chunk
 
 
 def open_las(path: Place, tables: bool = True) -> LasFile:
@@ -319,9 +314,8 @@ def _opened(place: Place, reading: Reading) -> LasFile | TextFile:
 
 
 def _fields(reading: Reading) -> dict[str, Any]:
-    return {
-        field.name: getattr(reading, field.name) for field in dataclasses.fields(reading) if field.name not in _OF_FILES
-    }
+    names = (field.name for field in dataclasses.fields(reading))
+    return {name: getattr(reading, name) for name in names if name not in _OF_FILES}
 
 
 def _look(path: Place, some: np.ndarray, n: int, stated: bool, suspect: Suspect) -> None:

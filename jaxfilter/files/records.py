@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import shutil
 import struct
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ import lazrs
 import numpy as np
 
 from ..core.errors import InputError, JaxfilterError
+from ..core.inputs import COLUMNS
 from ..core.process import need_threads
 from .blocks import NEEDED, Blocks, nodes, read_blocks, read_packed, runs, sound
 from .disk import Bounds
@@ -86,11 +86,7 @@ def read_chunks(header: Header, blocks: Blocks, packed: np.ndarray) -> Iterator[
     with reading_errors(header.path), header.open() as file:
         for number, whole in enumerate(packed.tolist()):
             one = blocks[number : number + 1]
-            yield (
-                read_packed(header, file, one)
-                if whole
-                else read_blocks(header, file, one, lazrs.SELECTIVE_DECOMPRESS_ALL)
-            )
+            yield read_packed(header, file, one) if whole else read_blocks(header, file, one)
 
 
 def inside(xy: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -109,36 +105,30 @@ def coordinates(records: np.ndarray, header: Header, axes: int = 3) -> np.ndarra
     return integers(records)[:, :axes] * header.scales[:axes] + header.offsets[:axes]
 
 
-def echoes(records: np.ndarray, point_format: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return number and number of returns, u8[n] each."""
-    bits = records[:, 14]
-    return (bits & 7, (bits >> 3) & 7) if point_format < 6 else (bits & 15, bits >> 4)
+_FIELDS: tuple[dict[str, tuple[int, int, int]], ...] = (
+    {"return_number": (14, 0, 7), "number_of_returns": (14, 3, 7), "classification": (15, 0, 31), "withheld": (15, 7, 1)},
+    {"return_number": (14, 0, 15), "number_of_returns": (14, 4, 15), "classification": (16, 0, 255),
+     "withheld": (15, 2, 1), "overlap": (15, 3, 1), "channel": (15, 4, 3)},
+)  # fmt: skip
+"""Byte of a record, first bit and mask of fields, in point formats 0 to 5 and 6 to 10."""
 
 
-def classes(records: np.ndarray, point_format: int) -> np.ndarray:
-    """u8[n] classification."""
-    return records[:, 15] & 31 if point_format < 6 else records[:, 16].copy()
+def get(records: np.ndarray, point_format: int, name: str) -> np.ndarray:
+    """u8[n], a field of the points."""
+    byte, bit, mask = _FIELDS[point_format >= 6][name]
+    return (records[:, byte] >> bit) & mask
 
 
-def set_classes(records: np.ndarray, point_format: int, values: np.ndarray) -> None:
-    """Put in new classes; the flags that share their byte in point formats 0 to 5 stay."""
-    if point_format < 6:
-        records[:, 15] = (records[:, 15] & 0xE0) | values
-    else:
-        records[:, 16] = values
+def put(records: np.ndarray, point_format: int, name: str, values: np.ndarray | int) -> None:
+    """Put in new values of a field, u8[n] or one for all; fields that share its byte stay."""
+    byte, bit, mask = _FIELDS[point_format >= 6][name]
+    records[:, byte] &= 0xFF ^ (mask << bit)
+    records[:, byte] |= (np.asarray(values, np.uint8) & mask) << bit
 
 
 def attributes(records: np.ndarray, point_format: int) -> dict[str, np.ndarray]:
-    """The columns of a cloud, [n] each: echoes, classes, flags; overlap for point formats 6 to 10."""
-    number, total = echoes(records, point_format)
-    flags = records[:, 15] >> (7 if point_format < 6 else 2)
-    found = {"return_number": number, "number_of_returns": total, "classification": classes(records, point_format)}
-    return found | {"withheld": flags & 1} | ({"overlap": (flags >> 1) & 1} if point_format >= 6 else {})
-
-
-def channels(records: np.ndarray) -> int:
-    """The scanner channels that occur, as bits; for point formats 6 to 10."""
-    return int(np.bitwise_or.reduce(1 << ((records[:, 15] >> 4) & 3), initial=0))
+    """The columns of a cloud, u8[n] each, as far as the point format has them."""
+    return {name: get(records, point_format, name) for name in COLUMNS if name in _FIELDS[point_format >= 6]}
 
 
 class _Recording:
@@ -171,12 +161,9 @@ class _Recording:
 
 def in_one_chunk(records: np.ndarray, laszip: bytes) -> bytes:
     """A chunk of LAZ of u8[k, record_length], no more than the record ``laszip`` says that a chunk has."""
-    need_threads()
-    with io.BytesIO() as file:
-        encoder = lazrs.LasZipCompressor(file, lazrs.LazVlr(laszip))
-        encoder.compress_many(np.ascontiguousarray(records).reshape(-1))
-        encoder.done()
-        return file.getvalue()[8 : int.from_bytes(file.getvalue()[:8], "little")]  # before the table
+    points = np.ascontiguousarray(records).reshape(-1)
+    packed = bytes(lazrs.compress_points(lazrs.LazVlr(laszip), points, parallel=False))
+    return packed[8 : int.from_bytes(packed[:8], "little")]  # before the table
 
 
 class Writer:
@@ -187,7 +174,7 @@ class Writer:
         header: as the output shall have it, see ``Header.rewritten``.
         recount: bring the counts and the extent in the header up to date with what was written; otherwise they stay.
         rescale: bring the extent of Z up to date in any case.
-        chunks: of LAZ whole chunks come, by :meth:`append`, as they are in a file.
+        chunks: the points of LAZ are written to ``file`` by others, in whole chunks.
     """
 
     def __init__(
@@ -200,10 +187,7 @@ class Writer:
         file.write(header.head)
         self.encoded = _Recording(file)
         self.encoder = None
-        self.table: list[tuple[int, int]] | None = [] if chunks else None
-        if chunks:
-            file.write(bytes(8))  # where the table of chunks will be
-        elif header.compressed:
+        if header.compressed and not chunks:
             need_threads()
             with self.encoded.heard():
                 self.encoder = lazrs.ParLasZipCompressor(self.encoded, lazrs.LazVlr(header.laszip))
@@ -215,7 +199,7 @@ class Writer:
             return
         self.count += len(records)
         if self.recount:
-            self.by_return += np.bincount(echoes(records, self.header.point_format)[0], minlength=16)
+            self.by_return += np.bincount(get(records, self.header.point_format, "return_number"), minlength=16)
         if self.recount or self.rescale:
             ticks = integers(records)
             self.low, self.high = np.minimum(self.low, ticks.min(axis=0)), np.maximum(self.high, ticks.max(axis=0))
@@ -225,26 +209,14 @@ class Writer:
         else:
             self.file.write(records.data)
 
-    def append(self, points: int, packed: bytes | memoryview) -> None:
-        """Append a chunk of LAZ."""
-        assert self.table is not None
-        self.table.append((points, len(packed)))
-        self.file.write(packed)
-
-    def finish(self, source: Header | None = None, drop: tuple[str, ...] = ()) -> None:
-        """Complete the points, append the tail of ``source`` without the records of ``drop``, patch the header."""
-        if self.table is not None:
-            end = self.file.tell()
-            with self.encoded.heard():
-                lazrs.write_chunk_table(self.encoded, self.table, lazrs.LazVlr(self.header.laszip))
-            self.file.seek(len(self.head))
-            self.file.write(struct.pack("<q", end))
+    def finish(self, source: Header | None = None) -> None:
+        """Complete the points, append the tail of ``source`` without an octree, patch the header."""
         if self.encoder is not None:
             with self.encoded.heard():
                 self.encoder.done()
         self.file.seek(0, 2)
         if source is not None:
-            self._copy_tail(source, drop)
+            self._copy_tail(source)
         if self.recount:
             self._recount()
         if self.count and (self.recount or self.rescale):
@@ -255,9 +227,8 @@ class Writer:
         self.file.seek(0)
         self.file.write(self.head)
 
-    def _copy_tail(self, source: Header, drop: tuple[str, ...]) -> None:
-        at = self.file.tell()
-        kept = [r for r in source.evlrs if r.key[0] not in drop]
+    def _copy_tail(self, source: Header) -> None:
+        at, kept = self.file.tell(), source.without_octree(source.evlrs)
         with source.open() as file:
             if len(kept) == len(source.evlrs):
                 file.seek(source.tail)

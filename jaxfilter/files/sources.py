@@ -73,11 +73,9 @@ def _crs_of(wkt: str) -> pyproj.CRS:
 
 
 def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
-    """What can be known of a file before its points are read, from its header or, of text, from all of its lines.
-
-    Raises: InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it
-    states another CRS.
-    """
+    """What can be known of a file before its points are read, from its header or, of text, from all of its lines. Raises:
+    InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it states
+    another CRS."""
     facts: dict[str, Any]
     if is_text(place):
         file, reference = kept_text(cast(Path, place)), Reference()
@@ -89,10 +87,8 @@ def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
         header, reference, count = las.header, las.reference, las.header.count
         extent = some = np.stack(header.extent)
         if count and not (np.isfinite(extent).all() and (extent[0] <= extent[1]).all()):
-            words = f"{extent[0].tolist()} to {extent[1].tolist()}"
-            raise InputError(
-                f"{place}: the extent in its header is damaged: {words}; write the file anew to correct it"
-            )
+            said = f"{extent[0].tolist()} to {extent[1].tolist()}"
+            raise InputError(f"{place}: the extent in its header is damaged: {said}; write the file anew to correct it")
         facts = {
             "format": "copc" if header.is_copc else "laz" if header.compressed else "las",
             "point_format": header.point_format,

@@ -40,10 +40,8 @@ _T = TypeVar("_T")
 
 @dataclasses.dataclass(frozen=True)
 class Remote:
-    """A file that is reached by its URI, with what of :class:`pathlib.Path` the readers use.
-
-    Raises: InputError for a chain of stores (``::``) and for ``reference:``: they lead to what a file says, not the user.
-    """
+    """A file that is reached by its URI, with what of :class:`pathlib.Path` the readers use. Raises: InputError for a chain
+    of stores (``::``) and for ``reference:``: they lead to what a file says, not the user."""
 
     uri: str
 
@@ -137,23 +135,17 @@ class Remote:
 
     def put(self, local: Path) -> None:
         """Copy a local file there; it appears when all of it has arrived. Raises InputError."""
-        self._ask(
-            lambda system, path: system.put_file(str(local), path), "there is no such bucket or folder to write to"
-        )
+        self._ask(lambda store, path: store.put_file(str(local), path), "there is no such bucket or folder to write to")
 
     def _ask(self, act: Callable[[Any, str], _T], missing: str = "no such file") -> _T:
-        """What ``act`` returns for the file system and the path there, tried again after failures that may pass.
-
-        Raises InputError that names the URI; ``missing``: what is said of "not found".
-        """
+        """What ``act`` returns for the file system and the path there, tried again after failures that may pass. Raises
+        InputError that names the URI; ``missing``: what is said of "not found"."""
         import fsspec
 
         try:
             system, path = fsspec.core.url_to_fs(self.uri)
         except Exception as error:  # a store raises what it likes where a URL is not what it expects
-            hint = (
-                "; pip install 'jaxfilter[remote]' brings s3:// and https://" if isinstance(error, ImportError) else ""
-            )
+            hint = "; pip install 'jaxfilter[remote]' brings s3:// and https://" * isinstance(error, ImportError)
             raise InputError(f"{self.uri}: cannot be reached: {type(error).__name__}: {error}{hint}") from error
         system.invalidate_cache()
         for attempt in range(1, ATTEMPTS + 1):
@@ -192,10 +184,8 @@ def place_of(what: str | os.PathLike[str] | Remote) -> Place:
 
 def read_ranges(place: Place, file: BinaryIO, starts: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """u8: ranges of bytes of an open file, one after the other; ``starts`` and ``sizes`` are i64[k]. Of remote files, ranges
-    close to each other are fetched together, the others at the same time. Ranges do not overlap and are sorted.
-
-    Raises: InputError if the file ends before, OSError.
-    """
+    close to each other are fetched together, the others at the same time. Ranges do not overlap and are sorted. Raises:
+    InputError if the file ends before, OSError."""
     found, ends = np.empty(int(sizes.sum()), np.uint8), np.cumsum(sizes)
     pieces = zip(starts.tolist(), (ends - sizes).tolist(), ends.tolist(), strict=True)
     if not isinstance(place, Remote):
@@ -215,10 +205,8 @@ def read_ranges(place: Place, file: BinaryIO, starts: np.ndarray, sizes: np.ndar
 
 @contextlib.contextmanager
 def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
-    """A local name to write to; when the block ends, the file is copied to ``place``, where it appears whole.
-
-    Raises: OutputError if it exists and not ``overwrite``, or if the store refuses.
-    """
+    """A local name to write to; when the block ends, the file is copied to ``place``, where it appears whole. Raises:
+    OutputError if it exists and not ``overwrite``, or if the store refuses."""
     try:
         if not overwrite and place.exists():
             raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")

@@ -30,10 +30,8 @@ def check_suffix(path: Place) -> Place:
 def write_features(
     target: Place, tables: Iterable[geopandas.GeoDataFrame], layer: str, *, overwrite: bool = False
 ) -> None:
-    """Write tables of shapes with one CRS, one after the other, of which there is at least one; none is held longer than needed.
-
-    ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS.
-    """
+    """Write tables of shapes with one CRS, one after the other, of which there is at least one; none is held longer than
+    needed. ``layer``: its name in a GeoPackage. Raises: OutputError. Warns: if the tables have no CRS."""
     import pyogrio
 
     before = pyogrio.get_gdal_config_option(_DATE)
@@ -52,10 +50,8 @@ def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: st
     kind = DRIVERS[target.suffix.lower()]
     options = {"layer": layer} if kind == "GPKG" else {}
     if first and table.crs is None:
-        taken = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
-        warn(
-            f"{target}: the cloud has no CRS, so the file has none{taken}: set the CRS of the layer where it is opened"
-        )
+        also = "; programs take its coordinates for degrees" * (kind == "GeoJSON")
+        warn(f"{target}: the cloud has no CRS, so the file has none{also}: set the CRS of the layer where it is opened")
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)

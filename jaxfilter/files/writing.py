@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -20,10 +19,7 @@ from ..core.inputs import COLUMNS
 from ..core.result import FilterResult
 from ..core.units import GEOKEYS, STATED, WKT, geokeys
 from . import copc, records, text
-from .classes import RESETS as RESETS
-from .classes import Classes as Classes
-from .classes import Found, asked, findings_of, largest, table_of
-from .classes import class_changes as class_changes
+from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import Tally, new_file
 from .handles import Handle
 from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
@@ -159,9 +155,8 @@ def write_cloud(
     """:func:`write`, with what it takes as values."""
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES:
-        raise OutputError(
-            f"{path}: the suffix must be one of {', '.join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))}"
-        )
+        known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))
+        raise OutputError(f"{path}: the suffix must be one of {known}")
     labels = _Labels(cloud, result, classes, additions)
     source: Handle | None = cloud.source
     if source is not None and source.points != len(cloud):
@@ -174,22 +169,19 @@ def write_cloud(
         named += [] if table is not None and "classification" in table.columns else asked(classes)
         if named:
             raise OutputError(f"{path}: this text holds labels only; {', '.join(named)} needs .las or .laz")
-    if copc.is_copc(path) and source is not None and source.kind == "las":
+    if (octree := copc.is_copc(path)) and source is not None and source.kind == "las":
         copc.check_format(path, source.header().point_format)
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Tally()) if source is None else source.again()
     with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
         if kind in text.SUFFIXES:
             _write_text(path, temporary, cloud, labels, tally)
-        elif copc.is_copc(path):
-            with tempfile.TemporaryDirectory(dir=temporary.parent) as folder:
-                plain = Path(folder) / "plain.las"
-                with open(plain, "xb") as file:
-                    _write_las(path, file, cloud, labels, tally)
-                copc.write_octree(plain, temporary)
         else:
-            with open(temporary, "xb") as file:
+            plain = temporary.with_name("plain.las") if octree else temporary
+            with open(plain, "xb") as file:
                 _write_las(path, file, cloud, labels, tally)
+            if octree:
+                copc.write_octree(plain, temporary)
     return path
 
 
@@ -201,7 +193,7 @@ class _Labels:
         cloud: PointCloud,
         result: FilterResult | np.ndarray | Found | None,
         classes: Classes,
-        additions: Additions = Additions(),
+        additions: Additions,
     ) -> None:
         found = result if isinstance(result, FilterResult) else None
         if result is None:
@@ -229,11 +221,12 @@ class _Labels:
 
     def put(self, chunk: np.ndarray, rows: slice, point_format: int) -> None:
         """Put classes into the records u8[k, record_length] of the points ``rows``."""
-        old = records.classes(chunk, point_format)
+        old = records.get(chunk, point_format, "classification")
         new = self.classes(old, rows)
         if self.rule.overlap_flag and point_format >= 6:
-            chunk[(old == OVERLAP_CLASS) & (new != old), 15] |= 8
-        records.set_classes(chunk, point_format, new)
+            flags = records.get(chunk, point_format, "overlap") | ((old == OVERLAP_CLASS) & (new != old))
+            records.put(chunk, point_format, "overlap", flags)
+        records.put(chunk, point_format, "classification", new)
 
 
 def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, tally: Tally) -> None:
@@ -252,8 +245,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
     if wrong := [name for name, dimension in existing.items() if dimension.data_type not in _FLOATS]:
         raise OutputError(f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64")
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
-    compressor, drop = None, ("copc",) if header.is_copc else ()
-    octree = copc.is_copc(path)
+    compressor, octree = None, copc.is_copc(path)
     if path.suffix.lower() == ".laz" and not octree:
         compressor = laszip_record(number, header.record_length + 4 * len(added) - RECORD_LENGTHS[number])
     if header.is_copc and not octree:
@@ -266,14 +258,14 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         if same.any():
             _write_chunks(file, las, header, labels, same, tally)
             return
-    writer = Writer(file, header.rewritten(compressor, added, drop, crs), recount, labels.z is not None)
+    writer = Writer(file, header.rewritten(compressor, added, crs), recount, labels.z is not None)
     packed_waves = number in (9, 10) and (compressor is not None or header.compressed)
-    channels = 0
+    channels: set[int] = set()
     for chunk in chunks:
         rows = slice(tally.points - len(chunk), tally.points)
         if packed_waves:
-            channels |= records.channels(chunk)
-            if channels.bit_count() > 1:  # lazrs 0.8 mixes up the wave packets of different channels
+            channels |= set(np.unique(records.get(chunk, number, "channel")).tolist())
+            if len(channels) > 1:  # lazrs 0.8 mixes up the wave packets of different channels
                 raise OutputError(
                     f"{path}: LAZ does not keep the waveform references of several scanner channels apart; use "
                     ".las for input and output"
@@ -288,7 +280,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             columns = np.stack([labels.extra[name][rows] for name in added], axis=1).astype("<f4")
             chunk = np.concatenate([chunk, columns.view(np.uint8)], axis=1)
         writer.write(chunk)
-    writer.finish(None if las is None else header, drop)
+    writer.finish(None if las is None else header)
 
 
 def _untouched(source: Handle, header: Header, labels: _Labels) -> np.ndarray:
@@ -307,15 +299,21 @@ def _write_chunks(
     file: BinaryIO, source: Handle, header: Header, labels: _Labels, same: np.ndarray, tally: Tally
 ) -> None:
     """A LAZ file once more: chunks that are the ``same``, bool[k], are copied, and not even decompressed."""
-    writer, counts = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist()
+    writer, counts, sizes = Writer(file, header, recount=False, chunks=True), source.blocks.points.tolist(), []
+    file.write(bytes(8))  # where the table of chunks will be
     for chunk, points in zip(records.read_chunks(header, source.blocks, same), counts, strict=True):
         if chunk.ndim == 1:
             tally.points += points
-            writer.append(points, chunk.data)
+            sizes.append(file.write(chunk.data))
         else:
             tally.add(chunk[:, :12].view("V12"))
             labels.put(chunk, slice(tally.points - points, tally.points), header.point_format)
-            writer.append(points, records.in_one_chunk(chunk, header.laszip))
+            sizes.append(file.write(records.in_one_chunk(chunk, header.laszip)))
+    end = file.tell()
+    with writer.encoded.heard():
+        lazrs.write_chunk_table(writer.encoded, list(zip(counts, sizes, strict=True)), lazrs.LazVlr(header.laszip))
+    file.seek(len(header.head))
+    file.write(end.to_bytes(8, "little"))
     writer.finish(header)
 
 
@@ -341,9 +339,8 @@ def _crs_record(path: Place, header: Header, cloud: PointCloud) -> tuple[int, by
         return None if wkt is None else (WKT, wkt.encode() + b"\0")
     keys = geokeys(cloud.crs)
     if keys is None:
-        warn(
-            f"{path}: its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out: convert the input to LAS 1.4"
-        )
+        without = f"its CRS has no EPSG code, which LAS 1.{header.minor} needs, and is left out"
+        warn(f"{path}: {without}: convert the input to LAS 1.4")
     return None if keys is None else (GEOKEYS, keys)
 
 
@@ -370,12 +367,9 @@ def _fresh_records(path: Place, header: Header, cloud: PointCloud, tally: Tally)
         columns |= {name: values[rows] for name in COLUMNS if (values := getattr(cloud, name)) is not None}
         chunk = np.zeros((len(xyz), header.record_length), np.uint8)
         records.integers(chunk)[:] = _ticks(path, header, xyz)
-        one, no = np.ones(len(xyz), np.uint8), np.zeros(len(xyz), np.uint8)
-        number, total = (columns.get(name, one) & 15 for name in ("return_number", "number_of_returns"))
-        withheld, overlap = (columns.get(name, no).astype(np.uint8) for name in ("withheld", "overlap"))
-        chunk[:, 14] = number | total << 4
-        chunk[:, 15] = withheld << 2 | overlap << 3
-        chunk[:, 16] = columns.get("classification", no)
+        for name in COLUMNS:
+            one = name in ("return_number", "number_of_returns")  # where nothing is said: the only echo
+            records.put(chunk, header.point_format, name, columns.get(name, int(one)))
         yield chunk
 
 
