@@ -1,7 +1,7 @@
 """Point clouds as text: the ISPRS reference samples, xyz and csv; read and rewritten in runs of lines.
 
-A record is a line. Comments, names and the number of cells are looked after here. NumPy reads the numbers of plain lines, many
-at a time; lines with quotes, and those that NumPy does not take, are read one by one.
+A record is a line. Comments, names and the number of cells are looked after here; what the cells of a line are is for pandas
+to say, in reading and in rewriting.
 """
 
 from __future__ import annotations
@@ -33,13 +33,12 @@ _PREAMBLE = 1000  # lines before the first point, and of comments that may name 
 _PROBED = 1000  # lines of points whose decimals are counted
 _MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 _BLANK = b" \t\r\n"
-_PLAIN = bytes(i for i in range(256) if (i > 0x1F or i in _BLANK) and i != ord('"'))  # no control characters, no quotes
+_PLAIN = bytes(i for i in range(256) if i > 0x1F or i in _BLANK)  # no control characters
 _ASIDE = (b"#", b"\n ", b"\n\t", b"\n\r", b"\n\n")  # where one of these is, a line may hold no data
-_END = 8e88  # no cell of points; it is put behind the last cell of each line, so that none can be missing
+_END = 8e88  # no cell of points
 _DELIMITERS = (";", ",", "\t", None)
 _WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", None: "white space"}
 _NUMBER = re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE | re.ASCII)
-_BETWEEN = re.compile(r'(?<![^ \t])("(?:[^"]|"")*")|[ \t]+')  # white space, where it is not in quotes
 _NAMES = {  # column names, without case and punctuation
     "x": "x", "y": "y", "z": "z", "label": "label", "class": "classification", "classification": "classification",
     "returnnumber": "return_number", "numberofreturns": "number_of_returns", "numreturns": "number_of_returns",
@@ -132,9 +131,10 @@ def read_text(
             odd &= (keep | odd[:, :2].any(axis=1))[:, None]  # points beyond the bounds do not matter
             if odd.any():
                 row, axis = np.argwhere(odd)[0]
-                found = f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}"
-                hint = "pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
-                raise InputError(f"{found}; remove it, or {hint}")
+                hint = (
+                    "remove it, or pass drop_invalid=True to label points with NaN or infinite coordinates non-ground"
+                )
+                raise InputError(f"{run.place(row)}: {'xyz'[axis]} is {xyz[row, axis]:g}; {hint}")
         attributes = {}
         for name in _LARGEST.keys() & values.keys():
             column = values[name][keep]
@@ -170,23 +170,22 @@ def rewrite_text(
         values, xyz, keep = run.points(bounds)
         tally.add(xyz[keep])
         rows = slice(tally.points - int(keep.sum()), tally.points)
-        new: dict[int, Any] = {}  # by column
+        cells = run.texts(keep)
         if "label" in layout.columns or not replaced:
-            new[layout.columns.get("label", layout.width)] = np.where(ground[rows], GROUND, OBJECT)
+            column = layout.columns.get("label", layout.width)
+            cells[column : column + 1] = [np.where(ground[rows], GROUND, OBJECT).astype(str).tolist()]
         if "classification" in layout.columns:
-            old = values["classification"][keep].astype(np.uint8)
-            new[layout.columns["classification"]] = classes(old, rows)
+            new = classes(values["classification"][keep].astype(np.uint8), rows)
+            cells[layout.columns["classification"]] = new.astype(str).tolist()
         lines, at = list(run.lines), np.array(run.at, np.int64)
         if layout.header is not None and not replaced and 0 <= (i := layout.header - run.start) < len(lines):
             body = lines[i].rstrip(b"\r\n")
             lines[i] = body + layout.between.encode() + b"label" + lines[i][len(body) :]
         for i in at[~keep].tolist():
             lines[i] = b""
-        for i, *values_of_line in zip(at[keep].tolist(), *(column.tolist() for column in new.values()), strict=True):
-            cells = run.cells(i)
-            for column, value in zip(new, values_of_line, strict=True):
-                cells[column : column + 1] = [b"%d" % value]
-            lines[i] = layout.between.encode().join(cells) + lines[i][len(lines[i].rstrip(b"\r\n")) :]
+        texts = map(layout.between.join, zip(*cells, strict=True))
+        for i, text in zip(at[keep].tolist(), texts, strict=True):
+            lines[i] = text.encode("utf-8", "surrogateescape") + lines[i][len(lines[i].rstrip(b"\r\n")) :]
         target.writelines(lines)
 
 
@@ -223,31 +222,53 @@ class Lines:
 
     def numbers(self) -> dict[str, np.ndarray]:
         """The named columns, f64[k]. Raises InputError with line and name of the first cell that is no number."""
-        columns, delimiter, data = self.layout.columns, self.layout.delimiter, self.data.replace(b"\r\n", b"\n")
+        columns = self.layout.columns
         if not self.at:
             return {name: np.zeros(0) for name in columns}
-        if not data.translate(None, _PLAIN) and b"\r" not in data:
-            ended = data.decode("ascii", "surrogateescape").replace("\n", f"{delimiter or ' '}{_END}\n")
-            lines, used = io.StringIO(ended), [*columns.values(), self.layout.width]
-            with contextlib.suppress(ValueError):
-                table = np.loadtxt(lines, delimiter=delimiter, comments=None, usecols=used, ndmin=2)
-                if len(table) == len(self.at) and (table[:, -1] == _END).all():
-                    return dict(zip(columns, table.T, strict=False))
-        return self._checked()
+        self._checked(1)  # a column of the words True and False alone would be numbers to pandas
+        if self.data.translate(None, _PLAIN) or self.data.count(b"\r") > self.data.count(b"\r\n"):
+            self._checked(len(self.at))
+        used = [*columns.values(), self.layout.width]
+        with contextlib.suppress(ValueError):
+            table = self._table(usecols=used, dtype=float, na_values=["nan", "NaN", "NAN"])
+            if len(table) == len(self.at) and (table[self.layout.width] == _END).all():
+                return {name: table[column].to_numpy() for name, column in columns.items()}
+        return self._checked(len(self.at))
 
-    def cells(self, number: int) -> list[bytes]:
-        """The cells of a line, with quotes where they need them."""
-        line, delimiter = self.lines[number], self.layout.delimiter
-        if b'"' not in line:
-            return line.split() if delimiter is None else [c.strip(_BLANK) for c in line.split(delimiter.encode())]
-        odd = re.compile(r'$|["#]|.*[ \t]' if delimiter is None else rf' *["#]|.*{delimiter}')
-        cells = ['"' + c.replace('"', '""') + '"' if odd.match(c) else c for c in _cells(line, delimiter)]
-        return [cell.encode("utf-8", "surrogateescape") for cell in cells]
+    def texts(self, keep: np.ndarray) -> list[list[str]]:
+        """Column by column, the cells of some rows, bool[k], with quotes where they need them."""
+        if not keep.any():
+            return [[] for _ in range(self.layout.width)]
+        table = self._table(dtype=object, na_filter=False)[keep]
+        columns = [table[column].tolist() for column in range(self.layout.width)]
+        if b'"' not in self.data:
+            return columns
+        odd = re.compile(r'$|["#]|.*[ \t]' if self.layout.delimiter is None else rf' *["#]|.*{self.layout.delimiter}')
+        return [['"' + c.replace('"', '""') + '"' if odd.match(c) else c for c in column] for column in columns]
 
-    def _checked(self) -> dict[str, np.ndarray]:
-        """:meth:`numbers`, line by line."""
-        layout, values = self.layout, {name: np.empty(len(self.at)) for name in self.layout.columns}
-        for row, number in enumerate(self.at):
+    def _table(self, **options: Any) -> Any:
+        """The cells as a table of pandas; behind the last of each line is one more, :data:`_END`, so that none can be missing."""
+        import pandas as pd  # late: it takes half a second, which LAS does not need
+
+        delimiter = self.layout.delimiter
+        old = tuple(int(part) for part in pd.__version__.split(".")[:2]) < (3, 1)  # these drop the last of many digits
+        return pd.read_csv(
+            io.BytesIO(self.data.replace(b"\r\n", b"\n").replace(b"\n", f"{delimiter or ' '}{_END}\n".encode())),
+            sep=r"\s+" if delimiter is None else delimiter,
+            header=None,
+            engine="c",
+            skipinitialspace=True,
+            keep_default_na=False,
+            low_memory=False,
+            encoding_errors="surrogateescape",
+            float_precision="round_trip" if old else None,
+            **options,
+        )
+
+    def _checked(self, count: int) -> dict[str, np.ndarray]:
+        """:meth:`numbers` of the first lines of data, one by one."""
+        layout, values = self.layout, {name: np.empty(count) for name in self.layout.columns}
+        for row, number in enumerate(self.at[:count]):
             line, place = self.lines[number], self.place(row)
             if odd := re.search(rb"[\x00-\x08\x0a-\x1f]", line.rstrip(b"\r\n")):
                 raise InputError(f"{place} holds the control character 0x{odd[0][0]:02x}; remove it")
@@ -346,7 +367,7 @@ def _cells(line: bytes, delimiter: str | None, strict: bool = False) -> list[str
     and for quotes that do not close where a cell ends."""
     text = line.decode("utf-8", "surrogateescape").strip("\r\n")
     if delimiter is None:
-        text = _BETWEEN.sub(lambda found: found[1] or " ", text.strip(" \t"))
+        text = " ".join(re.split(r"[ \t]+", text.strip(" \t")))
     text = re.sub(f'" +(?={delimiter}|$)', '"', text) if delimiter and strict else text
     with contextlib.nullcontext() if strict else contextlib.suppress(csv.Error):
         row = next(csv.reader([text], delimiter=delimiter or " ", skipinitialspace=True, strict=strict), [])
