@@ -55,7 +55,7 @@ def write_octree(plain: Path, target: Path) -> None:
     points = np.memmap(plain, np.uint8, "r", len(header.head), (n, length)) if n else np.zeros((0, length), np.uint8)
     corner, side, order, keys, counts = _octree(header, records.integers(points))
     compressor = laszip_record(number, length - RECORD_LENGTHS[number], variable=True)
-    head, size = header.rewritten(compressor).head, HEADER_LENGTHS[4]
+    head, size = header.rewritten(compressor, drop="copc").head, HEADER_LENGTHS[4]
     front = bytearray(head[:size] + vlr("copc", 1, bytes(160), "COPC info") + head[header.size :])
     struct.pack_into("<HII", front, 94, size, len(front), struct.unpack_from("<I", head, 100)[0] + 1)
     need_threads()

@@ -217,11 +217,12 @@ class Header:
         compressor: bytes | None,
         extra: Mapping[str, str] | None = None,
         crs: tuple[int, bytes] | None = None,
+        drop: str = "",
     ) -> Header:
         """The header of an output: compressed by ``compressor`` (a laszip record's data) or not at all, with further
         float32 dimensions ``extra`` (names and descriptions), and without an octree; ``crs``: number and data of a record that
-        is added."""
-        kept = self.without_octree([r for r in self.vlrs if r.key != _LASZIP])
+        is added; ``drop``: user whose records are left out."""
+        kept = self.without_octree([r for r in self.vlrs if r.key != _LASZIP and r.key[0] != (drop or None)])
         blocks = [self.head[r.start : r.end] for r in kept]
         length = self.record_length
         if extra:

@@ -85,19 +85,19 @@ class ReviewCells(NamedTuple):
         at, z, ground = every[rows], cloud.xyz[rows, 2].astype(np.float64), result.ground[rows]
         low, height, is_ground, noise = (np.full(shape, none) for none in (np.inf, np.inf, False, False))
         np.minimum.at(low.reshape(-1), at, z)
-        least = np.flatnonzero(z == low.flat[at])
+        least = np.flatnonzero(z == low.reshape(-1)[at])
         above = result.height[rows[least]].astype(np.float64)
         if not np.isfinite(above).any() and result.ground.any():
             above = heights_of(cloud, result.ground, rows[least], workers=None) * cloud.units.z
         above[ground[least] | ~np.isfinite(above)] = 0
         np.minimum.at(height.reshape(-1), at[least], above)
-        is_ground.flat[at[least][ground[least]]] = True
-        noise.flat[every[result.low_noise]] = True
+        is_ground.reshape(-1)[at[least][ground[least]]] = True
+        noise.reshape(-1)[every[result.low_noise]] = True
 
-        def sums(values: np.ndarray) -> np.ndarray:
+        def sums(values: np.ndarray | None = None) -> np.ndarray:
             return np.bincount(at, values, low.size).reshape(shape)
 
-        points, grounds = sums(np.ones(len(at))), sums(ground)
+        points, grounds = sums(), sums(ground)
         doubt = None if result.doubt is None else sums(np.nan_to_num(result.doubt[rows]))
         near = tuple(scipy.ndimage.distance_transform_edt(np.isinf(low), return_distances=False, return_indices=True))
         return cls(low[near], height[near], is_ground, points, grounds, doubt, noise)

@@ -13,7 +13,7 @@ from ..core.errors import ParameterError
 from ..core.grid import lattice_over
 from ..core.points import Points, pieces
 from ..engines.grid.sparse import CellSet
-from ..engines.neighbours import batches, groups, nearest, tree_of
+from ..engines.neighbours import batches, groups, nearest, perturbed, tree_of
 from ..engines.tin.growth import Outliers
 from .surfaces import Cells, look_up
 from .trend import low_trend
@@ -350,7 +350,7 @@ def scattered(points: Points, low: np.ndarray) -> np.ndarray:
     rows, found = np.flatnonzero(low), np.zeros(len(points), bool)
     if len(rows) == 0:
         return found
-    xy, z, reach = points.xyz[rows, :2], points.xyz[rows, 2], max(3.0, 3 * points.spacing())
+    xy, z, reach = perturbed(points.xyz[rows]), points.xyz[rows, 2], max(3.0, 3 * points.spacing())
     tree = tree_of(xy)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     cluster = groups(pairs[:, 0], pairs[:, 1], len(rows))

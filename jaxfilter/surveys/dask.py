@@ -18,6 +18,7 @@ _AHEAD = 2
 """Bundles in flight per thread of the cluster, so that no worker waits for the next one and few are lost with it."""
 _LASTS, _MOST = 1.0, 100
 """A bundle begins no further task after so many seconds, and holds no more tasks than this."""
+_ASK = 1.0  # seconds between questions for the workers there are
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
@@ -52,6 +53,8 @@ class Cluster:
         """Tags of tasks that were lost, with others or alone: from then on each is tried alone."""
         self._flying: dict[str, tuple[list[tuple[Any, Call]], Any]] = {}
         self._most, self._size = most, 1
+        self._threads: list[int] = []
+        self._asked = -math.inf
         self.submissions = 0
         """Bundles that were given to the scheduler so far."""
         self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -133,10 +136,11 @@ class Cluster:
             self._client.close()
 
     def _look(self) -> list[int]:
-        """The threads of each worker there is now, which decide how many bundles may be in flight."""
-        threads = list(self._client.nthreads().values())
-        self._bundles = max(1, _AHEAD * sum(threads))
-        return threads
+        """The threads of each worker, as of a second ago at most, which decide how many bundles may be in flight."""
+        if time.monotonic() - self._asked > _ASK:
+            self._threads, self._asked = list(self._client.nthreads().values()), time.monotonic()
+        self._bundles = max(1, _AHEAD * sum(self._threads))
+        return self._threads
 
 
 def together(bundle: bytes) -> tuple[list[Outcome], float]:

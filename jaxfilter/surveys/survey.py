@@ -241,6 +241,7 @@ def survey_of_points(
 
     Raises: as :func:`open_files`; ParameterError, OutputError if it is clear already that ``out`` cannot be written.
     """
+    check_main()
     if options.in_place:
         check_in_place(reading)
     elif out is None:

@@ -161,7 +161,8 @@ class VerdictProduct(Product):
         code = np.full(len(cloud), Finding.OTHER, np.uint8)
         code[found.ground], code[found.deck] = Finding.GROUND, Finding.DECK
         code[found.water & found.ground] = Finding.WATER
-        return packed(some, Found(found.ground, code), {}) | {_CHANGED: around.file[touched]}, summary
+        changed = np.stack(np.unique(around.file[touched], return_counts=True))
+        return packed(some, Found(found.ground, code), {}) | {_CHANGED: changed}, summary
 
     def file(self, task: FileTask) -> None:
         """Write a file whose points have changed. Raises: InputError, OutputError."""
@@ -174,9 +175,11 @@ class VerdictProduct(Product):
         """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
         assert isinstance(report, VerdictReport)
         stored = (self.store.arrays(number, (_CHANGED,)) for number in np.flatnonzero(report.state != -1).tolist())
-        changed = [file for arrays in stored for files in arrays.values() for file in files.tolist()]
-        written = {str(targets.places[number]) for number in set(changed)}
-        report.files, report.changed = [name for name in report.files if name in written], len(changed)
+        files, counts = np.concatenate(
+            [np.zeros((2, 0), int), *(arrays[_CHANGED] for arrays in stored if arrays)], axis=1
+        )
+        written = {str(targets.places[number]) for number in files}
+        report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
         if not (report.set_aside or report.failed or report.left_out):
             _Log(targets.store.path.parent / LOG).add(self.new, collection)
 

@@ -42,7 +42,7 @@ class Basins:
     def __init__(self, z: np.ndarray, around: np.ndarray) -> None:
         """``z``: f32[n], the surface in the cells that there are; others, and those at +inf, are walls.
 
-        ``around``: i[9, n], each cell among its neighbours, as from :meth:`jaxfilter.engines.grid.sparse.Cells.around`.
+        ``around``: i[9, n], each cell among its neighbours, as from :meth:`jaxfilter.engines.grid.sparse.CellSet.around`.
         """
         walled = np.append(z, np.float32(np.inf))
         self.z, (self.basin, self.bottom) = z, descend(walled, around)
