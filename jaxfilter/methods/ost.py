@@ -47,8 +47,6 @@ LOW_DEPTH = 2.0
 """Few points around a low point are less than so many metres above it, or lower."""
 LOW_SPACINGS = 8.0
 """They are counted within the radius of the largest building, and of so many point spacings at least."""
-LARGER = 4
-"""Scattered clusters of so many times as many points are low if they are twice as deep."""
 RIM = 4.0
 """Metres around the corners of a triangle over a void, within which the lowest point counts."""
 EDGE = 3
@@ -90,7 +88,8 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
-       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). So are scattered clusters that are larger and deeper.
+       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). So are points below all
+       that is around them, alone or in clusters that scatter, unless plants hide the ground.
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
@@ -380,20 +379,27 @@ class OST(Filter):
             cells, limits, rough = scene.cells, (STEEP, 1), np.float32(0)
             where = scipy.ndimage.binary_dilation(edges | ~np.asarray(cells.seen))
         else:
-            cells = lowest_cells(points, max(self.cell, cell_for(spacing, PLANTS)), "OST(cell)", barred=scene.low)
-            limits, where = (STEEPER, SIDES), veiled(points, cells, BESIDE)
+            limits, (cells, where) = (STEEPER, SIDES), self.hidden(points, spacing, scene.low)
         high = look_up(points.xyz[seeds], cells, where.astype(np.float32))[0] > 0.5
         high &= np.broadcast_to(rough, len(points))[seeds] == 0
         high[high] = rising(points.xyz, seeds[high], seeds, BESIDE, *limits)
         return seeds[~high]
 
+    def hidden(self, points: Points, spacing: float, low: np.ndarray) -> tuple[Cells, np.ndarray]:
+        """Cells without the points ``low``, bool[m], and bool[rows, columns]: those where plants hide the ground."""
+        cells = lowest_cells(points, max(self.cell, cell_for(spacing, PLANTS)), "OST(cell)", barred=low)
+        return cells, veiled(points, cells, BESIDE)
+
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
         radius = max(float(self.window), LOW_SPACINGS * points.spacing())
         low = lowest_few(points, radius, LOW_DEPTH, self.low_points)
-        if self.sensor == AIRBORNE and self.low_points > 0:
-            most = LARGER * self.low_points
-            low |= scattered(points, low_clusters(points, depth=2 * LOW_DEPTH, max_points=most, reach=radius).barred)
+        if self.sensor != AIRBORNE or self.low_points == 0:
+            return low
+        below = scattered(points, low_clusters(points, depth=LOW_DEPTH, max_points=self.low_points).barred)
+        if (below & ~low).any():
+            cells, where = self.hidden(points, points.spacing() if self.spacing is None else self.spacing, low)
+            low |= below & (look_up(points.xyz, cells, where.astype(np.float32))[0] < 0.5)
         return low
 
     def lowest_points(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
