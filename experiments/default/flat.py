@@ -135,6 +135,7 @@ def _of(subject: str, module: str, names: str, **more: Any) -> list[Constant]:
 CONSTANTS = [
     Constant("low points", "low_points"),
     *_of("low points", "methods.ost", "LOW_DEPTH LOW_SPACINGS"),
+    *_of("low points", "steps.outliers", "SCATTER"),
     Constant("voids", "void"),
     *_of("voids", "methods.ost", "RIM"),
     *_of("borders", "methods.ost", "STEEPEST"),
@@ -152,7 +153,7 @@ CONSTANTS = [
     *(Constant("other sensors", "methods.ost.PITS", (kind, i), sensed=True) for kind in (MATCHING, DRONE) for i in range(2)),
 ]  # fmt: skip
 TRIED = {
-    "low points": "35 rules and limits", "voids": "5 rims", "borders": "3 rules", "faces at borders": "9 sets",
+    "low points": "53 rules and limits", "voids": "5 rims", "borders": "3 rules", "faces at borders": "9 sets",
     "steep terrain": "40 sets of limits, and 40 of how far distances grow", "under plants": "25 sets of limits",
     "overhangs": "3 voids, 4 sheets, 3 rules",
     "decks": "not counted", "water": "not counted", "dense clouds": "3 squares, 3 sheets",
