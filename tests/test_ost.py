@@ -111,13 +111,17 @@ def test_a_large_cluster_is_low_if_it_is_deep_and_scatters(rng, depth, scatter, 
     assert jf.OST(sensor="drone lidar").low(points).sum() <= 30
 
 
-def test_one_deep_point_is_low_beside_lower_ground():
+@pytest.mark.parametrize("plants", [0, 3])
+def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, plants):
     """Within the radius many points are lower, below the step of a terrace."""
     x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
     z = np.where(x < 50, 0.0, 6.0)
     z[(x == 70.5) & (y == 50.5)] = -1.5
-    points = canonical_points(jf.PointCloud.from_arrays(np.column_stack([x, y, z])))
-    np.testing.assert_array_equal(points.spread(jf.OST().low(points), False), z == -1.5)
+    above = np.repeat(np.column_stack([x, y, np.full(len(x), 6.0)])[x > 50], plants, axis=0)
+    xyz = np.concatenate([np.column_stack([x, y, z]), above + rng.uniform((-0.4, -0.4, 1), (0.4, 0.4, 4), above.shape)])
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    low = points.spread(jf.OST(spacing=1.0).low(points), False)
+    np.testing.assert_array_equal(low, (xyz[:, 2] == -1.5) & (plants == 0))
     assert not jf.OST(sensor="drone lidar").low(points).any()
 
 
