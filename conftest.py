@@ -100,7 +100,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Slow tests take long; most do with another method, or with more processes, what a test that is not slow does."""
+    """Slow tests take long; most do with another method, or with more points, what a test that is not slow does."""
     for item in items if not config.getoption("--slow") else []:
         example = getattr(item, "example", None)
         if "slow" in item.keywords or (example is not None and begins(example, SLOW)):

@@ -88,8 +88,9 @@ class OST(Filter):
     """Openings, segments, triangulation: decides about cells, then about points, with tolerances that the data give.
 
     1. Low points are barred: at most ``low_points`` others within ``window`` metres lie less than 2 m above them or lower, and
-       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). So are points below all
-       that is around them, alone or in clusters that scatter, unless plants hide the ground.
+       more lie higher (:func:`jaxfilter.steps.outliers.lowest_few`). In lidar from the air points below all around them are
+       barred as well, if they are alone or in clusters that scatter (:func:`jaxfilter.steps.outliers.scattered`), and if plants
+       do not hide the ground.
     2. The lowest point of each cell; empty cells get the elevation of the triangulation of these points. Triangles with an
        edge longer than ``void`` hang at the lowest elevation around their corners, so that a roof at the edge of a void, such
        as water, stands out from it.
