@@ -20,15 +20,14 @@ def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
         at: i32[n], the cell that each point is in. No cell is empty.
         key: i64[c], ascending: row x ``wide`` + column of the cells, whose side is ``radius`` / ``reach``; ``reach``: 3 or more.
     """
-    start, order = np.zeros(len(key) + 1, np.int64), np.empty(len(at), np.int32)
+    start, order = np.zeros(len(key) + 2, np.int64), np.empty(len(at), np.int32)
     for point in range(len(at)):
-        start[at[point] + 1] += 1
+        start[at[point] + 2] += 1
     for cell in range(len(key)):
-        start[cell + 1] += start[cell]
-    for point in range(len(at) - 1, -1, -1):  # each start moves to where its cell begins
-        start[at[point] + 1] -= 1
+        start[cell + 2] += start[cell + 1]
+    for point in range(len(at)):  # each start moves to where its cell ends, and the next one begins
         order[start[at[point] + 1]] = point
-    start[:-1], start[-1] = start[1:].copy(), len(at)
+        start[at[point] + 1] += 1
     x, y, z = np.empty(len(at), np.float32), np.empty(len(at), np.float32), np.empty(len(at), np.float32)
     for place in range(len(at)):
         x[place], y[place], z[place] = xyz[order[place], 0], xyz[order[place], 1], xyz[order[place], 2]
