@@ -48,6 +48,9 @@ NOT_RUN = {
 SLOW = {
     ("docs/arrays.md", "towns ="): "tests/test_batch.py has smaller clouds",
     ("docs/arrays.md", "import optax"): "tests/test_fit.py has smaller clouds",
+    ("docs/arrays.md", "from jaxfilter.engines.cloth import surface"): "each operation has tests of its own",
+    ("docs/filters/iptd.md", "jf.IPTD()(cloud)"): "tests/test_iptd.py calls it in these ways",
+    ("docs/filters/ppdf.md", "jf.PPDF"): "tests/test_ppdf.py calls it in these ways",
     ("docs/sweeps.md", "towns ="): "tests/test_fit.py has smaller clouds",
 }
 """Page and beginning of a block that runs with ``--slow`` only, and what is tested without it."""

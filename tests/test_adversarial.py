@@ -49,7 +49,7 @@ SPARSE = np.random.default_rng(3).uniform(0, (600, 500, 0.1), (300, 3)) + [0, 0,
     (lambda: jf.STIN(outlier_surface="quadratic", outlier_distance=1e-6), None),  # all points are outliers
     (lambda: jf.OST(spacing=1e9), ""),
     (lambda: jf.FPTD(radius=1.0, min_neighbours=10**9), "must be >= 1 and <= 4096"),
-    (lambda: jf.OST(landscape=1e9, window=1000.0), ""),
+    pytest.param(lambda: jf.OST(landscape=1e9, window=1000.0), "", marks=pytest.mark.slow),
     (lambda: jf.CSF(resolution=0.3, iterations=10_000), "so many steps of .* particles for 300 points"),
     (lambda: jf.CSF(time_step=1e9), "must be > 0 and <= 10"),
     (lambda: jf.AGPTD(neighbours=10**6), "must be >= 0 and <= 4096"),

@@ -71,6 +71,7 @@ def test_border_switch_changes_the_number_of_simulated_points(rough):
     assert corners.info["border_points"] == 4 and perimeter.info["border_points"] == 2 * (4 + 4)
 
 
+@pytest.mark.slow
 def test_with_few_deviations_adaptive_thresholds_accept_fewer_objects_on_the_samples(sample, monkeypatch):
     monkeypatch.setattr(atin, "_DEVIATIONS", 4.0)
     adaptive, constant = [], []

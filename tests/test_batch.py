@@ -37,7 +37,7 @@ def test_clouds_of_another_membrane_stay_apart(smrf):
 @pytest.mark.parametrize("filter_, sets", [
     pytest.param(jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}, marks=pytest.mark.slow),
     (MSF, {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),
-    (MSF.replace(distance="points"), {"slope": [0.2, 0.6]}),
+    pytest.param(MSF.replace(distance="points"), {"slope": [0.2, 0.6]}, marks=pytest.mark.slow),
 ], ids=["pmf", "msf", "msf-points"])  # fmt: skip
 def test_other_methods_take_batches(scenes, filter_, sets):
     clouds = [scenes["a"].cloud, scenes["b"].cloud]
@@ -46,6 +46,7 @@ def test_other_methods_take_batches(scenes, filter_, sets):
         np.testing.assert_array_equal(labels, [one(cloud).ground for one in each(filter_, sets)])
 
 
+@pytest.mark.slow
 def test_counts_are_those_of_evaluate_and_of_the_labels(scenes):
     clouds = {name: scene.cloud for name, scene in scenes.items()}
     made, sets = jf.batch(clouds, MSF, {name: one.truth for name, one in scenes.items()}), {"slope": [0.2, 0.6]}

@@ -239,6 +239,7 @@ def test_what_jax_compiles_is_neither_traced_nor_compiled_by_the_next_process(ke
     assert traces[-1] == "outside" and len(list(kernels.iterdir())) == 4
 
 
+@pytest.mark.slow
 def test_a_method_is_kept_by_the_parameters_that_are_not_traced(kernels, rng):
     filters = jf.PMF(max_window=9.0), jf.PMF(max_window=9.0, slope=0.4), jf.PMF(max_window=17.0)
     cells = filters[0].cells(filters[0].points_of(jf.PointCloud.from_arrays(rng.random((500, 3)) * 20)))

@@ -37,7 +37,11 @@ def yard():
     return np.concatenate([xyz, under]), np.append(~(house | bush), np.zeros(100, bool))
 
 
-@pytest.mark.parametrize("sides", [(0.2, 0.2), (0.4, 0.2), (3.0, 0.6)], ids=["one square", "two", "many"])
+@pytest.mark.parametrize(
+    "sides",
+    [pytest.param((0.2, 0.2), marks=pytest.mark.slow), (0.4, 0.2), (3.0, 0.6)],
+    ids=["one square", "two", "many"],
+)
 def test_few_squares_have_labels(rng, sides):
     xyz = np.column_stack([rng.uniform(0.01, sides, (2000, 2)), rng.normal(0, 0.005, 2000)])
     assert (crowd_of(xyz) is None) == (sides[0] < 0.5), "one or two positions have no area"

@@ -411,6 +411,7 @@ def test_second_lowest_points_are_the_seeds_once_the_lowest_are_left_out(rng):
         assert np.flatnonzero(seeds & (cell == number)).tolist() == [mine[np.argsort(cloud.xyz[mine, 2])[1]]]
 
 
+@pytest.mark.slow
 def test_tiles_with_the_whole_around_them_have_its_labels_and_without_halo_have_not():
     scene = jf.scenes.make("town", size=(160, 150), density=0.5, seed=2)
     cloud = jf.PointCloud.from_arrays(scene.cloud.coordinates()[scene.cloud.candidate] + (500_000.25, 5_000_000.5, 0.0))
@@ -421,6 +422,7 @@ def test_tiles_with_the_whole_around_them_have_its_labels_and_without_halo_have_
     assert 0 < np.mean(ablations._tiled(0.0)(filter_, cloud) != whole) < 0.3
 
 
+@pytest.mark.slow
 def test_ppdf_upward_only_takes_no_point_below_its_plane():
     scene = jf.scenes.make("forest", size=40, density=3.0, seed=2)
     both, upward = (v.make("samp11")(scene.cloud) for v in ablations._ppdf())
@@ -708,6 +710,7 @@ def test_speed_of_sweeps_is_measured_on_the_sets_of_the_sweep(tmp_path):
     assert "MSF" in sweep_speed.report([row], [], 1)
 
 
+@pytest.mark.slow
 def test_thresholds_of_fptd_are_chosen_as_in_figs_5_and_6(tmp_path):
     import xarray
 
@@ -790,6 +793,7 @@ def test_trial_and_error_of_agptd_is_set_against_table_1():
     assert (summary["oracle"], summary["near"], summary["angle_off"], summary["worst"]) == (1, 1, 12, 0.5)
 
 
+@pytest.mark.slow
 def test_the_objects_of_the_research_run_are_the_same_in_its_trial_and_error(two_samples):
     cloud = jf.read(samples.sample_path(two_samples, "53"))
     axes = {"max_angle": [29.0], "max_distance": [1.4]}
@@ -969,6 +973,7 @@ write_page(place, "# A title\\n\\nText.", f"python {{' '.join(sys.argv)}}", sys.
     return tmp_path
 
 
+@pytest.mark.slow
 def test_stale_pages_are_made_once_after_those_that_they_read(two_pages, monkeypatch, capsys):
     one, two = two_pages / "one" / "results" / "one.md", two_pages / "one" / "results" / "two.md"
     assert [name for _, name, _ in remake.plan([])] == ["one/results/one.md", "one/results/two.md"]
@@ -1019,6 +1024,7 @@ def test_a_page_that_could_not_be_made_stays_stale(two_pages, monkeypatch, capsy
     assert "exit code 1; it is stale: not made yet" in said and "one/results/two.md is left" in said
 
 
+@pytest.mark.slow
 def test_rows_of_other_labels_are_not_kept(tmp_path, two_samples, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     given = [
@@ -1054,6 +1060,7 @@ def test_labels_are_counted_on_clouds_that_tell_methods_apart():
     assert found["smrf"].split()[0] == str(int(jf.SMRF.for_cloud(cloud)(cloud).ground.sum()))
 
 
+@pytest.mark.slow
 def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     given = [str(two_samples / "isprs"), "--out", str(tmp_path), "--methods", "smrf", "pmf", "--repeats", "0"]

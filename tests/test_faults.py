@@ -577,7 +577,8 @@ TENTH = {"kill -9, writing without end": 6, "kill -9, the command": 2, "SIGTERM"
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=pytest.mark.slow) if "kill" in kind else kind for kind in TENTH]
+    "kind",
+    [pytest.param(kind, marks=pytest.mark.slow) if "kill" in kind or kind == "SIGTERM" else kind for kind in TENTH],
 )
 def test_faults(tmp_path, compilation_cache, kind):
     """Real processes, see experiments/faults."""

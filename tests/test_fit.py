@@ -66,6 +66,7 @@ def test_a_fit_from_a_bad_start_finds_what_labels_were_made_with(clouds):
     assert jf.plots.fit_curves(found).get_ylabel() == "total error (%)"
 
 
+@pytest.mark.slow
 def test_the_start_is_returned_where_clouds_contradict_each_other(clouds):
     start, names = jf.SMRF(window=9.0, threshold=0.5), list(clouds)[:2]
     labels = {n: start.replace(threshold=t)(clouds[n]).ground for n, t in zip(names, (0.1, 1.5), strict=True)}

@@ -65,6 +65,7 @@ def test_damaged_layers_tables_and_laszip_records(tmp_path):
     assert 75 < refused < 150
 
 
+@pytest.mark.slow
 def test_the_experiment_with_laszip_runs(tmp_path, monkeypatch):
     pytest.importorskip("laszip", reason="laszip is not installed: nothing to compare with")
     monkeypatch.setattr(sys, "argv", ["compressed.py", "--out", str(tmp_path), "--number", "20"])

@@ -40,7 +40,11 @@ def drawn(count, **ranges):
 @pytest.mark.parametrize(
     "filter_, sets",
     [
-        (PMF, drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0))),
+        pytest.param(
+            PMF,
+            drawn(6, slope=(0.1, 1.5), initial_distance=(0.1, 1.0), max_distance=(1.0, 4.0)),
+            marks=pytest.mark.slow,
+        ),
         (MSF, drawn(6, slope=(0.1, 1.0), max_height=(1.0, 8.0), initial_distance=(0.0, 0.6))),
     ],
     ids=["pmf", "msf"],
@@ -77,7 +81,7 @@ def test_a_shift_by_whole_cells_gives_the_same_labels(filter_):
     assert 0 < (other != expected).mean() < 0.03
 
 
-@pytest.mark.parametrize("filter_", [PMF, MSF], ids=["pmf", "msf"])
+@pytest.mark.parametrize("filter_", [pytest.param(PMF, marks=pytest.mark.slow), MSF], ids=["pmf", "msf"])
 def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
     points, _ = small
     x, y, _ = points.xyz.T
@@ -91,9 +95,8 @@ def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
         np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
 
 
-@pytest.mark.parametrize(
-    "filter_, programs", [pytest.param(SMRF, 6, marks=pytest.mark.slow), (PMF, 6)], ids=["smrf", "pmf"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("filter_, programs", [(SMRF, 6), (PMF, 6)], ids=["smrf", "pmf"])
 def test_clouds_of_unlike_size_share_few_programs(filter_, programs):
     """12 clouds of 2,000 to 40,000 points over grids of 90 to 360 cells a side: two shapes, three programs each."""
     scene = scenes.make("town", size=(362, 358), density=0.32, seed=4)
@@ -111,6 +114,7 @@ def test_clouds_of_unlike_size_share_few_programs(filter_, programs):
     assert compilation.compilations()[0] - before <= programs
 
 
+@pytest.mark.slow
 def test_tighter_padding_makes_the_same_terrain(small):
     """The number of levels of the membrane does not depend on the padding, nor does what lies outside the extent count."""
     cells = SMRF.cells(small[0])
@@ -160,7 +164,11 @@ def test_shapes_that_do_not_fit_are_an_error_that_names_them(small, name, shape)
     "filter_, names",
     [
         pytest.param(dataclasses.replace(SMRF, slope=0.16), ("slope", "threshold", "scaling"), marks=pytest.mark.slow),
-        (dataclasses.replace(PMF, compare="points"), ("slope", "initial_distance", "max_distance")),
+        pytest.param(
+            dataclasses.replace(PMF, compare="points"),
+            ("slope", "initial_distance", "max_distance"),
+            marks=pytest.mark.slow,
+        ),
         (PMF, ("slope", "initial_distance", "max_distance")),
     ],
     ids=["smrf", "pmf-points", "pmf"],

@@ -138,6 +138,7 @@ def test_a_membrane_over_a_corridor_takes_no_more_memory_than_its_cells(shape):
     assert memory.temp_size_in_bytes < 250 * ramp.size
 
 
+@pytest.mark.slow
 def test_many_membranes_at_once_equal_single_ones(rng):
     z = rng.random((40, 50), np.float32) * 5
     inside = np.ones((40, 50), bool)

@@ -71,7 +71,13 @@ def test_the_fixed_protocol_is_for_cloud(samples):
         assert spaces.fixed(method, "samp24") == jf.FILTERS[method].for_cloud(samples[24])
 
 
-@pytest.mark.parametrize("method", spaces.method_names())
+QUICK = ("ost", "ptd", "csf")
+"""Each stands for its kind. tests/test_experiments.py notices changes of the labels of all methods, on other clouds."""
+
+
+@pytest.mark.parametrize(
+    "method", [one if one in QUICK else pytest.param(one, marks=pytest.mark.slow) for one in spaces.method_names()]
+)
 def test_errors_with_the_parameters_for_the_cloud_are_those_of_the_table(sample, method):
     """Exact counts of the three smallest samples: they guard against unintended change. A change that is meant runs
     ``experiments/isprs/run.py`` again, which writes the table."""
@@ -90,6 +96,7 @@ def test_fptd_with_the_class_thresholds_of_its_authors_reaches_their_errors_with
     assert table[24].total <= 17.71 + 3 and table[41].total <= 3.12 + 3
 
 
+@pytest.mark.slow
 def test_fptd_in_independent_blocks(samples):
     table = scores(samples, lambda s: jf.FPTD.preset(CLASSES[s], blocks="independent"))
     assert mean(table, "total") <= 6.12 and mean(table, "kappa") >= 79.8

@@ -444,6 +444,7 @@ def test_products_by_command(survey, tmp_path):
     assert sorted(p.name for p in out.iterdir()) == ["count.tif", "survey.html"]
 
 
+@pytest.mark.slow
 def test_products_of_an_area_are_cut_from_those_of_the_whole(survey, tmp_path):
     names, area = ("dtm", "chm"), None
     for folder in ("whole", "part"):
@@ -521,6 +522,7 @@ def test_wrong_products_are_refused_before_anything_is_done(survey, tmp_path):
         make(survey / "in", "memory://products/out")
 
 
+@pytest.mark.slow
 def test_a_tile_without_points_is_bridged_as_in_the_whole(tmp_path):
     """A lake wider than a tile: the ground around it is within reach, so no tile may differ from the whole."""
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 300, 3.0), np.arange(0.0, 300, 3.0)))

@@ -250,7 +250,7 @@ def test_residuals_and_roughness_equal_least_squares_over_the_neighbours_in_scip
         assert rough[node] == pytest.approx(np.sqrt((e[rows].astype(np.float64) ** 2).mean()), abs=1e-5)
 
 
-@pytest.mark.parametrize("houses", [False, True])
+@pytest.mark.parametrize("houses", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     row, column = np.mgrid[:100, :100].astype(np.float32)
     z, objects = 0.3 * column + 0.4 * row, np.zeros((100, 100), bool)

@@ -189,6 +189,7 @@ def test_labels_must_fit():
     assert len(jf.review(jf.PointCloud.from_arrays(np.zeros((0, 3))), np.zeros(0, bool))) == 0
 
 
+@pytest.mark.slow
 def test_stray_points_are_no_error_in_a_run(tmp_path):
     write(tmp_path / "in.laz", np.concatenate([field(ROOF), [[90_000.0, 80_000.0, 100.0]]]))
     report = jf.ground(tmp_path / "in.laz", tmp_path / "out.laz", jf.PTD())

@@ -188,7 +188,9 @@ def test_parameters():
         PMF(reading="points")
 
 
-@pytest.mark.parametrize("preset", ["recommended", "paper", "pdal", "pcl", "cai2023"])
+@pytest.mark.parametrize(
+    "preset", ["recommended", pytest.param("paper", marks=pytest.mark.slow), "pdal", "pcl", "cai2023"]
+)
 def test_ground_is_found_and_a_shuffled_cloud_gets_the_same(preset):
     xyz, truth = hamlet()
     result = PMF.preset(preset)(xyz)
@@ -213,6 +215,7 @@ def test_a_cluster_of_low_points_is_barred(changes):
 
 
 @pytest.mark.data
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", MEASURED)
 def test_presets_of_programs_come_close_to_what_the_programs_gave(sample, preset):
     errors = [evaluate(PMF.preset(preset)(cloud), cloud.reference).total for cloud in map(sample, SAMPLES)]

@@ -306,7 +306,9 @@ def test_other_draws_give_nearly_the_same_labels(forest):
     assert (one == three).mean() > 0.99
 
 
-@pytest.mark.parametrize("tile, expected", [("lff_2_42.laz", 1.6), ("zf_veluwezoom_ahn3.laz", 4.1)])
+@pytest.mark.parametrize(
+    "tile, expected", [pytest.param("lff_2_42.laz", 1.6, marks=pytest.mark.slow), ("zf_veluwezoom_ahn3.laz", 4.1)]
+)
 def test_forest_tiles(data, tile, expected):
     cloud = jf.read(data / "tiles" / tile, units="m", returns="all", ignore_classes=(7, 9, 12, 18, 26, 65, 66, 67))
     scores = jf.evaluate(jf.PPDF()(cloud), cloud.reference, ignore=~cloud.candidate)

@@ -33,6 +33,7 @@ def server(tmp_path):
         yield server
 
 
+@pytest.mark.slow
 def test_a_hundredth_of_a_copc_file_costs_three_hundredths_of_its_bytes(tmp_path, server):
     path = tmp_path / "in.copc.laz"
     make_deep_copc(path, 6, 500)
@@ -185,6 +186,7 @@ def bucket():
     running.stop()
 
 
+@pytest.mark.slow
 def test_in_and_out_of_an_object_store(tmp_path, bucket):
     box = (X + 10, Y + 10, X + 60, Y + 70)
     for k, name in enumerate(("a.laz", "b.las", "c.copc.laz")):

@@ -169,6 +169,7 @@ def test_terrain_depends_on_neither_density_nor_extent_nor_company():
     np.testing.assert_array_equal(z[:5], [near.terrain(a, b) for a, b in zip(x[:5], y[:5], strict=True)])
 
 
+@pytest.mark.slow
 def test_objects_depend_on_neither_density_nor_extent():
     def top(scene):
         """Highest roof per 5 m cell of the first 100 m."""
@@ -234,6 +235,7 @@ def gradient(scene, x, y, h=0.05):
     return east / (2 * h), north / (2 * h)
 
 
+@pytest.mark.slow
 def test_scarps_and_terraces_are_steep():
     def slopes(layout):
         scene = scenes.make(layout, size=1, density=50)
@@ -261,6 +263,7 @@ def test_rock_faces_are_as_high_and_steep_as_asked_and_benches_are_level(bench):
     assert (level[[1, 3, 5]].sum() > 0.9 * level.sum() > 1000) if bench else level.sum() < 0.02 * face.sum()
 
 
+@pytest.mark.slow
 def test_slanting_beams_meet_faces_as_often_as_their_slope_says():
     """Per area of the map, beams of tangent t to the right meet a slope g to the right 1 + g t times as often as a level."""
     layout = dataclasses.replace(BARE, relief=0, cliff=40, face=60, floor=100, scan_angle=25)
@@ -348,6 +351,7 @@ def wet_cells(scene):
     return out
 
 
+@pytest.mark.slow
 def test_boats_reeds_and_weirs_stand_on_the_water():
     layout = dataclasses.replace(WET, river=80, boats=0.3, reeds=0.5, weir=True, bridges=False)
     scene = scenes.make(layout, size=(520, 300), density=4, noise=0)
@@ -383,6 +387,7 @@ def test_decks_have_their_width_and_join_ramps_without_a_step(shape, width, clea
     assert np.count_nonzero(step < 0.6) > 4  # ground beside the deck at its level
 
 
+@pytest.mark.slow
 def test_causeways_are_ground_and_jetties_end_over_water():
     dam, jetty = (
         scenes.make(dataclasses.replace(WET, river=40, relief=0, **more), size=(520, 300), density=4, noise=0)
@@ -412,6 +417,7 @@ def test_objects_have_the_heights_of_their_kind(ready):
         assert span(Kind.BUILDING)[1] <= 90 and span(Kind.HIGH_VEGETATION)[1] <= 45, name
 
 
+@pytest.mark.slow
 def test_buildings_have_many_sizes():
     scene = scenes.make("city", size=900, density=4, seed=2)
     index, group = components(scene, Kind.BUILDING, 1.0)
@@ -508,6 +514,7 @@ def test_errors_of_photographs_are_those_of_their_neighbours():
     assert (np.abs(above_terrain(scene)[wrong]) > 0.2).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_photographs_see_one_surface_and_no_water():
     scene = scenes.make("city", size=(120, 90), sensor="image matching", seed=3)
     cell = np.floor(scene.xyz[:, :2] / 0.12).astype(int) @ (1, 1_000_000)
@@ -529,6 +536,7 @@ def test_photographs_see_one_surface_and_no_water():
     assert sea.water(*sea.xyz[:, :2].T).mean() < 0.001  # but for the rounding
 
 
+@pytest.mark.slow
 def test_mobile_points_thin_out_and_stop_at_what_stands_in_the_way():
     bare = scenes.make(PLAIN, size=100, sensor="mobile", seed=1, noise=0.02, rounding=0.001)
     assert above_terrain(bare)[bare.truth].std() == pytest.approx(0.02, rel=0.05)

@@ -30,7 +30,7 @@ def sensed(cloud):
     return Sensed.of(canonical_points(cloud))
 
 
-@pytest.mark.parametrize("sensor", KINDS)
+@pytest.mark.parametrize("sensor", [pytest.param(k, marks=pytest.mark.slow) if k == MOBILE else k for k in KINDS])
 def test_the_sensor_of_scenes_is_told(sensor):
     assert set(SENSORS) == set(KINDS)
     told = [sensed(scene(sensor, layout).cloud).kind for layout in ("town", "city", "hills", "forest", "terraces")]
@@ -194,7 +194,9 @@ def test_shadows_of_a_scan_from_a_car_are_no_water():
     assert lost[NO_VOID] < min(0.1, lost[8.0] / 2)
 
 
-@pytest.mark.parametrize("sensor, layout", [(MATCHING, "town"), (DRONE, "hills"), (MOBILE, "city")])
+@pytest.mark.parametrize(
+    "sensor, layout", [pytest.param(MATCHING, "town", marks=pytest.mark.slow), (DRONE, "hills"), (MOBILE, "city")]
+)
 def test_ost_is_close_to_the_best_on_clouds_of_other_sensors(sensor, layout):
     made = scene(sensor, layout)
     total, rmse = {}, {}

@@ -59,7 +59,7 @@ def las_of(folder):
         pytest.param(PMF, marks=pytest.mark.slow),
         jf.PTD(seed_cell=12.0, low_clusters=False),
         jf.STIN(seed_cell=12.0),
-        jf.OST(window=6.0, landscape=8.0),
+        pytest.param(jf.OST(window=6.0, landscape=8.0), marks=pytest.mark.slow),
     ],
     ids=lambda one: type(one).__name__,
 )
@@ -220,6 +220,7 @@ def text_of(las, path):
     )
 
 
+@pytest.mark.slow
 def test_text_alone_and_beside_las(survey, tmp_path):
     """Text has the labels that its points have as LAS, with the neighbour in another format."""
     las = laspy.read(survey / "east.las")
@@ -357,6 +358,7 @@ def test_bounds_in_place_are_refused_since_points_would_be_lost(tmp_path):
     assert (tmp_path / "in.laz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monkeypatch):
     cloud = jf.scenes.make("town", size=90, density=1, seed=2).cloud
     jf.write(tmp_path / "in.laz", cloud, None)

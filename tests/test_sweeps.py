@@ -77,11 +77,13 @@ def test_pmf_equals_single_runs(options, hills):
         assert np.array_equal(one(hills).ground, ground)
 
 
+@pytest.mark.slow
 def test_smrf_with_many_slopes_and_a_net_equals_single_runs(cloud):
     slopes = np.random.default_rng(2).uniform(0.04, 0.5, 21)
     check_equal([jf.SMRF(cut=20.0, window=12.0).replace(slope=float(s)) for s in slopes], cloud)
 
 
+@pytest.mark.slow
 def test_points_on_a_limit_have_the_label_of_the_single_run(cloud):
     """Programs that round differently would disagree on them."""
     points, sets = plain_points(cloud), []
@@ -104,6 +106,7 @@ def test_a_filter_with_arrays_for_numbers_is_swept_and_calibrated_as_one_with_nu
     assert (found.filter, found.before, found.score) == (expected.filter, expected.before, expected.score)
 
 
+@pytest.mark.slow
 def test_a_parameter_may_be_left_open_in_some_sets(cloud):
     check_equal(product(jf.SPF(window=30.0), seed_filter=(True, False), max_angle=(6.0, 20.0)), cloud)
 
@@ -211,7 +214,15 @@ def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory
 
 
 @pytest.mark.parametrize(
-    "filter_", [jf.SPF(window=30.0), jf.STIN(seed_cell=30.0), jf.CSF(), jf.PMF(), jf.PPDF()], ids=str
+    "filter_",
+    [
+        jf.SPF(window=30.0),
+        jf.STIN(seed_cell=30.0),
+        jf.CSF(),
+        pytest.param(jf.PMF(), marks=pytest.mark.slow),
+        pytest.param(jf.PPDF(), marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_any_method_sweeps_any_traced_field(filter_, hills):
     field = {"SPF": "slope", "STIN": "max_angle", "CSF": "threshold", "PMF": "slope", "PPDF": "buffer"}

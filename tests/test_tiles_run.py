@@ -481,6 +481,7 @@ def test_points_of_the_overlap_are_counted_and_can_be_set_aside(files, tmp_path)
         run([str(path) for path in paths], tmp_path / "aside", resume=True)
 
 
+@pytest.mark.slow
 def test_the_cloth_begins_to_fall_above_the_lowest_point_of_the_whole(files, tmp_path):
     csf = jf.CSF(iterations=60, smooth=False)
     out = tmp_path / "out"
@@ -552,6 +553,7 @@ def odd(files, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_all_others(odd, tmp_path):
     for halo in (0.0, 20.0):
         out = tmp_path / f"{halo:g}"

@@ -278,7 +278,7 @@ def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
     np.testing.assert_array_equal(classes_of(survey, len(xyz)) == 2, memory.ground)
 
 
-@pytest.mark.parametrize("tile", [None, 60.0])
+@pytest.mark.parametrize("tile", [None, pytest.param(60.0, marks=pytest.mark.slow)])
 def test_the_limits_are_those_that_found_the_ground(survey, tmp_path, tile):
     run = jf.RunOptions(tile=tile, wide_halos=True, workers=1)
     made = jf.ground(survey, tmp_path / "made", jf.OST(window=9.0, max_angle=5.0), run=run)
