@@ -49,6 +49,15 @@ SLOW = {
     ("docs/arrays.md", "towns ="): "tests/test_batch.py has smaller clouds",
     ("docs/arrays.md", "import optax"): "tests/test_fit.py has smaller clouds",
     ("docs/arrays.md", "from jaxfilter.engines.cloth import surface"): "each operation has tests of its own",
+    (
+        "docs/dtm.md",
+        "jaxfilter dtm classified.laz raw.tif --raw-water",
+    ): "tests/test_water_level.py has the same in Python",
+    (
+        "docs/from_one_tile_to_a_country.md",
+        "jaxfilter ground smrf survey/",
+    ): "tests/test_cli_runs.py and others type them",
+    ("docs/products.md", "jaxfilter ground survey/ usgs/"): "tests/test_classes.py has these presets",
     ("docs/filters/iptd.md", "jf.IPTD()(cloud)"): "tests/test_iptd.py calls it in these ways",
     ("docs/filters/ppdf.md", "jf.PPDF"): "tests/test_ppdf.py calls it in these ways",
     ("docs/sweeps.md", "towns ="): "tests/test_fit.py has smaller clouds",

@@ -37,9 +37,10 @@ def yard():
     return np.concatenate([xyz, under]), np.append(~(house | bush), np.zeros(100, bool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sides",
-    [pytest.param((0.2, 0.2), marks=pytest.mark.slow), (0.4, 0.2), (3.0, 0.6)],
+    [(0.2, 0.2), (0.4, 0.2), (3.0, 0.6)],
     ids=["one square", "two", "many"],
 )
 def test_few_squares_have_labels(rng, sides):

@@ -124,6 +124,7 @@ def test_the_check_sees_what_is_wrong(tmp_path, found, monkeypatch):
                 check.outcome(path, 1)
 
 
+@pytest.mark.slow
 def test_the_experiment_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["run.py", "--out", str(tmp_path), "--number", "6", "--groups", "binary"])
     fuzz.main()

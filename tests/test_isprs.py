@@ -114,6 +114,7 @@ def test_ptd_with_a_static_border_reproduces_table_four(sample):
     assert np.median(off) < 0.6 and (off < 0.75).sum() >= 10  # s24 and s41 hang on two seeds each
 
 
+@pytest.mark.slow
 def test_smrf_single_set(samples):
     table = scores(samples, lambda s: jf.SMRF(cell=1, slope=0.15, window=18, threshold=0.5, scaling=1.25))
     assert mean(table, "total") <= 4.5 and abs(mean(table, "kappa") - 85.4) <= 0.5

@@ -183,6 +183,7 @@ def test_crowns_at_the_edge_of_what_was_seen_are_no_ground(sensor):
     assert found[crown[seen]].mean() < 0.02 and found[~crown[seen]].all()
 
 
+@pytest.mark.slow
 def test_shadows_of_a_scan_from_a_car_are_no_water():
     """Ground at the edge of a shadow stays: behind a crest it is lower, as beside a quay."""
     made = scene(MOBILE, "hills", size=100, density=20)

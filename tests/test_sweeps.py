@@ -266,7 +266,7 @@ def test_sets_without_shared_work_run_in_threads_and_stop_with_their_reader(work
 
 @pytest.mark.parametrize(
     ("filter_", "others"),
-    [(jf.CSF(), {"max_step": (0.3, 0.5)}), (jf.PPDF(), {"buffer": (0.3, 0.5)})],
+    [(jf.CSF(), {"max_step": (0.3, 0.5)}), pytest.param(jf.PPDF(), {"buffer": (0.3, 0.5)}, marks=pytest.mark.slow)],
     ids=["CSF", "PPDF"],
 )
 def test_sets_that_differ_in_the_last_threshold_are_classified_once(filter_, others, hills, monkeypatch):

@@ -272,7 +272,8 @@ def higher(records):
     records[:, 8] ^= 64
 
 
-@pytest.mark.parametrize("change", [turned, pytest.param(higher, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [turned, higher])
 def test_points_that_change_behind_a_stopped_run_are_noticed(las_files, tmp_path, change):
     """Size, header and time stay. No file is written with labels of points that it does not hold."""
     survey, out = tmp_path / "survey", tmp_path / "out"
@@ -914,6 +915,7 @@ def test_triangles_at_the_edge_of_the_data_stand_and_those_at_a_void_are_looked_
     assert report.halos[40.0] > report.tiles // 2 and len(report.halos) > 1
 
 
+@pytest.mark.slow
 def test_a_terrain_model_by_a_method_that_looks_at_the_whole_first(files, tmp_path):
     csf = {"iterations": 60, "smooth": False}
     report = model(jf.open(str(files)), tmp_path / "dtm.tif", jf.CSF(**csf), tile=50.0, executor=Here())
