@@ -38,6 +38,7 @@ include_patterns = [
     "CONTRIBUTING.md",
 ]
 exclude_patterns = [
+    ".*",  # virtual environments are large
     "docs/examples",
     "experiments/isprs/caveats.md",  # part of a page
     "docs/made/*/*.ipynb",
