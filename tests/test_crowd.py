@@ -38,11 +38,7 @@ def yard():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "sides",
-    [(0.2, 0.2), (0.4, 0.2), (3.0, 0.6)],
-    ids=["one square", "two", "many"],
-)
+@pytest.mark.parametrize("sides", [(0.2, 0.2), (0.4, 0.2), (3.0, 0.6)], ids=["one square", "two", "many"])
 def test_few_squares_have_labels(rng, sides):
     xyz = np.column_stack([rng.uniform(0.01, sides, (2000, 2)), rng.normal(0, 0.005, 2000)])
     assert (crowd_of(xyz) is None) == (sides[0] < 0.5), "one or two positions have no area"

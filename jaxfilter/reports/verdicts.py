@@ -289,7 +289,7 @@ def _sticking_out(points: Points, ground: np.ndarray, among: np.ndarray) -> np.n
         tin.remove(high)
         dropped[high] = True
     one, other = facets.ravel(), np.roll(facets, 1, axis=1).ravel()
-    both = ~dropped[one] & ~dropped[other] & (among[one] | among[other])  # links of all others tell nothing
+    both = ~dropped[one] & ~dropped[other] & (among[one] | among[other])  # other links decide nothing
     island = groups(one[both], other[both], len(first))
     rest = np.bincount(island, ~among & ~dropped) > 0
     dropped |= ~rest[island] & (np.bincount(island, over[: len(first)])[island] > 0)

@@ -242,7 +242,7 @@ def flanks(z, back, reach, drop):
     across, width = np.zeros(z.shape, np.int32), np.full(z.shape, np.float32(reach))
     fall, pad = np.zeros(z.shape, np.float32), 2 * back + 2
     wide = np.full((rows + 2 * pad, columns + 2 * pad), np.float32(np.inf))
-    for row in range(rows):  # of single numbers: Numba takes seconds to compile that of an array to a part of another
+    for row in range(rows):  # Numba takes seconds to compile one assignment to this part
         for column in range(columns):
             wide[row + pad, column + pad] = z[row, column]
     half = np.float32(drop / 2)
