@@ -56,10 +56,10 @@ SLOW = {
     (
         "docs/from_one_tile_to_a_country.md",
         "jaxfilter ground smrf survey/",
-    ): "tests/test_cli_runs.py and others type them",
+    ): "tests/test_cli_runs.py, test_surveys.py and test_layers.py have these commands",
     ("docs/products.md", "jaxfilter ground survey/ usgs/"): "tests/test_classes.py has these presets",
-    ("docs/filters/iptd.md", "jf.IPTD()(cloud)"): "tests/test_iptd.py calls it in these ways",
-    ("docs/filters/ppdf.md", "jf.PPDF"): "tests/test_ppdf.py calls it in these ways",
+    ("docs/filters/iptd.md", "jf.IPTD()(cloud)"): "tests/test_iptd.py has the method",
+    ("docs/filters/ppdf.md", "jf.PPDF"): "tests/test_ppdf.py has the method",
     ("docs/sweeps.md", "towns ="): "tests/test_fit.py has smaller clouds",
 }
 """Page and beginning of a block that runs with ``--slow`` only, and what is tested without it."""

@@ -72,11 +72,11 @@ def public():
 
 
 PUBLIC = public()
-SLOW = set(
-    "AGPTD ATIN Batch Batch.confusion Batch.ground Batch.soft Calibration Filter.classify Fit GridFilter GridFilter.prepare "
-    "IPTD PPDF STIN breaklines facets.Rule.verdict fit inpaint.fill_membrane plots.fit_curves sampling.bilinear "
-    "soft_labels".split()
-)
+SLOW = {
+    *("AGPTD", "ATIN", "Batch", "Batch.confusion", "Batch.ground", "Batch.soft", "Calibration", "Filter.classify"),
+    *("Fit", "GridFilter", "GridFilter.prepare", "IPTD", "PPDF", "STIN", "breaklines", "facets.Rule.verdict", "fit"),
+    *("inpaint.fill_membrane", "plots.fit_curves", "sampling.bilinear", "soft_labels"),
+}
 """Examples that compile much; what they show has tests of its own."""
 
 
