@@ -340,6 +340,53 @@ def test_falls_equal_those_of_scipy(rng):
 PLUS = ndimage.generate_binary_structure(2, 1)
 
 
+def test_banks_equal_those_of_scipy(rng):
+    z = np.float32(rng.choice([0.02, 0.3, 1, 2], (40, 1)) * ndimage.gaussian_filter(rng.normal(size=(40, 60)), 1.5) * 4)
+    segment, count = shapes.segments(z, np.float32(0.4), 4)
+    found = shapes.banks(segment, count, z, *np.float32([0.5, 2, 1.6, 0.1]))
+    beside, near = (z - ndimage.minimum_filter(z, size, mode="nearest") for size in (3, 5))
+    goes_on = (ndimage.maximum_filter(z, 5, mode="nearest") - z >= near) | (near >= np.float32(1.6) * beside)
+    mean = ndimage.generic_filter(z.astype(float), np.nanmean, 3, mode="constant", cval=np.nan)
+    edge = ndimage.maximum_filter(segment, footprint=PLUS) != ndimage.minimum_filter(segment, footprint=PLUS)
+    falls = (segment > 0) & edge & (near > 0.5)
+    bank = falls & (near < 2) & goes_on
+    expected = [segment > 0, (segment > 0) & (np.abs(z - mean) <= 0.1), falls, bank]
+    assert count > 20 and 20 < bank.sum() < falls.sum() - 20
+    np.testing.assert_array_equal(found[:, 1:], [ndimage.sum(one, segment, range(1, count + 1)) for one in expected])
+
+
+@pytest.mark.parametrize("width, height, slope", [(5, 3, 0.5), (5, 5, 0.67), (4, 8, 0.67), (8, 4, 0.8)])
+def test_the_crest_of_a_dike_is_ground(rng, width, height, slope):
+    """Dikes of earth across a plain with waves, at 2 points per m2; a twentieth of the points are plants."""
+    x, y = rng.uniform(0, 120, (2, 28_800))
+    across = np.abs((x - 60) * np.cos(0.5) + (y - 60) * np.sin(0.5))
+    z = (
+        np.maximum(height - np.maximum(across - width / 2, 0) * slope, 0)
+        + 0.3 * np.sin(x / 25)
+        + rng.normal(0, 0.03, len(x))
+    )
+    plant = rng.random(len(x)) < 0.05
+    cloud = jf.PointCloud.from_arrays(np.column_stack([x, y, z + plant * rng.uniform(0.5, 3, len(x))]))
+    ground = jf.OST.for_cloud(cloud)(cloud).ground
+    assert ground[~plant].mean() > 0.97 and ground[~plant & (across < width / 2)].mean() > 0.9
+    assert ground[plant].mean() < 0.05
+
+
+def test_what_falls_on_banks_is_an_embankment_and_what_has_walls_is_none(rng):
+    row, column = np.mgrid[:80, :80].astype(np.float32)
+    dike = np.clip(6 - 0.6 * np.abs(row + column / 4 - 50), 0, 4)
+    top = dike > 1
+    np.testing.assert_array_equal(whole_of(dike).embankments(top), top)
+    house = np.where(top, dike / 3 + 2, 0).astype(np.float32)
+    assert not whole_of(house).embankments(top).any()
+    assert not whole_of(dike * np.float32(2.5)).embankments(top).any()  # steeper than earth
+    rough = dike + top * np.float32(rng.uniform(0, 0.9, dike.shape))
+    assert not whole_of(rough).embankments(top).any()
+    assert not whole_of(dike, ROOFS._replace(area=5000.0)).embankments(top).any()
+    sunk = np.where(top, np.float32(-1), np.float32(0))
+    assert not whole_of(sunk).embankments(top).any()  # it falls nowhere
+
+
 def test_a_rock_is_terrain_and_a_roof_and_a_crown_are_none(rng):
     """Cones of 60 degrees: bare; with a storey below; with echoes at any height. All of them are marked."""
     row, column = np.mgrid[:60, :60].astype(np.float32)

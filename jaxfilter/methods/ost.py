@@ -437,6 +437,7 @@ class OST(Filter):
         rows, columns = (int(n) for n in cells.extent)
         inner = slice(0, rows), slice(0, columns)
         objects, bare = np.zeros(z.shape, bool), np.zeros((rows, columns), bool)
+        banked = np.zeros_like(bare)
         for number in range(PASSES):
             if number > 0:
                 landscape = Landscape.of(z, cells, objects, float(self.landscape))
@@ -447,9 +448,12 @@ class OST(Filter):
             marked = steepest[inner] > limit[inner]
             whole = segments.objects(marked, around[inner])
             marked |= whole
-            bare |= segments.terrain(marked & ~bare, whole, scene.high)
+            marked &= ~(bare | banked)
+            bare |= segments.terrain(marked, whole, scene.high)
+            if self.sensor in (AIRBORNE, DRONE):
+                banked |= segments.embankments(marked & ~bare)
             objects = np.zeros(z.shape, bool)
-            objects[inner] = marked & ~bare
+            objects[inner] = marked & ~(bare | banked)
         padded = np.zeros(z.shape, bool)
         padded[inner] = bare
         return objects, steepest / np.maximum(limit, np.float32(1e-6)), padded, landscape

@@ -9,9 +9,13 @@ import numpy as np
 SMOOTH = 0.2
 """Metres that a bare surface bends by from one cell to the next, along its contours, and that its points scatter by."""
 FURTHER, KNOWN = np.float32(1.6), np.float32(0.8)
-"""On a face the surface falls so many times as far within four cells as within two, where this share of the cells have points."""
+"""On a face the surface falls so many times as far within four cells as within two, where this share of the cells have points; on
+a bank within two as within one."""
 ROOFS, WALLS = 0.1, 0.45
 """Shares of the cells of steep terrain that may be in roofs, and of those on its border that may be walls."""
+BANK, EVEN, BANKS = 0.5, 0.1, 0.8
+"""Metres that a bank falls by within two cells at least, and that the top of an embankment bends by; and the share of its border,
+where the surface falls, that banks are at least."""
 
 
 class Roofs(NamedTuple):
@@ -92,3 +96,22 @@ class Segments:
         cells, roofs, known, bare, border, walls = faces(part, count, self.z, high, self.seen, whole, *limits)
         ground = (2 * known >= cells) & (2 * bare >= known) & (roofs <= ROOFS * cells) & (walls <= WALLS * border)
         return (ground & (cells > 0))[part]
+
+    def embankments(self, objects: np.ndarray) -> np.ndarray:
+        """bool[rows, columns]: cells of embankments, dikes and ridges that openings cut since they are narrow: parts of the
+        ``objects``, bool[rows, columns], joined over edges where elevations differ by less than twice the ``step`` of a segment,
+        that are smooth and fall on banks, not at walls.
+
+        Earth lies at less than 45 degrees. On a bank the surface goes on falling, or rises behind as it falls in front; at a
+        wall, or a crown, it falls at once (:func:`jaxfilter.engines.grid.shapes.banks`).
+        """
+        from ..engines.grid.shapes import banks, segments
+
+        part, count = segments(
+            np.where(objects, self.z, np.float32(np.nan)), np.float32(2 * self.roofs.step), self.least
+        )
+        steepest = np.float32(np.sqrt(8) * self.cell)
+        cells, even, falling, sloping = banks(
+            part, count, self.z, np.float32(BANK), steepest, FURTHER, np.float32(EVEN)
+        )
+        return ((2 * even >= cells) & (sloping >= BANKS * falling) & (falling > 0))[part]

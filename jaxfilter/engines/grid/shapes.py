@@ -214,6 +214,44 @@ def faces(segment, count, z, high, seen, whole, step, smooth, drop):
     return found
 
 
+@compiled(allocates=True)
+def banks(segment, count, z, drop, steepest, further, smooth):
+    """i32[4, 1 + count]: for each segment the numbers of its cells, of the smooth ones among these, of those on its border with
+    other cells where the surface falls, and of the latter on banks; zero for the cells that are in none.
+
+    A cell is smooth if it is within ``smooth`` of the mean of itself and its eight neighbours. The surface falls if a cell within
+    two rows and columns is lower by more than ``drop``. It is a bank if that is less than ``steepest``, and if it is ``further``
+    times as much as within one row and column, or the surface rises as much within two.
+
+    Args:
+        segment: i32[rows, columns], from :func:`segments`. z: f32[rows, columns], metres.
+        drop, steepest, smooth: f32, metres. further: f32.
+    """
+    rows, columns = segment.shape
+    found = np.zeros((4, count + 1), np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            name, border = segment[row, column], False
+            if name == 0:
+                continue
+            level = beside = near = top = z[row, column]
+            total, cells = np.float32(0), 0
+            for r in range(max(0, row - 2), min(rows, row + 3)):
+                for c in range(max(0, column - 2), min(columns, column + 3)):
+                    near, top = min(near, z[r, c]), max(top, z[r, c])
+                    if abs(r - row) < 2 and abs(c - column) < 2:
+                        beside = min(beside, z[r, c])
+                        total, cells = total + z[r, c] - level, cells + 1
+                        border |= segment[r, c] != name and (r == row or c == column)
+            fall = level - near
+            goes_on = fall >= further * (level - beside) or top - level >= fall
+            found[0, name] += 1
+            found[1, name] += abs(total) <= smooth * cells
+            found[2, name] += border and fall > drop
+            found[3, name] += border and drop < fall < steepest and goes_on
+    return found
+
+
 @compiled
 def _nearer(here, first, second, drop, step, behind, out):
     """``out``, f32[3, columns]: cells to the nearest edge on one side, its elevation, and how far it falls. A row without
