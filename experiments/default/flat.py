@@ -97,7 +97,7 @@ class Constant(NamedTuple):
         whole = isinstance(self.default, int)
         value = round(self.default * factor) if whole else float(self.default) * factor
         share = self.place.endswith(
-            (".ROOFS", ".WALLS", ".KNOWN", ".ROUGHLY", ".STEADY", ".RISING", ".FALLING", ".STEEPEST")
+            (".ROOFS", ".WALLS", ".BANKS", ".KNOWN", ".ROUGHLY", ".STEADY", ".RISING", ".FALLING", ".STEEPEST")
         )
         most = 90.0 if self.place.endswith(".STEEPEST") else 1.0
         return None if value == self.default or (share and value >= most) else value
@@ -141,6 +141,7 @@ CONSTANTS = [
     *_of("borders", "methods.ost", "STEEPEST"),
     *_of("faces at borders", "steps.objects", "FURTHER KNOWN"),
     *_of("steep terrain", "steps.objects", "SMOOTH ROOFS WALLS"),
+    *_of("embankments", "steps.objects", "BANK EVEN BANKS"),
     *_of("overhangs", "steps.overhangs", "VOID SHEET"),
     *_of("under plants", "steps.pruning", "ROUGH ROUGHLY VEIL AROUND"),
     *_of("decks", "steps.decks", "DROP HIGH NEAR AREA LENGTH STEADY ENDS MOST JOIN LAND"),
@@ -154,7 +155,8 @@ CONSTANTS = [
 ]  # fmt: skip
 TRIED = {
     "low points": "53 rules and limits", "voids": "5 rims", "borders": "3 rules", "faces at borders": "9 sets",
-    "steep terrain": "40 sets of limits, and 40 of how far distances grow", "under plants": "25 sets of limits",
+    "steep terrain": "40 sets of limits, and 40 of how far distances grow", "embankments": "22 rules and limits",
+    "under plants": "25 sets of limits",
     "overhangs": "3 voids, 4 sheets, 3 rules",
     "decks": "not counted", "water": "not counted", "dense clouds": "3 squares, 3 sheets",
     "other sensors": "5 multiples of the thickness, 6 numbers of rounds",
