@@ -81,7 +81,7 @@ PAGES = {
                                     20),
     "verdicts/results/results.md": Page("experiments/verdicts/run.py", "errors left after verdicts of people", 15),
     "verdicts/results/speed.md": Page("experiments/verdicts/speed.py", "what apply takes beside ground", 5),
-    "dikes/results/results.md": Page("experiments/dikes/run.py", "crests of dikes that methods keep", 8),
+    "dikes/results/results.md": Page("experiments/dikes/run.py", "crests of dikes that methods keep", 3),
     "water/results/results.md": Page("experiments/water/run.py", "water and bridge decks in scenes and tiles", 8),
     "bench/results/ops.md": Page("experiments/bench/ops.py", "operations beside those of other libraries", 10),
     "tiling/results/labels.md": Page(_tiling("labels"), "labels of tiles against those of the whole", 15),
