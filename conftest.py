@@ -111,8 +111,36 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="Run the tests that are marked as slow, too")
 
 
+BRIEF = {f"test_{name}" for name in (
+    "docstrings", "experiments", "cli", "adversarial", "agptd", "batch", "csf", "docs", "facets", "fit", "grid_filter", "inpaint",
+    "iptd", "morphology", "msf", "outliers", "switches", "windows", "x64",
+)}  # fmt: skip
+"""Tests that spend their time in XLA, which compiles many programs that run once, for a moment. It compiles them eight times as
+fast if it does not optimise them. All other tests run the code that users run: above all those that hold labels of one program
+against labels of another and those of published figures; tests that compute much would take longer, too."""
+LONG = [f"test_{name}" for name in ("tiles_run", "surveys", "scenes", "layers", "sweeps", "isprs", "filters")]
+"""They come first of those, so that no worker waits for the last of them."""
+
+
+def brief(item: pytest.Item) -> bool:
+    return item.path.suffix == ".md" or item.path.stem in BRIEF
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tells this process and those that the test starts whether to optimise, and forgets what was compiled in the other way."""
+    unoptimised = str(int(brief(item)))
+    if os.environ.get("JAX_DISABLE_MOST_OPTIMIZATIONS", "0") != unoptimised:
+        import jax
+
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = unoptimised
+        jax.config.update("jax_disable_most_optimizations", brief(item))
+        jax.clear_caches()
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Slow tests take long; most do with another method, or with more points, what a test that is not slow does."""
+    items.sort(key=lambda item: (not brief(item), item.path.stem not in LONG))
     for item in items if not config.getoption("--slow") else []:
         example = getattr(item, "example", None)
         if "slow" in item.keywords or (example is not None and begins(example, SLOW)):
