@@ -355,6 +355,43 @@ def test_banks_equal_those_of_scipy(rng):
     np.testing.assert_array_equal(found[:, 1:], [ndimage.sum(one, segment, range(1, count + 1)) for one in expected])
 
 
+@pytest.mark.parametrize("back, reach", [(2, 12.0), (3, 8.0)])
+def test_flanks_are_the_nearest_edges_on_both_sides_of_a_line(rng, back: int, reach: float) -> None:
+    """Walks outward from each cell, along each line."""
+    z = np.kron(rng.integers(0, 4, (7, 8)), np.ones((4, 4))).astype(np.float32) + rng.normal(0, 0.1, (28, 32)).astype(
+        np.float32
+    )
+    z, drop, lines = z[:26, :31], 0.8, ((0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2))
+
+    def at(row: int, column: int) -> float:
+        inside = 0 <= row < z.shape[0] and 0 <= column < z.shape[1]
+        return float(z[row, column]) if inside else np.inf
+
+    def edge(row: int, column: int, dy: int, dx: int) -> tuple[float, float, float]:
+        """Cells to it, its elevation, and what it falls by."""
+        step, away = np.float32(np.hypot(dy, dx)), np.float32(0)
+        far = max(1, round(back / step))
+        while np.isfinite(here := at(row, column)):
+            first, second = at(row + far * dy, column + far * dx), at(row + 2 * far * dy, column + 2 * far * dx)
+            if here - first > drop and first - second < (here - first) / 3:
+                return away, here, here - first
+            row, column, away = row + dy, column + dx, away + step  # which rounds as there
+        return np.inf, np.nan, np.nan
+
+    expected = np.zeros((3, *z.shape))
+    expected[1] = reach
+    for (row, column), here in np.ndenumerate(z):
+        for turn, (dy, dx) in enumerate(lines, 1):
+            (left, low, fall), (right, high, other) = (edge(row, column, s * dy, s * dx) for s in (-1, 1))
+            near = float(left + right) + 1
+            if near < expected[1, row, column] and max(abs(low - here), abs(high - here)) < drop / 2:
+                expected[:, row, column] = turn, np.float32(near), min(fall, other)
+    assert (np.bincount(expected[0].astype(int).ravel(), minlength=9) > 0).all()  # no line is without
+    found = shapes.flanks(z, back, np.float32(reach), np.float32(drop))
+    np.testing.assert_array_equal(found[0], expected[0])
+    np.testing.assert_allclose(np.stack(found[1:]), expected[1:], rtol=1e-6)
+
+
 @pytest.mark.parametrize("width, height, slope", [(3, 3, 0.5), (5, 5, 0.67), (4, 8, 0.67), (8, 4, 0.8)])
 def test_the_crest_of_a_dike_is_ground(rng, width, height, slope):
     """Dikes of earth across a plain with waves, at 2 points per m2; a twentieth of the points are plants."""
