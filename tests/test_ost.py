@@ -358,10 +358,9 @@ def test_banks_equal_those_of_scipy(rng):
 @pytest.mark.parametrize("back, reach", [(2, 12.0), (3, 8.0)])
 def test_flanks_are_the_nearest_edges_on_both_sides_of_a_line(rng, back: int, reach: float) -> None:
     """Walks outward from each cell, along each line."""
-    z = np.kron(rng.integers(0, 4, (7, 8)), np.ones((4, 4))).astype(np.float32) + rng.normal(0, 0.1, (28, 32)).astype(
-        np.float32
-    )
-    z, drop, lines = z[:26, :31], 0.8, ((0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2))
+    blocks = np.kron(rng.integers(0, 4, (7, 8)), np.ones((4, 4)))
+    z = (blocks + rng.normal(0, 0.1, blocks.shape)).astype(np.float32)[:26, :31]
+    drop, lines = 0.8, ((0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2))
 
     def at(row: int, column: int) -> float:
         inside = 0 <= row < z.shape[0] and 0 <= column < z.shape[1]
