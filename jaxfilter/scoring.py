@@ -218,11 +218,13 @@ def reference_labels(reference: PointCloud | np.ndarray | None) -> tuple[np.ndar
         if reference.reference is None:
             raise InputError("reference: the cloud has no reference labels (a label column, or points of class 2)")
         truth, classes = reference.reference, reference.classification
-        if classes is not None and np.array_equal(truth, classes == GROUND):
+        if classes is not None and truth.any() and np.array_equal(truth, classes == GROUND):
             return truth, classes != NEVER_CLASSIFIED
         return truth, np.ones(len(truth), bool)
     if reference is None:
         raise InputError("reference is None: the cloud that it was taken from has no reference labels")
+    if np.ma.is_masked(reference):
+        raise InputError("reference: some labels are masked: pass integers, with -1 for points without a label")
     truth = np.asarray(reference)
     if truth.ndim == 1 and truth.dtype == bool:
         return truth, np.ones(len(truth), bool)

@@ -90,6 +90,8 @@ def test_tables_are_written_as_markdown_and_latex(compared):
         ([jf.SMRF()], {"repeats": -1}, "repeats=-1"),
         ([jf.SMRF()], {"cell": 0.0}, "cell=0.0"),
         ([jf.SMRF()], {"workers": 0}, "workers=0"),
+        ([jf.SMRF()], {"workers": 1.5}, "workers=1.5"),
+        ([jf.SMRF()], {"groups": {"north": "a"}}, "no cloud 'north'"),
     ],
 )
 def test_wrong_arguments_are_found_before_anything_runs(clouds, filters, options, words):
@@ -105,6 +107,13 @@ def signed_rank_p(differences):
     observed = ranks[np.asarray(differences) > 0].sum()
     sums = np.array([np.dot(ranks, signs) for signs in itertools.product((0, 1), repeat=len(ranks))])
     return min(1.0, 2 * min((sums >= observed).mean(), (sums <= observed).mean()))
+
+
+def test_groups_may_go_by_the_number_of_a_cloud(clouds):
+    """So that none is chosen on clouds of its own group."""
+    lists = {"one of two": [jf.SMRF(threshold=0.2), jf.SMRF(threshold=1.5)]}
+    with pytest.raises(jf.ParameterError, match="there is one group only"):
+        jf.compare(lists, list(clouds.values()), groups={0: "site", 1: "site"}, repeats=0)
 
 
 def test_significance_is_that_of_the_signed_ranks(rng):
@@ -127,6 +136,24 @@ def test_significance_is_that_of_the_signed_ranks(rng):
     assert pair["difference"][0] == pytest.approx(-found["difference"])
     against = Comparison(pandas.DataFrame(rows)).significance(against="A")
     assert against["method"].tolist() == ["B"] and against["clouds"][0] == 9
+
+
+def test_equal_differences_have_equal_ranks():
+    """Shares in percent that differ by one point in a thousand differ by rounding, too."""
+    own, other = np.array([32, 10, 55, 23, 76, 5]), np.array([33, 11, 56, 22, 77, 4])
+    exact, rounded = paired(np.column_stack([other, own])), paired(100 * np.column_stack([other, own]) / 1000)
+    assert (rounded["effect"], rounded["p"]) == (exact["effect"], exact["p"]) and exact["effect"] == pytest.approx(
+        2 / 6
+    )
+
+
+def test_groups_are_compared_on_the_clouds_that_both_have():
+    """The harder cloud of three groups, on which B failed, counts for none."""
+    rows = [(m, f"{group}{n}", group, 10.0 * n) for group in "abcdef" for n in range(2) for m in "AB"]
+    table = pandas.DataFrame(rows, columns=["method", "cloud", "group", "total"])
+    table.loc[(table["method"] == "B") & table["cloud"].isin(["a1", "b1", "c1"]), "total"] = math.nan
+    [row] = Comparison(table).significance(by="group").to_dict("records")
+    assert (row["clouds"], row["difference"], row["effect"]) == (6, 0.0, 0.0)
 
 
 def test_holm_corrects_step_by_step():

@@ -829,6 +829,7 @@ def test_margins_have_the_sign_of_the_label_and_heights_are_over_the_final_groun
     assert result.info["pruned"] > 0
     judged = scene.cloud.candidate
     np.testing.assert_array_equal(result.margin[judged] <= 0, result.ground[judged])
+    assert np.isfinite(result.margin[judged]).all()
     xyz = scene.cloud.xyz.astype(float)
     ground = xyz[result.ground]
     others = judged & ~result.ground

@@ -302,6 +302,33 @@ def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_pa
     assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
 
 
+def test_verdicts_are_done_for_files_that_come_later(survey, scene):
+    """A place in two files, of which one is given first."""
+    places = geopandas.GeoDataFrame({"verdict": ["bridge"]}, geometry=[box(70, 20, 90, 30)], crs=UTM)
+    n = len(scene[0])
+    jf.apply_survey(places, survey / "sw.laz", run=jf.RunOptions(workers=1))
+    deck, done = inside(scene[0], 70, 20, 90, 30), classes_of(survey, n)
+    assert (done[deck] == 2).any(), "the eastern part is in another file"
+    for before, applied in enumerate(({"bridge": 1}, {})):
+        report = jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
+        assert (report.applied, report.before) == (applied, before)
+        assert not (classes_of(survey, n)[deck] == 2).any()
+
+
+def test_what_was_undone_stays_known_as_undone(survey, scene, tmp_path, recwarn):
+    """Another verdict on a changed file does not vouch for what was said of it before."""
+    kept = shutil.copytree(survey, tmp_path / "kept")
+    jf.apply_survey(table(house="object"), survey, run=jf.RunOptions(workers=1))
+    done = classes_of(survey, len(scene[0]))
+    shutil.copy(kept / "ne.laz", survey / "ne.laz")
+    jf.apply_survey(table(hill="ground"), survey, run=jf.RunOptions(workers=1))
+    assert sum("since verdicts" in str(one.message) for one in recwarn) == 1
+    report = jf.apply_survey(table(house="object"), survey, run=jf.RunOptions(workers=1))
+    house = inside(scene[0], *HOUSE)
+    assert report.applied == {"object": 1}
+    np.testing.assert_array_equal(classes_of(survey, len(scene[0]))[house], done[house])
+
+
 @pytest.mark.parametrize("tasks", [0, 2, 4, 5])
 def test_a_run_that_is_stopped_goes_on(survey, scene, tasks, tmp_path):
     places = table(house="object", hill="ground", river="water")
@@ -323,6 +350,12 @@ def test_the_command_says_what_it_leaves_out(survey, tmp_path):
     assert "1 verdict carried out (1 object)" in done.output and "1 verdict left out" in done.output
     table(house="object").rename(columns={"verdict": "v"}).to_file(tmp_path / "none.geojson")
     assert command("apply", tmp_path / "none.geojson", survey).exit_code == 1
+    table(house=5).to_file(tmp_path / "number.geojson")
+    done = command("apply", tmp_path / "number.geojson", survey)
+    assert done.exit_code == 1 and "5 is no verdict" in done.output
+    (tmp_path / "plain.csv").write_text("verdict\nobject\n")
+    done = command("apply", tmp_path / "plain.csv", survey)
+    assert done.exit_code == 1 and "plain.csv: holds no geometry" in done.output
 
 
 def test_review_lists_the_places_of_classified_files(survey, scene, wrong, tmp_path):

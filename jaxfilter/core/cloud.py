@@ -100,7 +100,8 @@ class PointCloud:
     def _repr_html_(self) -> str:
         rows: list[tuple[str, Any]] = [("points", len(self)), ("candidates", int(self.candidate.sum()))]
         if len(self):
-            low, high = dataclasses.replace(self, xyz=np.stack(ends(self.xyz))).coordinates()
+            xyz = self.xyz if self.valid is None or not self.valid.any() else self.xyz[self.valid]
+            low, high = dataclasses.replace(self, xyz=np.stack(ends(xyz))).coordinates()
             rows += [(axis, f"{a:.2f} to {b:.2f}") for axis, a, b in zip("xyz", low, high, strict=True)]
         rows += [("units", str(self.units)), ("CRS", "unknown" if self.crs is None else self.crs.name)]
         if self.classification is not None:
@@ -190,6 +191,8 @@ class PointCloud:
         [[0.0, 0.0, 1.0], [2.5, 5.0, 1.5]]
         """
         check_scales(scales, offsets, name)
+        if ticks.dtype != np.int32 or ticks.shape[1:] != (3,) or not ticks.flags.c_contiguous:
+            raise InputError(f"{name}: ticks must be int32[n, 3], C-contiguous, not {ticks.dtype}{list(ticks.shape)}")
         return cls._assembled(Coordinates(ticks, ticks.view(np.float32), scales, offsets), None, reading, name, columns)
 
     @classmethod

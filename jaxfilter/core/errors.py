@@ -80,7 +80,11 @@ def warn(message: str) -> None:
 def check_positive(unit: str = "", **values: float | None) -> None:
     """Raises: ParameterError for what is not above 0, or infinite; None stands for nothing. ``unit``: in words."""
     for name, value in values.items():
-        if value is not None and not 0 < value < math.inf:
+        try:
+            good = value is None or (not isinstance(value, str) and 0 < float(value) < math.inf)
+        except (TypeError, ValueError):
+            good = False
+        if not good:
             raise ParameterError(f"{name}={value!r}: must be a positive number{unit}")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from .cloud import PointCloud, as_cloud
 from .compilation import in_turn
-from .errors import InputError, ParameterError, warn
+from .errors import InputError, ParameterError, check_whole, warn
 from .markup import table
 from .params import Preset, check_fields, declared
 from .points import Points, canonical_points, check_extent, plain_points
@@ -374,8 +374,8 @@ def alike(keys: Iterable[Any]) -> list[list[int]]:
 
 def check_resources(workers: int | None, memory: float = 1.0) -> None:
     """Raises: ParameterError for threads or bytes that are none."""
-    if workers is not None and workers < 1:
-        raise ParameterError(f"workers={workers!r}: must be at least 1")
+    if workers is not None:
+        check_whole(workers=workers)
     if not 0 < memory < math.inf:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
 

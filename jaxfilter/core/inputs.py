@@ -81,14 +81,18 @@ def _plain(name: str) -> str:
 
 
 def _names_of(points: Any) -> tuple[str, ...]:
-    """Fields of a structured array, or attributes out of x, y, z and the columns."""
-    names = getattr(getattr(points, "dtype", None), "names", None)
-    return tuple(names) if names else tuple(name for name in ("x", "y", "z", *COLUMNS) if hasattr(points, name))
+    """Fields of a structured array, columns of a table, or attributes out of x, y, z and the columns."""
+    names = getattr(getattr(points, "dtype", None), "names", None) or getattr(points, "columns", None)
+    if names is None:
+        return tuple(name for name in ("x", "y", "z", *COLUMNS) if hasattr(points, name))
+    return tuple(name for name in names if isinstance(name, str))
 
 
 def is_structured(points: Any) -> bool:
-    """Whether these are named columns: a structured array, or an object with attributes ``x``, ``y`` and ``z``."""
-    return bool(getattr(getattr(points, "dtype", None), "names", None)) or {"x", "y", "z"} <= set(_names_of(points))
+    """Whether these are named columns: a structured array, or a table or an object with X, Y and Z."""
+    return bool(getattr(getattr(points, "dtype", None), "names", None)) or set("xyz") <= set(
+        map(_plain, _names_of(points))
+    )
 
 
 def laspy_parts(
@@ -124,7 +128,7 @@ def structured_parts(points: Any, name: str) -> dict[str, Any]:
 
     def get(field: str) -> Any:
         key = named[_plain(field)]
-        return getattr(points, key) if hasattr(points, key) else points[key]
+        return points[key] if hasattr(points, "columns") or not hasattr(points, key) else getattr(points, key)
 
     axes = [numbers(get(axis), f"{name}: {axis.upper()}") for axis in "xyz"]
     if len(shapes := {axis.shape for axis in axes}) > 1 or axes[0].ndim != 1:

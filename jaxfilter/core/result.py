@@ -83,7 +83,7 @@ class Call:
     seconds: float
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class FilterResult:
     """Labels and the quantities behind them; all arrays have the length and the order of the cloud.
 
@@ -220,13 +220,14 @@ class FilterResult:
 
 
 def _coordinates(cloud: Any) -> np.ndarray:
-    """f64[n, 3] in file units: those of the file that the cloud was read from, if it is still there."""
+    """f64[n, 3] in file units: those of the file that the cloud was read from, if it is still there; NaN for invalid points."""
     if cloud.source is not None:
         try:
             return np.asarray(cloud.source.coordinates())
         except InputError as error:
             warn(f"{error}; until then coordinates are given to a millimetre")
-    return np.asarray(cloud.coordinates())
+    xyz = np.asarray(cloud.coordinates())
+    return xyz if cloud.valid is None else np.where(cloud.valid[:, None], xyz, np.nan)
 
 
 _UNITS = {"height": "m", "slope": "degrees", "angle": "degrees", "elevation": "m"}

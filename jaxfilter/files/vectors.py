@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.errors import OutputError, warn
+from ..core.errors import InputError, OutputError, warn
 from .disk import new_file
 from .storage import Place
 
@@ -25,6 +25,19 @@ def check_suffix(path: Place) -> Place:
     if path.suffix.lower() not in DRIVERS:
         raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
     return path
+
+
+def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFrame:
+    """A table of the shapes in a vector file, which are ``what``, in words. Raises: InputError if there are none."""
+    import geopandas
+
+    try:
+        table = geopandas.read_file(path)
+    except Exception as error:  # GDAL has many of its own
+        raise InputError(f"{path}: cannot be read as {what}: {error}") from error
+    if not isinstance(table, geopandas.GeoDataFrame):
+        raise InputError(f"{path}: holds no geometry: pass {what}, as a GeoPackage or GeoJSON")
+    return table
 
 
 def write_features(

@@ -21,6 +21,7 @@ from ..engines.tin.growth import Growth, Outliers, Vertices
 from ..engines.tin.network import corner_positions, one_network, with_elevation
 from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
+from ..files.vectors import read_shapes
 from ..methods.ost import OST
 from ..steps.seeds import rising
 from .places import OFF, SIDE, STEEPEST
@@ -73,11 +74,9 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
 
     table: Any = places
     if isinstance(places, (str, os.PathLike)):
-        name = os.fspath(places)
-        try:
-            table = geopandas.read_file(name)
-        except Exception as error:  # GDAL has many of its own
-            raise InputError(f"{name}: cannot be read as places: {error}") from error
+        table = read_shapes(name := os.fspath(places), "places")
+    elif not isinstance(places, geopandas.GeoDataFrame):
+        raise InputError(f"{name}: a GeoDataFrame or the name of a file is needed, not {type(places).__name__}")
     if not len(table):  # an empty GeoJSON has no columns
         return [], []
     if "verdict" not in table:
@@ -89,8 +88,9 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
         table = table.to_crs(crs)
     verdicts, problems = [], []
     numbers = table["rank"] if "rank" in table else np.arange(1, len(table) + 1)
-    for number, said, shape in zip(numbers, table["verdict"], table.geometry, strict=True):
-        word = said.strip().lower() if isinstance(said, str) else ""
+    every = table["verdict"].where(table["verdict"].notna(), "")
+    for number, said, shape in zip(numbers, every, table.geometry, strict=True):
+        word = str(said).strip().lower()
         which = f"place {number}"
         if not word:
             continue

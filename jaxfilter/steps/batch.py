@@ -19,7 +19,7 @@ from ..core.errors import ParameterError
 from ..core.filter import check_resources
 from ..core.points import Points
 from ..engines.grid.cells import padded_length
-from .grid_filter import CELL_BYTES, POINT_BYTES
+from .grid_filter import CELL_BYTES, POINT_BYTES, check_width
 from .surfaces import Cells
 
 _STEP = 16
@@ -106,6 +106,7 @@ class Batch:
         >>> bool(((soft >= 0) & (soft <= 1)).all())
         True
         """
+        check_width(width)
         return self._of_blocks("soft", sets, width, memory)
 
     def confusion(self, sets: Mapping[str, Any] | None = None, *, memory: float = 1e9) -> jax.Array:
@@ -140,7 +141,11 @@ class Batch:
 
     def _of_blocks(self, what: str, sets: Any, width: Any, memory: float) -> tuple[jax.Array, ...]:
         check_resources(None, memory)
+        if sets is not None and not sets:
+            raise ParameterError("sets: name at least one field and its values, or pass None for the filter as it is")
         fields = None if sets is None else {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
+        if unknown := set(fields or ()) - {field.name for field in dataclasses.fields(self.filter)}:
+            raise ParameterError(f"sets: {type(self.filter).__name__} has no field {min(unknown)!r}")
         shapes = {name: values.shape for name, values in (fields or {"": jnp.zeros(1)}).items()}
         count = max(map(math.prod, shapes.values()))
         if set(shapes.values()) != {(count,)}:

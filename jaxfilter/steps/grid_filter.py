@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.compilation import bucket, in_turn, jit
+from ..core.errors import check_positive
 from ..core.filter import Filter, Labels, alike, ground_each, values_but
 from ..core.params import static
 from ..core.points import Points
@@ -249,6 +250,7 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
         xyz: f32[n, 3], local metres.
         width: metres over which a label changes from 0.73 to 0.27 at a threshold.
 
+    Raises: ParameterError for a width that is not positive.
     Returns: f32[n], 0 to 1. The logistic function of the margin, so that 1/2 is the threshold. At the slope of SMRF, and at the
         thresholds of PMF that surfaces are compared by, cells become objects: there it is a mixture of both cases, which has no
         jumps, so that the gradient is that of what is returned. It is not the gradient of the labels, which are steps. Pure.
@@ -258,7 +260,14 @@ def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Ar
     >>> bool(((soft >= 0) & (soft <= 1)).all())
     True
     """
+    check_width(width)
     return filter_._soft(filter_.prepare(cells.checked()), xyz, width)
+
+
+def check_width(width: jax.Array | float) -> None:
+    """Raises: ParameterError for a width that is not above zero, unless it is traced."""
+    if not isinstance(width, jax.core.Tracer):
+        check_positive(" of metres", width=float(width))
 
 
 def fit_data(

@@ -13,6 +13,8 @@ from ..engines.tin.facets import FacetScore, Verdict
 
 _STEEPEST = 80.0
 """Degrees that facets are taken to slope at most: a wall of points is in the plane of a slim facet that stands upright."""
+_LEAST = 1e-6
+"""Metres beyond the limit that a point is at least which does not join."""
 
 
 class HeightRule(NamedTuple):
@@ -35,7 +37,8 @@ class HeightRule(NamedTuple):
 class AngleRule(NamedTuple):
     """Points join that are near to the plane of their facet, and at a small angle; f32 each, one for all or one for each.
 
-    Planes steeper than 80 degrees count as that steep, and distances from these grow with the height over them.
+    Planes steeper than 80 degrees count as that steep, and distances from these grow with the height over them. The margin of a
+    point whose angle is too large is metres beyond ``noise``, or beyond ``distance`` if this is less.
 
     Attributes:
         distance: metres, at most, from the plane. angle: degrees, to the facet at its nearest vertex, must be less.
@@ -50,8 +53,9 @@ class AngleRule(NamedTuple):
     def verdict(self, s: FacetScore, two_sided: jax.Array) -> Verdict:
         """Hold one point against the limits, on both sides of the facet."""
         away = jnp.abs(s.height) * jnp.cos(jnp.radians(jnp.minimum(s.slope, _STEEPEST)))
-        margin = jnp.where((jnp.abs(s.angle) < self.angle) | (away <= self.noise), away - self.distance, jnp.inf)
-        return _verdict(margin, s)
+        near = (jnp.abs(s.angle) < self.angle) | (away <= self.noise)
+        steep = jnp.maximum(away - jnp.minimum(self.distance, self.noise), _LEAST)  # else rounding might make it zero
+        return _verdict(jnp.where(near, away - self.distance, steep), s)
 
 
 def _verdict(margin: jax.Array, s: FacetScore) -> Verdict:

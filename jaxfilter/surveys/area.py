@@ -13,6 +13,7 @@ import numpy as np
 from ..core.errors import InputError, ParameterError, warn
 from ..core.reading import Reading
 from ..files.disk import Bounds
+from ..files.vectors import read_shapes
 from .collection import Collection
 
 if TYPE_CHECKING:
@@ -37,9 +38,10 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
     try:
-        given = getattr(aoi, "geometry", [aoi])
-        frame: Any = geopandas.GeoSeries(given) if name == "aoi" else geopandas.read_file(name)
-    except Exception as error:  # GDAL has many of its own
+        frame: Any = (
+            geopandas.GeoSeries(getattr(aoi, "geometry", [aoi])) if name == "aoi" else read_shapes(name, "polygons")
+        )
+    except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
         warn(f"{name}: transformed from {frame.crs.name} to {survey.crs.name}")

@@ -134,7 +134,6 @@ class VerdictProduct(Product):
 
     REPORT = VerdictReport
     sites: tuple[Repair, ...]
-    new: tuple[PlaceVerdict, ...]
     classes: Classes
 
     def cut(self) -> Cut:
@@ -172,7 +171,7 @@ class VerdictProduct(Product):
             write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, in_place=True)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Say which files have changed, and list the verdicts beside them. Raises: InputError, OutputError."""
+        """Say which files have changed."""
         assert isinstance(report, VerdictReport)
         stored = (self.store.arrays(number, (_CHANGED,)) for number in np.flatnonzero(report.state != -1).tolist())
         files, counts = np.concatenate(
@@ -180,8 +179,6 @@ class VerdictProduct(Product):
         )
         written = {str(targets.places[number]) for number in files}
         report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
-        if not (report.set_aside or report.failed or report.left_out):
-            _Log(targets.store.path.parent / LOG).add(self.new, collection)
 
     def facts(self) -> dict[str, Any]:
         """Classes and verdicts."""
@@ -228,8 +225,8 @@ def apply_survey(
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
     targets = beside(files, run, len(files) == 1, "verdicts")
-    log = _Log(targets.store.path.parent / LOG)
-    new = tuple(one for one in verdicts if not log.holds(one.key))
+    log = _Log(targets.store.path.parent / LOG, collection)
+    new = [one for one in verdicts if not log.holds(one)]
     keys = {one.key for one in new if one.word != FINE}
     every = sites(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
     acting = (site for site in every if any(one.key in keys for one in site.verdicts))
@@ -240,10 +237,11 @@ def apply_survey(
             run = dataclasses.replace(run, workers=1)
         unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
         survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
-        report = survey.run(VerdictProduct, sites=found, new=new, classes=classes)
+        report = survey.run(VerdictProduct, sites=found, classes=classes)
     else:
         targets.store.discard()
-        log.add(new, collection)
+    if not (report.set_aside or report.failed or report.left_out):
+        log.add(new)
     report.problems, report.before = problems, len(verdicts) - len(new)
     report.applied = {word: n for word in WORDS if (n := sum(one.word == word for one in new))}
     return report
@@ -267,9 +265,9 @@ def _recipe_of(collection: Collection) -> Recipe:
 class _Log:
     """The list of verdicts that were carried out on files of a folder."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises: InputError if it is damaged."""
-        self.path = path
+    def __init__(self, path: Path, collection: Collection) -> None:
+        """``collection``: files of this folder. Raises: InputError if it is damaged."""
+        self.path, self.collection = path, collection
         try:
             empty: dict[str, Any] = {"files": {}, "verdicts": []}
             self.facts = json.loads(path.read_text()) if path.exists() else empty
@@ -281,21 +279,33 @@ class _Log:
         for name in sorted(self._broken):
             warn(f"{name}: {broken[name]} since verdicts were carried out on it, so those of it are carried out anew")
 
-    def holds(self, key: str) -> bool:
-        """Whether a verdict was carried out, and its files are as they were left."""
-        return key in self._known and not self._broken.intersection(self._known[key])
+    def files_of(self, one: PlaceVerdict) -> list[str]:
+        """Names of the files whose points a verdict may change."""
+        near = self.collection.within(one.shape.buffer(RIM / self.collection.metre).bounds)
+        return [os.path.relpath(self.collection.uris[n], self.path.parent) for n in near]
 
-    def add(self, verdicts: Sequence[PlaceVerdict], collection: Collection) -> None:
-        """Write down verdicts, and how their files are now. Raises: OutputError."""
+    def holds(self, one: PlaceVerdict) -> bool:
+        """Whether a verdict was carried out on all its files, and these are as they were left."""
+        files = set(self.files_of(one))
+        return one.key in self._known and files <= set(self._known[one.key]) and not files & self._broken
+
+    def add(self, verdicts: Sequence[PlaceVerdict]) -> None:
+        """Write down verdicts, and how their files are now. Others are known no more on files that have changed since.
+
+        Raises: OutputError.
+        """
         if not verdicts:
             return
         keys, today = {one.key for one in verdicts}, datetime.date.today().isoformat()
-        here = lambda one: all((self.path.parent / name).exists() for name in one["files"])  # noqa: E731
-        entries = [one for one in self.facts["verdicts"] if one["key"] not in keys and here(one)]
+        entries, kept = [], {}
+        for entry in self.facts["verdicts"]:
+            files = [name for name in entry["files"] if name not in self._broken and (self.path.parent / name).exists()]
+            kept[entry["key"]] = files
+            if files and entry["key"] not in keys:
+                entries.append(entry | {"files": files})
         for one in verdicts:
-            inner, area = one.shape.representative_point(), one.shape.area * collection.metre**2
-            near = collection.within(one.shape.buffer(RIM / collection.metre).bounds)
-            files = [os.path.relpath(collection.uris[n], self.path.parent) for n in near]
+            inner, area = one.shape.representative_point(), one.shape.area * self.collection.metre**2
+            files = sorted({*self.files_of(one), *kept.get(one.key, ())})
             facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})

@@ -13,7 +13,7 @@ from ..scoring import reference_labels
 from ..steps.batch import Batch, stacked
 from ..steps.grid_filter import GridFilter
 from .ranges import check_filter
-from .sweep import named_clouds
+from .sweep import named_clouds, named_labels
 
 
 def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> Batch:
@@ -38,9 +38,9 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     if not isinstance(filter_, GridFilter):
         raise ParameterError(f"batch: {type(filter_).__name__}: methods on a grid take batches: SMRF, PMF, MSF")
     check_whole(blocks=blocks)
-    _, named = named_clouds(clouds, "batch")
+    several, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None
-    given = labels if isinstance(labels, Mapping) or labels is None else dict(zip(named, labels, strict=True))
+    given = None if labels is None else named_labels(labels, several, named, "batch")
     taken, ready = [], []
     for name, cloud in named.items():
         points = filter_.points_of(cloud)

@@ -468,7 +468,7 @@ def ranges_of(filter_: Filter, axes: Mapping[str, Any] | None) -> dict[str, Rang
 
 def known_labels(cloud: PointCloud, labels: Any) -> tuple[np.ndarray, np.ndarray]:
     """bool[n] ground, bool[n] whether that is known; without labels, what the cloud says. Raises InputError."""
-    array = cloud if labels is None else np.asarray(labels)
+    array = cloud if labels is None else np.asanyarray(labels)
     if isinstance(array, np.ndarray) and array.shape != (len(cloud),):
         raise InputError(f"labels: {len(cloud)} are needed, one per point of the cloud, not an array {array.shape}")
     return reference_labels(array)

@@ -80,13 +80,19 @@ class Comparison:
             raise ParameterError(f"score={score!r}: choose one of {', '.join(known)}")
         if by not in ("cloud", "group"):
             raise ParameterError(f"by={by!r}: choose 'cloud' or 'group'")
-        wide = self.table.pivot_table(index=by, columns="method", values=score, dropna=False, sort=False)
-        return wide.reindex(list(dict.fromkeys(self.table[by])), columns=list(dict.fromkeys(self.table["method"])))
+        wide = self.table.pivot_table(index="cloud", columns="method", values=score, dropna=False, sort=False)
+        clouds, methods = (list(dict.fromkeys(self.table[name])) for name in ("cloud", "method"))
+        return self._means(wide.reindex(clouds, columns=methods), by)
+
+    def _means(self, wide: pandas.DataFrame, by: str) -> pandas.DataFrame:
+        """Rows of clouds as they are, or the means of their groups."""
+        return wide if by == "cloud" else wide.groupby(self.table.groupby("cloud")["group"].first(), sort=False).mean()
 
     def significance(self, score: str = "total", against: str | None = None, *, by: str = "cloud") -> pandas.DataFrame:
         """Every two methods on the clouds that both have a figure for; with ``against``, every other against that one.
 
-        With ``by`` = "group" the means of groups stand for clouds: clouds of one site are no independent witnesses.
+        With ``by`` = "group" the means of groups, over these clouds, stand for clouds: clouds of one site are no independent
+        witnesses.
 
         A row has ``method`` and ``other``, the ``clouds``, the means of both (``mean``, ``mean_other``), mean and median of
         ``method`` less ``other`` (``difference``, ``median_difference``), on how many clouds it is ``better`` and ``worse``,
@@ -103,14 +109,13 @@ class Comparison:
         """
         import pandas
 
-        wide = self.by_method(score, by)
-        names = list(wide.columns)
+        names, wide = list(self.by_method(score, by)), self.by_method(score)
         if against is not None and against not in names:
             raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
         found = [
             {"method": one, "other": other}
-            | paired(wide[[other, one]].dropna().to_numpy(), larger_is_better=score in LARGER_IS_BETTER)
+            | paired(self._means(wide[[other, one]].dropna(), by), larger_is_better=score in LARGER_IS_BETTER)
             for one, other in pairs
         ]
         table = pandas.DataFrame(found)
@@ -217,8 +222,9 @@ def compare(
     check_positive(" of metres, or None", cell=cell)
     check_whole(0, repeats=repeats)
     of_name = clouds if isinstance(clouds, Labelled) else named_clouds(clouds, "compare")[1]
-    group = {name: str((groups or {}).get(name, name)) for name in of_name}
-    if strange := {str(name) for name in groups or ()} - set(of_name):
+    given = {str(name): str(its) for name, its in (groups or {}).items()}
+    group = {name: given.get(name, name) for name in of_name}
+    if strange := set(given) - set(of_name):
         raise ParameterError(f"groups: there is no cloud {min(strange)!r}; there are {', '.join(of_name)}")
     if len(set(group.values())) < 2 and any(len(some) > 1 for some in named.values()):
         raise ParameterError("filters: one of a list is chosen on other groups of clouds; there is one group only")
@@ -275,7 +281,7 @@ def paired(pairs: Any, *, larger_is_better: bool = False) -> dict[str, Any]:
     from scipy.stats import rankdata, wilcoxon
 
     other, own = np.asarray(pairs, np.float64).reshape(-1, 2).T
-    gain = own - other if larger_is_better else other - own
+    gain = np.round(own - other if larger_is_better else other - own, 9)  # so that equal ones are equal
     better, worse = int((gain > 0).sum()), int((gain < 0).sum())
     figures = dict.fromkeys(("mean", "mean_other", "difference", "median_difference"), math.nan)
     effect = p = math.nan

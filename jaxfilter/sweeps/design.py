@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, check_whole
 from ..core.filter import Filter, alike
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
@@ -56,6 +56,7 @@ def make_design(
         raise ParameterError(f"size={size!r}: a {design} design needs the number of its sets, at least 1")
     if not drawn and size is not None:
         raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {design} follows from its axes")
+    check_whole(0, seed=seed)
     fields = fields_of(filter_, axes)
     if drawn:
         assert size is not None
@@ -80,7 +81,11 @@ def make_design(
 
 def _values(name: str, values: Any) -> list[Any]:
     """Plain Python values of an axis."""
-    if isinstance(values, (str, bytes, Mapping)) or not isinstance(values, (Sequence, np.ndarray)):
+    if (
+        isinstance(values, (str, bytes, Mapping))
+        or not isinstance(values, (Sequence, np.ndarray))
+        or not np.shape(values)
+    ):
         raise ParameterError(f"axes: {name}={values!r}: give a list of values")
     array = list(values)
     if not array:

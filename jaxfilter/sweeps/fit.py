@@ -19,7 +19,7 @@ from .best import word
 from .calibrate import CrossValidation, deal, known_labels, ranges_of
 from .inference import evenly
 from .ranges import Range, check_filter
-from .sweep import Subject, SweepOptions, about, named_clouds
+from .sweep import Subject, SweepOptions, about, named_clouds, named_labels
 
 if TYPE_CHECKING:
     import xarray
@@ -223,16 +223,12 @@ class _Known:
 def _all_known(space: _Space, clouds: Any, labels: Any, groups: Any, validation: CrossValidation) -> list[_Known]:
     """The clouds, dealt into folds."""
     several, named = named_clouds(clouds, "fit")
-    if not several or labels is None:
-        labels = dict.fromkeys(named, labels)
-    elif not isinstance(labels, Mapping):
-        labels = dict(zip(named, labels, strict=False))
+    labels = (
+        dict.fromkeys(named, labels) if not several or labels is None else named_labels(labels, several, named, "fit")
+    )
     group = {str(name): str(its) for name, its in (groups or {name: name for name in named}).items()}
-    for name in named:
-        if name not in labels or name not in group:
-            raise InputError(
-                f"fit: {name} has no {'labels' if name not in labels else 'group'}; every cloud needs them"
-            )
+    if other := set(group) ^ set(named):
+        raise InputError(f"fit: groups: {min(other)!r} has no group, or is no cloud; there are {', '.join(named)}")
     known = [_Known(name, group[name], space, cloud, labels[name]) for name, cloud in named.items()]
     kinds, which = np.unique([one.group for one in known], return_inverse=True)
     if len(known) == 1:

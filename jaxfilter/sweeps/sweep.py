@@ -168,6 +168,26 @@ def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, Po
     return several, {name: as_cloud(cloud) for name, cloud in pairs}
 
 
+def named_labels(labels: Any, several: bool, named: Iterable[str], caller: str) -> dict[str, Any]:
+    """What belongs to each cloud by its name: of a mapping, of a sequence like the clouds, or of a single cloud.
+
+    Raises: InputError for another number, and for names of no cloud.
+    """
+    names = list(named)
+    if isinstance(labels, Mapping):
+        found = {str(name): its for name, its in labels.items()}
+    else:
+        its = list(labels) if several or np.ndim(labels) != 1 else [labels]
+        if len(its) != len(names):
+            raise InputError(
+                f"{caller}: there are {len(names)} clouds and labels of {len(its)}: give those of every cloud"
+            )
+        found = dict(zip(names, its, strict=True))
+    if other := set(names) ^ set(found):
+        raise InputError(f"{caller}: labels: {min(other)!r} is the name of a cloud or of labels, but not of both")
+    return found
+
+
 def check_reference(name: str, cloud: PointCloud, caller: str = "sweep") -> None:
     """Raises: InputError if the reference labels of a cloud are all of one class."""
     if cloud.reference is None:
@@ -231,7 +251,7 @@ class _State:
             with np.load(path) as file:
                 data = dict(file)
             facts = json.loads(str(data["facts"]))
-        except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
+        except (ValueError, OSError, KeyError, EOFError, BadZipFile, AttributeError, TypeError) as error:
             raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.cloud import QUANTUM
 from ..core.errors import ParameterError, check_positive, check_whole
+from ..core.filter import check_resources
 from ..engines.neighbours import nearest, tree_of
 from ..engines.tin.linear import Linear as Linear
 from ..engines.tin.linear import inside_hull as inside_hull
@@ -61,8 +62,10 @@ class Interpolation:
 def surface_through(xyz: np.ndarray, interpolation: Interpolation, workers: int | None = None) -> Heights:
     """The surface through ground points f32[m, 3]; ``workers``: threads, by default one per core.
 
-    Raises: ImportError, naming the extra, if ``"natural"`` is asked for without startinpy.
+    Raises: ParameterError for threads that are none; ImportError, naming the extra, if ``"natural"`` is asked for without
+        startinpy.
     """
+    check_resources(workers)
     if interpolation.method == "tin":
         return Linear(xyz, workers)
     if interpolation.method == "idw":
@@ -118,6 +121,7 @@ def nearest_point(
     xyz: np.ndarray, workers: int | None = None, radius: float = np.inf
 ) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
     """A function from positions f64[q, 2] to the distance f64[q] and the index i64[q] of the nearest point within a radius; the
-    distance is infinite where there is none."""
+    distance is infinite where there is none. Raises: ParameterError for threads that are none."""
+    check_resources(workers)
     tree = tree_of(xyz[:, :2])
     return lambda at: tuple(found[:, 0] for found in nearest(tree, at, 1, radius, workers))

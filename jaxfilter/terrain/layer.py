@@ -122,6 +122,8 @@ def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np
         ground = cloud.reference if cloud.withheld is None else cloud.reference & ~cloud.withheld
     else:
         ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
+    if np.ma.is_masked(result):
+        raise InputError("result: some labels are masked: say of every point whether it is ground")
     if ground.shape != (len(cloud),) or ground.dtype != bool:
         raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
     return ground if cloud.valid is None else ground & cloud.valid

@@ -185,13 +185,14 @@ def hillshade(model: Raster, azimuth: float = 315.0, altitude: float = 45.0, z_f
 
     Returns: Raster of whole numbers from 1 (dark) to 255, in files uint8 with 0 for nothing. A neighbour without height counts as
     high as the cell itself, so that every cell with a height has a value.
-    Raises: ParameterError for angles out of range.
+    Raises: ParameterError for angles out of range, and a factor that is not positive.
 
     >>> relief = jf.hillshade(jf.dtm(cloud, result))
     >>> bool(1 <= np.nanmin(relief.values) < 100 < np.nanmax(relief.values) <= 255)
     True
     """
     layer = Hillshade(azimuth, altitude)
+    check_positive(z_factor=z_factor)
     values = layer.shade(model.values, model.cell, z_factor)
     return Raster(values, model.transform, model.crs, layer.NODATA, layer.KIND, layer.TITLE)
 

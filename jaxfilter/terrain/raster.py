@@ -184,6 +184,7 @@ class RasterGrid:
         Raises: ParameterError for a cell that has no size, InputError if more cells would be needed.
         """
         check_positive(cell=cell)
+        cell = float(cell)  # a float32 would make float32 of all coordinates
         slack = min(QUANTUM / metre / cell, 0.5)  # coordinates are known to a quantum: an edge needs no further cell
         left, bottom = (math.floor(v / cell + slack) for v in bounds[:2])
         right, top = (math.ceil(v / cell - slack) for v in bounds[2:])

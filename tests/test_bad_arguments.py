@@ -1,0 +1,82 @@
+"""Bad and odd arguments of the library: a typed error, or what the same values give in another form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas
+import pytest
+
+import jaxfilter as jf
+
+SCENE = jf.scenes.make("mixed", size=40.0, density=1.0, seed=3)
+CLOUD, TRUTH, XYZ = SCENE.cloud, SCENE.truth, SCENE.cloud.coordinates()
+HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
+
+
+@pytest.mark.parametrize(
+    "call, error, words",
+    [
+        (lambda: jf.calibrate(jf.SMRF(), CLOUD, HIDDEN, size=4, rounds=1), jf.InputError, "masked"),
+        (lambda: jf.batch([CLOUD], jf.SMRF(), [HIDDEN]), jf.InputError, "masked"),
+        (lambda: jf.dtm(CLOUD, HIDDEN), jf.InputError, "masked"),
+        (lambda: jf.height_above_ground(CLOUD, HIDDEN), jf.InputError, "masked"),
+        (lambda: jf.batch([CLOUD, CLOUD], jf.SMRF(), [TRUTH]), jf.InputError, "2 clouds and labels of 1"),
+        (lambda: jf.batch({"a": CLOUD}, jf.SMRF(), {"b": TRUTH}), jf.InputError, "'a' is the name of a cloud or of labels"),
+        (lambda: jf.batch([CLOUD], jf.SMRF()).ground({"foo": [1.0]}), jf.ParameterError, "no field 'foo'"),
+        (lambda: jf.batch([CLOUD], jf.SMRF()).ground({}), jf.ParameterError, "name at least one field"),
+        (lambda: jf.batch([CLOUD], jf.SMRF()).soft(width=-1.0), jf.ParameterError, "width=-1.0"),
+        (lambda: jf.fit(jf.SMRF(), [CLOUD, CLOUD], [TRUTH] * 3), jf.InputError, "2 clouds and labels of 3"),
+        (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": np.array(0.3)}), jf.ParameterError, "slope"),
+        (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": (0.1, 0.3)}, design="random", size=2, seed=-1),
+         jf.ParameterError, "seed=-1"),
+        (lambda: jf.hillshade(jf.dtm(CLOUD, TRUTH), z_factor=-1.0), jf.ParameterError, "z_factor=-1.0"),
+        (lambda: jf.dtm(CLOUD, TRUTH, cell="1"), jf.ParameterError, "cell='1'"),
+        (lambda: jf.dtm(CLOUD, TRUTH, workers=-3), jf.ParameterError, "workers=-3"),
+        (lambda: jf.PTD()(CLOUD, workers=float("nan")), jf.ParameterError, "workers=nan"),
+        (lambda: jf.apply(jf.SMRF()(CLOUD), pandas.DataFrame({"verdict": ["object"]})), jf.InputError, "GeoDataFrame"),
+        (lambda: jf.PointCloud.from_integers(np.zeros((2, 3), np.int64), np.ones(3), np.zeros(3)), jf.InputError, "int64"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
+
+
+def test_labels_of_a_batch_go_by_name_or_by_cloud():
+    whole = jf.batch([CLOUD], jf.SMRF(), [TRUTH]).confusion()
+    for made in (jf.batch(CLOUD, jf.SMRF(), TRUTH), jf.batch({1: CLOUD}, jf.SMRF(), {1: TRUTH})):
+        np.testing.assert_array_equal(made.confusion(), whole)
+
+
+@pytest.mark.parametrize("cell", [np.float32(0.5), np.float16(0.25), 1, np.int64(2)])
+def test_a_cell_of_any_number_has_the_raster_of_a_float(cell):
+    """Steps of float32 are half a metre at these coordinates."""
+    made, same = jf.count(CLOUD, TRUTH, cell=cell), jf.count(CLOUD, TRUTH, cell=float(cell))
+    assert made.values.sum() == TRUTH.sum() and made.transform == same.transform
+    np.testing.assert_array_equal(made.values, same.values)
+
+
+@pytest.mark.parametrize("names", ["xyz", "XYZ", "ZYX"])
+def test_columns_of_a_table_go_by_name(names):
+    columns = {name: XYZ[:, "XYZ".index(name.upper())] for name in names}
+    table = pandas.DataFrame(
+        columns | {"Classification": np.where(TRUTH, 2, 1), "ReturnNumber": 1, "Number_Of_Returns": 1}
+    )
+    made = jf.PointCloud.from_structured(table)
+    np.testing.assert_array_equal(made.coordinates(), CLOUD.coordinates())
+    np.testing.assert_array_equal(made.reference, TRUTH)
+    np.testing.assert_array_equal(jf.SMRF()(table).ground, jf.SMRF()(made).ground)
+
+
+def test_points_without_coordinates_have_none_in_tables():
+    xyz = XYZ.copy()
+    xyz[5] = np.nan
+    cloud = jf.PointCloud.from_arrays(xyz, drop_invalid=True)
+    data = jf.SMRF()(cloud).to_xarray()
+    np.testing.assert_array_equal(np.isnan(data.x), np.arange(len(xyz)) == 5)
+    assert f"{np.nanmin(xyz[:, 2]):.2f} to" in cloud._repr_html_()
+
+
+def test_results_are_told_apart_by_what_they_are():
+    one, other = jf.SMRF()(CLOUD), jf.SMRF()(CLOUD)
+    assert one != other and one in [other, one] and len({one: 1, other: 2}) == 2
