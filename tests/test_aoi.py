@@ -119,7 +119,7 @@ def test_areas_that_cannot_be_are_named(survey, tmp_path):
         (survey, "bad.gpkg", "cannot be read as polygons"),
         (survey, "point.gpkg", "holds no polygon"),
         (survey, "far.gpkg", "lies beside the points"),
-        (tmp_path / "none.las", "far.gpkg", r"states no CRS: pass --crs"),
+        (tmp_path / "none.las", "far.gpkg", r"is not known: pass --crs"),
         (tmp_path / "one.xyz", "far.gpkg", "text is cut by bounds only"),
     ):
         arguments = ["ground", "smrf", source, tmp_path / "out", "--aoi", tmp_path / aoi]

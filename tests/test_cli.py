@@ -291,9 +291,17 @@ def test_points_of_the_overlap_are_judged_and_named_unless_they_are_set_aside(fo
     named = re.search(r"([\d,]+) points are of class 12 or have the overlap flag: ([\d,]+) of them were", judged.stdout)
     assert int(named[1].replace(",", "")) == strip.sum() >= int(named[2].replace(",", "")) > 100
     assert (after[strip] == 2).mean() > 0.1 and "--ignore-overlap sets them aside" in " ".join(judged.stdout.split())
+    laspy.convert(las, point_format_id=1).write(folder / "old.las")
+    flagged = ground(folder, "--overlap-flag", source="old.las", target="flagged.las", method="smrf")
+    kept, of_class = re.search(
+        r"(-?[\d,]+) points that were not judged keep class 2; the file now has ([\d,]+)", flagged.stdout
+    ).groups()
+    written = np.asarray(laspy.read(folder / "flagged.las").classification)
+    assert int(of_class.replace(",", "")) == (written == 2).sum() and 0 < int(kept) < 100
+    assert ("points of class 12 keep it" in flagged.output) == (mark == "class")
     aside = ground(folder, "--ignore-overlap", "--json", source="marked.las", target="aside.las", method="smrf")
     counts = json.loads(aside.stdout)["overlap"]
-    assert counts == {"points": strip.sum(), "judged": 0, "ground": 0}
+    assert counts == {"points": strip.sum(), "judged": 0, "ground": 0, "kept": 0}
     found = np.asarray(laspy.read(folder / "aside.las").classification)
     np.testing.assert_array_equal(found[strip], before[strip])
     las.points = las.points[~strip]

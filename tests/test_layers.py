@@ -514,7 +514,7 @@ def test_wrong_products_are_refused_before_anything_is_done(survey, tmp_path):
         make(survey / "in", tmp_path / "out", only=["dem"])
     with pytest.raises(jf.ParameterError, match="only='nothing'"):
         make(survey / "in", tmp_path / "out", only=[])
-    with pytest.raises(jf.ParameterError, match="in_place"):
+    with pytest.raises(jf.ParameterError, match="cannot take the place of the input"):
         make(survey / "in", tmp_path / "out", in_place=True)
     with pytest.raises(jf.InputError, match="no point is ground"):
         make(survey / "in", tmp_path / "out", (30,))

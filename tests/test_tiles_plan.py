@@ -73,6 +73,15 @@ def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
     assert len(plan_tiles(bounds, np.array([4 * POINTS - POINTS // 5]), halo=0.0, lattice=10.0)) == 4
 
 
+@pytest.mark.parametrize("apart, tiles", [(500.0, 1), (50_000.0, 2)])
+def test_files_far_from_each_other_are_no_single_tile(apart, tiles):
+    """Of few points, in boxes of 250 m."""
+    low = np.array([[3e5, -4e6], [3e5 + apart, -4e6 + apart]])
+    plan = plan_tiles(np.concatenate([low, low + 250], axis=1), np.full(2, 10**6), metre=1.0, halo=100.0)
+    assert len(plan) == tiles and plan.points.sum() == 2 * 10**6
+    assert max(plan.width, plan.height) < 2000
+
+
 def test_what_cannot_be_planned_is_refused():
     bounds, counts = np.array([[0.0, 0, 1000, 1000]]), np.array([10**9])
     with pytest.raises(jf.ParameterError, match="halo=inf"):

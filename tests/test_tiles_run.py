@@ -471,12 +471,17 @@ def test_points_of_the_overlap_are_counted_and_can_be_set_aside(files, tmp_path)
     marked = np.concatenate([laspy.read(paths[0]).classification == 12, laspy.read(paths[1]).overlap == 1])
     judged, labels = joined(clouds).candidate & marked, PMF(joined(clouds)).ground
     report = run([str(path) for path in paths], tmp_path / "judged")
-    assert report.overlap == {"points": marked.sum(), "judged": judged.sum(), "ground": (labels & marked).sum()}
+    assert report.overlap == {
+        "points": marked.sum(),
+        "judged": judged.sum(),
+        "ground": (labels & marked).sum(),
+        "kept": 0,
+    }
     assert report.overlap["ground"] > 100
     report = run([str(path) for path in paths], tmp_path / "aside", ignore_overlap=True)
     rest = PMF(joined([cloud.select(ignore_overlap=True) for cloud in clouds])).ground
     after = [np.asarray(laspy.read(tmp_path / "aside" / path.name).classification) for path in paths]
-    assert report.overlap == {"points": marked.sum(), "judged": 0, "ground": 0} and (after[0] == 12).any()
+    assert report.overlap == {"points": marked.sum(), "judged": 0, "ground": 0, "kept": 0} and (after[0] == 12).any()
     np.testing.assert_array_equal(np.concatenate(after) == 2, rest)
     with pytest.raises(jf.InputError, match="begun with other reading"):
         run([str(path) for path in paths], tmp_path / "aside", resume=True)

@@ -190,9 +190,9 @@ def _ground(session: Session, paths: tuple[str, ...], recipe: Recipe, options: d
         "of_ground_class": sum(n for (_, new), n in report.classes.items() if new == of_class)
         if report.classes
         else None,
-        "all_reset": classes.reset != "none" and not classes.only_ground,
+        "all_reset": classes.reset != "none" and not classes.only_ground and classes.other_class != of_class,
     }
-    if not report.classes:
+    if not report.classes and report.points:
         labels = ((0, report.ground), (1, report.points - report.ground))
         facts["labels"] = [{"label": one, "points": n} for one, n in labels]
     return Answer(facts, report_text(facts), complete=report.complete)

@@ -65,14 +65,18 @@ WRITTEN = [
     option(
         "--reset", "Which classes judged non-ground loses.", click.Choice(["ground", "all", "none"]), default="ground"
     ),
-    option("--only-ground", "Mark ground and leave every other class as it is.", bool),
+    option("--only-ground", "Mark ground; leave other classes, but for those that options below ask for.", bool),
     option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
     option("--high-noise-class high_noise", "Class for single echoes far above all around (ASPRS: 18).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),
     option("--bridge-class bridge", "Class for points of decks (ASPRS: 17), by methods that find them.", CLASS),
     option("--vegetation-classes vegetation", _PLANTS, float, nargs=3, metavar="LOW MEDIUM HIGH"),
     option("--unjudged-class unjudged", "Class for points of class 0 that are not judged.", CLASS),
-    option("--overlap-flag", "Judged points of class 12 get another class, and the overlap flag instead.", bool),
+    option(
+        "--overlap-flag",
+        "Judged points of class 12 get another class, and the overlap flag (point formats from 6 on).",
+        bool,
+    ),
 ]
 """Fields of Classes."""
 FIELDS = option("--set fields", "A parameter of the filter.", "NAME=VALUE", multiple=True)
@@ -88,7 +92,8 @@ BREAKLINES = option(
 )
 FILTER = [FINDER, FIELDS, PRESET, *BY_DATA]
 """What makes a Recipe."""
-CLASSES = option("--ground-class ground_classes", "Class of the ground points.", CLASS, multiple=True, default=(2,))
+_OF_GROUND = "Class of the ground points, without --filter."
+CLASSES = option("--ground-class ground_classes", _OF_GROUND, CLASS, multiple=True, default=(2,))
 GROUND = [*FILTER, CLASSES, *STATED, AOI]
 """What is ground."""
 RUN = [

@@ -44,8 +44,10 @@ def report_text(report: dict[str, Any]) -> str:
     files = f"{count(len(report['files']), 'file')}, " if len(report["files"]) > 1 else ""
     share, judged = 100 * ground / max(points, 1), f"{report['candidates']:,} were judged"
     lines = [f"{report['output']}: {files}{ground:,} of {points:,} points are ground ({share:.1f} %), {judged}"]
-    if kept := (report.get("of_ground_class") or ground) - ground:
-        what = "that were not judged" if report["all_reset"] else "that are not ground"
+    marked = report["overlap"]
+    if kept := max(0, (report.get("of_ground_class") or 0) - ground + marked.get("kept", 0)):
+        be = ("is", "was") if kept == 1 else ("are", "were")
+        what = f"that {be[1]} not judged" if report["all_reset"] else f"that {be[0]} not ground"
         words = f"{'keeps' if kept == 1 else 'keep'} class {report['ground_class']}; {'the files' if files else 'the file'} now"
         of_class = count(report["of_ground_class"], "point")
         lines.append(f"{count(kept, 'point')} {what} {words} {'have' if files else 'has'} {of_class} of it")
@@ -55,7 +57,8 @@ def report_text(report: dict[str, Any]) -> str:
     ended = report.get("message") or ", ".join(f"{Status[k].message}: {n:,}" for k, n in report["statuses"].items())
     made = f"{compiled['count']} compilations in {compiled['seconds']:.2f} s"
     sensor = (report["parameters"] or {}).get("sensor")
-    lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {ended}; {times(report['seconds'])}; {made}")
+    done = "; ".join(part for part in (ended, times(report["seconds"]), made) if part)
+    lines.append(f"{report['method']}{f' for {sensor}' if sensor else ''}: {done}")
     if report["tiles"] > 1:
         lines.append(f"{count(report['tiles'], 'tile')} in {report['elapsed']:.1f} s")
     if report["review"]:
@@ -66,7 +69,6 @@ def report_text(report: dict[str, Any]) -> str:
         lines.append(f"{report['breaklines']}: {count(report['water_bodies'], 'outline')} of water")
     if labels := report.get("labels"):
         lines.append("the file holds " + ", ".join(f"label {one['label']}: {one['points']:,}" for one in labels))
-    marked = report["overlap"]
     if marked.get("points"):
         what = f"{marked['judged']:,} of them were judged and {marked['ground']:,} are ground; --ignore-overlap sets them aside"
         what = what if marked["judged"] else "were not judged"

@@ -243,8 +243,8 @@ class Session:
             click.echo(text, err=True)
 
     def warn(self, text: str) -> None:
-        """A line of warning."""
-        logger.warning(text)
+        """A line of warning, in the words of the command."""
+        logger.warning(text := in_flags(text))
         self._clear()
         click.echo(f"warning: {text}", err=True)
 

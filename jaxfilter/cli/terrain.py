@@ -151,12 +151,17 @@ def products(session: Session, names: tuple[str, ...], **options: Any) -> Answer
     The ground is found by the default method, set up for the data, unless --filter names another one. A run that was stopped
     goes on with --resume.
     """
+    from ..files.classes import Classes
     from ..surveys.products import products as make_products
     from ..terrain.layers import LAYERS
 
     recipe, classes, known = take_recipe(options), take_classes(options), options["classified"]
     if recipe is not None and known:
         raise BadUsage("--filter and --classified: the ground is found, or it is known: name one of the two")
+    if known and classes != Classes():
+        raise BadUsage(
+            "--classes and --classified: files that are classified are not written: leave out one of the two"
+        )
     only = tuple(LAYERS) if options["only"] is None else tuple(options["only"].replace(" ", "").split(","))
     if names[-1] == "-":
         raise BadUsage("-: products are several files: name a folder")

@@ -51,7 +51,7 @@ class Classes:
         ground_class: class of candidates that are ground.
         other_class: class of candidates that are not ground and whose old class is reset.
         reset: which old classes those are: ``"ground"`` (0, 2 and ``ground_class``), ``"all"`` or ``"none"``.
-        only_ground: change nothing but ground candidates, the same as ``reset="none"``.
+        only_ground: change nothing but ground candidates, and what fields below ask for: the same as ``reset="none"``.
         noise_class: class of low outliers (``FilterResult.low_noise``), 7 by the ASPRS; None: they are points like others.
         high_noise: class of isolated echoes far above all around, 18 by the ASPRS: every other echo of their square of 20 m and
             of the eight around it lies more than 15 m below.
@@ -197,6 +197,10 @@ def findings_of(
     if classes.high_noise is not None or classes.vegetation is not None:
         _look_around(cloud, found, ground, code, classes, reading, workers)
     if classes.overlap_flag and cloud.overlap is None:
+        if (judged & (old == OVERLAP_CLASS)).any():
+            warn(
+                "points of class 12 keep it, ground as well, since the point format has no overlap flag: write format 6 or above"
+            )
         code[old == OVERLAP_CLASS] = Finding.KEPT
     return Found(ground, code)
 

@@ -243,7 +243,9 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
     if wrong := [name for name, dimension in existing.items() if dimension.data_type not in _FLOATS]:
-        raise OutputError(f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64")
+        raise OutputError(
+            f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64: rename them first"
+        )
     added = {name: _DESCRIPTIONS.get(name, "") for name in labels.extra if name not in existing}
     compressor, octree = None, copc.is_copc(path)
     if path.suffix.lower() == ".laz" and not octree:

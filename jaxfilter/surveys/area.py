@@ -38,16 +38,17 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
     try:
-        frame: Any = (
-            geopandas.GeoSeries(getattr(aoi, "geometry", [aoi])) if name == "aoi" else read_shapes(name, "polygons")
-        )
-    except (TypeError, ValueError, AttributeError) as error:
+        given: Any = getattr(read_shapes(name, "polygons") if name != "aoi" else aoi, "geometry", [aoi])
+        frame = geopandas.GeoSeries(given)
+    except TypeError as error:
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
         warn(f"{name}: transformed from {frame.crs.name} to {survey.crs.name}")
         frame = frame.to_crs(survey.crs)
     elif frame.crs is not None and survey.crs is None:
-        raise InputError(f"{name}: is in {frame.crs.name}, and {survey.name} states no CRS: pass crs= to state it")
+        raise InputError(
+            f"{name}: is in {frame.crs.name}, and the CRS of {survey.name} is not known: pass crs= to state it"
+        )
     parts = [part for part in frame.geometry if part is not None and not part.is_empty]
     if broken := [part for part in parts if not part.is_valid]:
         warn(f"{name}: {shapely.is_valid_reason(broken[0])}: repaired, please check it")

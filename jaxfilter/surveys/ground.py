@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import PointCloud, overlap_counts
-from ..core.errors import ParameterError
+from ..core.errors import ParameterError, warn
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
-from ..files.classes import Classes, Found, asked, class_changes, findings_of
+from ..files.classes import Classes, Finding, Found, asked, class_changes, findings_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.vectors import check_suffix
 from ..files.writing import Additions, write_cloud
@@ -94,6 +94,9 @@ class GroundProduct(Product):
         found = {name: getattr(result, name) for name in self.extra}
         if absent := [name for name, values in found.items() if values is None]:
             raise ParameterError(f"extra={self.extra!r}: the method states no {absent[0]}; OST does")
+        for name, values in found.items():
+            if around.cloud.candidate.any() and np.isnan(values).all():
+                warn(f"extra: {name} is NaN for all points, since the method does not state it")
         return {name: values[around.core] for name, values in found.items()}
 
     def file(self, task: FileTask) -> None:
@@ -123,6 +126,7 @@ def summarise(summary: Summary, around: Around, result: FilterResult, found: Fou
     if classes is not None:
         summary.classes.update(class_changes(cloud, Found(ground, found.code[own]), classes))
     summary.overlap.update(overlap_counts(cloud, ground))
+    summary.overlap["kept"] += int((ground & (found.code[own] == Finding.KEPT)).sum())
     summary.statuses[result.status.name] = 1
     summary.counts = {name: value for name, value in result.info.items() if isinstance(value, (int, float, str))}
 

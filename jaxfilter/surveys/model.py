@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError
+from ..core.grid import MAX_CELLS
 from ..core.reading import Reading
 from ..files.disk import Bounds
 from ..files.storage import Place, place_of
@@ -83,6 +84,11 @@ class RasterProduct(GroundNeeded):
         if tile.core is not None:
             ring = np.array([-whole.cell, -whole.cell, whole.cell, whole.cell])  # hillshade looks at it
             grid, wide = whole.part(tile.core), whole.part(tuple((tile.core + ring).tolist()))
+        if wide.rows * wide.columns > MAX_CELLS:
+            cells = f"{wide.rows:,} x {wide.columns:,} cells, more than {MAX_CELLS:,}"
+            raise InputError(
+                f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= with more, or pass tile= with less"
+            )
         row, column = wide.bottom + wide.rows - grid.bottom - grid.rows, grid.left - wide.left
         ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]
         arrays: dict[str, np.ndarray] = {_CORNER: np.array(ends)}

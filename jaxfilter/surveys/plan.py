@@ -24,6 +24,8 @@ POINTS, HALOS = 5_000_000, 6
 """Points of core and halo of a tile, and its width in halos, both sides included, at least: larger tiles save little."""
 WHOLE = 8_000_000
 """Points of all data up to which they are one tile."""
+_SCATTERED, _NEAR = 4.0, 2000.0
+"""Unless they lie in a box of more than so many times the area of the files, and larger than a square of so many metres."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -200,9 +202,9 @@ def plan_tiles(
     unit = lattice / metre
     origin = unit * np.floor((low - _ROUNDED / metre) / unit)
     extent = (high - origin) * metre + _ROUNDED
-    if counts.sum() <= WHOLE:
-        return _tiles(bounds, counts, used, tuple(origin), tuple(unit * np.ceil(extent / lattice + 1e-6)), units)
     area = float(((bounds[used, 2] - bounds[used, 0]) * (bounds[used, 3] - bounds[used, 1])).sum()) * metre**2
+    if counts.sum() <= WHOLE and np.prod(extent) <= max(_SCATTERED * area, _NEAR**2):
+        return _tiles(bounds, counts, used, tuple(origin), tuple(unit * np.ceil(extent / lattice + 1e-6)), units)
     density = float(counts[used].sum()) / max(area, 1.0)
     most_points = max(POINTS, density * (HALOS * halo) ** 2)
     least = max(lattice, halo)

@@ -85,12 +85,14 @@ def products(
     if wrong := [name for name in names if name not in LAYERS] or ([] if names else ["nothing"]):
         raise ParameterError(f"only={wrong[0]!r}: choose of {', '.join(LAYERS)}")
     if run.in_place:
-        raise ParameterError("in_place=True: products are written into a folder: name it, and leave out in_place")
+        raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     layers = [LAYERS[name] for name in LAYERS if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIX}" for layer in layers}
     for place in (*outputs.values(), folder / PAGE):
         if is_there(place) and not (run.overwrite or run.resume):
-            raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it, or resume=True to go on")
+            raise OutputError(
+                f"{place}: the file exists; pass overwrite=True to replace it, or pass resume=True to go on"
+            )
     if isinstance(folder, Path) and not run.dry_run:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)

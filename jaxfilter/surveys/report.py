@@ -35,7 +35,7 @@ class Summary:
         seconds: by step.
         classes: points by (old class, new class).
         overlap: ``points`` that the producer has marked as overlap of flight lines, how many were ``judged``, and how many are
-            ``ground``.
+            ``ground``; ``kept``: of these ground points those that keep class 12.
         statuses: tiles by the filter's status; remarks: what was warned of, with how often; halos: tiles by the metres
             around them whose ground points took part.
         heights: lowest and highest height above ground, units of Z, where these were asked for.

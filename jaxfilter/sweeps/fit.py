@@ -228,7 +228,8 @@ def _all_known(space: _Space, clouds: Any, labels: Any, groups: Any, validation:
     )
     group = {str(name): str(its) for name, its in (groups or {name: name for name in named}).items()}
     if other := set(group) ^ set(named):
-        raise InputError(f"fit: groups: {min(other)!r} has no group, or is no cloud; there are {', '.join(named)}")
+        what = "has no group" if min(other) in named else "is no cloud"
+        raise InputError(f"fit: groups: {min(other)} {what}: name the group of every cloud")
     known = [_Known(name, group[name], space, cloud, labels[name]) for name, cloud in named.items()]
     kinds, which = np.unique([one.group for one in known], return_inverse=True)
     if len(known) == 1:
