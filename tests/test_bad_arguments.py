@@ -34,6 +34,7 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.dtm(CLOUD, TRUTH, workers=-3), jf.ParameterError, "workers=-3"),
         (lambda: jf.PTD()(CLOUD, workers=float("nan")), jf.ParameterError, "workers=nan"),
         (lambda: jf.apply(jf.SMRF()(CLOUD), pandas.DataFrame({"verdict": ["object"]})), jf.InputError, "GeoDataFrame"),
+        (lambda: jf.FilterResult.of_labels(np.array([1, 0])), jf.InputError, "ground: bool"),
         (lambda: jf.PointCloud.from_integers(np.zeros((2, 3), np.int64), np.ones(3), np.zeros(3)), jf.InputError, "int64"),
     ],
 )  # fmt: skip
@@ -75,6 +76,13 @@ def test_points_without_coordinates_have_none_in_tables():
     data = jf.SMRF()(cloud).to_xarray()
     np.testing.assert_array_equal(np.isnan(data.x), np.arange(len(xyz)) == 5)
     assert f"{np.nanmin(xyz[:, 2]):.2f} to" in cloud._repr_html_()
+
+
+def test_a_raster_that_is_read_is_written_as_it_was(tmp_path):
+    shade = jf.hillshade(jf.dtm(CLOUD, TRUTH))
+    back = jf.Raster.read(shade.write(tmp_path / "a.tif"))
+    assert (back.kind, back.nodata) == (shade.kind, shade.nodata) == ("uint8", 0)
+    assert back.write(tmp_path / "b.tif").read_bytes() == (tmp_path / "a.tif").read_bytes()
 
 
 def test_results_are_told_apart_by_what_they_are():

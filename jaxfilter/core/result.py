@@ -142,14 +142,17 @@ class FilterResult:
         cls, ground: np.ndarray, low_noise: np.ndarray | None = None, **quantities: np.ndarray | None
     ) -> FilterResult:
         """A result of labels alone, bool[n], with low outliers, bool[n], and what else is known of the points: f32[n] by name, in
-        metres and degrees.
+        metres and degrees. Raises: InputError for what are no labels.
 
         >>> made = jf.FilterResult.of_labels(np.array([True, False]), low_noise=np.array([False, True]))
         >>> made.low_noise.tolist(), bool(np.isnan(made.height).all()), made.run
         ([False, True], True, None)
         """
-        n = len(ground)
-        low = np.zeros(n, bool) if low_noise is None else low_noise
+        ground, n = np.asarray(ground), len(ground)
+        low = np.zeros(n, bool) if low_noise is None else np.asarray(low_noise)
+        for name, values in (("ground", ground), ("low_noise", low)):
+            if values.shape != (n,) or values.dtype != bool:
+                raise InputError(f"{name}: bool[{n}] is needed, not {values.dtype}{list(values.shape)}")
         facts: dict[str, Any] = dict.fromkeys(QUANTITIES, np.broadcast_to(np.float32(np.nan), n))
         facts |= {"decision": np.broadcast_to(np.uint8(Decision.SET_ASIDE), n), "barred": low, "low_noise": low}
         return cls(ground, status=Status.CONVERGED, info={}, trace=[], **{**facts, **quantities})

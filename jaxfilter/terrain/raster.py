@@ -156,7 +156,7 @@ class Raster:
         try:
             with rasterio.open(path) as file:
                 values = file.read(1, masked=True).astype(np.float32).filled(np.nan)
-                transform, nodata = tuple(file.transform)[:6], file.nodata
+                transform, nodata, kind = tuple(file.transform)[:6], file.nodata, str(file.dtypes[0])
                 crs = None if file.crs is None else pyproj.CRS.from_wkt(file.crs.to_wkt())
         except rasterio.errors.RasterioError as error:
             raise InputError(f"{path}: cannot be read as a raster: {error}") from error
@@ -164,7 +164,8 @@ class Raster:
             raise InputError(
                 f"{path}: only north-up rasters with square cells are understood, not transform {transform}"
             )
-        return cls(values, transform, crs, NODATA if nodata is None else nodata)
+        kind = kind if nodata is not None and np.can_cast(kind, np.float32) else "float32"
+        return cls(values, transform, crs, NODATA if nodata is None else nodata, kind)
 
 
 @dataclasses.dataclass(frozen=True)
