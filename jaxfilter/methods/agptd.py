@@ -46,7 +46,7 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     the point about the highest vertex is tested instead (3.3). Lengths in metres, angles in degrees.
 
     Presets: "recommended" is the default. Its cells of the first level are as large as the largest building; clusters of
-    low points are barred in place of the paper's outlier tests, the border points follow the ground, and the terrain angle
+    low points are barred in place of the paper's test of elevations, the border points follow the ground, and the terrain angle
     is a constant instead of that of the steepest cell, which in large cells is less than that of the hills in them. "paper"
     has the printed grid for urban points, with the medians of the angles and distances of Table 1. "samp11" to "samp71"
     have the values of Table 1 for the ISPRS samples, which the authors chose by trial on these samples.
@@ -77,7 +77,7 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     )
     least_points: int = static("a cell is divided only if it holds at least this many points", "n_pp >= 2", default=5)
     relative_slope: float = param(
-        "a cell is divided if its mean slope exceeds the least of all cells by this much",
+        "a cell is divided if the mean of its slopes exceeds the least of them by this much",
         "s_r >= 0 rise/run",
         default=0.06,
     )

@@ -17,9 +17,6 @@ from ..steps.seeds import lowest_per_window
 from ..steps.tin_filter import VertexSpacing, facet_reach, surrounded
 from .papers import bibtex
 
-_OVERLAP = 10.0
-"""Metres that independent blocks reach into their neighbours: one stride, as a multiple of it is printed."""
-
 
 @filter_params
 class FPTD(OutlierRadius, VertexSpacing):
@@ -42,7 +39,7 @@ class FPTD(OutlierRadius, VertexSpacing):
 
     Departures (docs/fidelity.md), in "paper" too: removed outliers are tested again instead of being lost; the limit of
     step 1 of II-E follows the growing ground, in which form it never rejects a point that the elevation test would accept.
-    Both would make the errors of Table IV impossible.
+    Taken literally, both would make the errors of Table IV impossible.
 
     >>> filter_ = jf.FPTD.preset("D1", max_elevation=1.0)
     >>> result = filter_(cloud)
@@ -116,6 +113,6 @@ class FPTD(OutlierRadius, VertexSpacing):
         if self.blocks == "independent":
             border = border_positions(*points.extent, self.window, points.anchored(), "FPTD(window)")
             return block_networks(
-                points, seeds, border, outliers, size=self.window, overlap=_OVERLAP, reach=facet_reach(self.window)
+                points, seeds, border, outliers, size=self.window, overlap=self.stride, reach=facet_reach(self.window)
             )
         return surrounded(self, points, seeds, outliers, self.window)

@@ -102,7 +102,9 @@ class STIN(OutlierFate, SlopeMirroring):
     )
     final_cell: float = static("the cells are halved until they have this size", "> 0 m", default=2.0)
     stop_ratio: float = param(
-        "the cells are halved when a round adds less than this share of all points", "> 0 and <= 1", default=0.001
+        "the cells are halved when a round adds less than this share of all distinct candidates",
+        "> 0 and <= 1",
+        default=0.001,
     )
     thresholds: str = static(
         "the limits stay the same (constant), or are lowered as the cells get smaller (quantile)",

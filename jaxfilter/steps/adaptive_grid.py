@@ -35,7 +35,7 @@ class AdaptiveSeeds:
         rows: i64[s], ascending, the seeds of all levels.
         levels: i64[.] per level, the lowest points of its cells; a cell that is divided gives its lowest point to both.
         divided: per level but the last, how many cells were divided.
-        steepest: degrees; the largest mean slope of a cell that holds enough points to be divided, 0 if none does.
+        steepest: degrees; the largest mean slope of a cell of any level that holds enough points to be divided; 90 if none does.
     """
 
     rows: np.ndarray
@@ -81,7 +81,7 @@ def lowest_per_adaptive_cell(
         )
     n = bucket(len(points))
     xyz, part = padded(points.xyz, n), padded(~barred, n)
-    found, divided, steepest = [], [], 0.0
+    found, divided, steepest = [], [], []
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
         shape = padded_shape(extent, points.least_shape(cell / 2**level))
@@ -96,7 +96,7 @@ def lowest_per_adaptive_cell(
         number, first, mean, least = (np.asarray(v) for v in slopes)
         found.append(np.sort(first[number > 0]).astype(np.int64))
         enough = number >= least_points
-        steepest = max(steepest, float(mean[enough].max(initial=0.0)))
+        steepest += mean[enough].tolist()
         if level < levels - 1:
             split = enough & (mean - least > relative_slope)
             divided.append(int(split.sum()))
@@ -105,7 +105,7 @@ def lowest_per_adaptive_cell(
         rows=np.unique(np.concatenate(found)),
         levels=found,
         divided=divided,
-        steepest=float(np.degrees(np.arctan(steepest))),
+        steepest=float(np.degrees(np.arctan(max(steepest, default=np.inf)))),
     )
 
 

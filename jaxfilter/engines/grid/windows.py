@@ -1,7 +1,7 @@
 """Lowest point of windows that slide over the plane at a stride smaller than their size.
 
 Windows begin at 0, s, 2 s, ... from the lower corner of the cloud; per axis of length L there are
-max(1, floor((L - w) / s) + 1), and the last one is stretched to the border (Li et al. 2021, section II-A, step 2).
+max(1, floor((L - w) / s) + 1), and the last one is stretched to the border (Li et al. 2021, Sec. II-C).
 The windows are assembled from the minima of square blocks whose side measures both ``w`` and ``s``.
 """
 
