@@ -97,6 +97,17 @@ def test_the_downward_step_takes_points_below_the_network_and_only_these():
     assert len(result.trace) == result.info["downward_rounds"] + result.info["rounds"]
 
 
+def test_a_downward_growth_that_is_cut_off_is_no_convergence():
+    """Of a bowl, whose seeds lie on its rim."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(40.0), np.arange(40.0)))
+    xyz = np.column_stack([x, y, 0.02 * ((x - 19.5) ** 2 + (y - 19.5) ** 2)])
+    filter_ = jf.IPTD(window=10.0, low_clusters=False, plane_error=0.0)
+    whole = filter_(xyz)
+    rounds = whole.info["downward_rounds"]
+    assert whole.status == jf.Status.CONVERGED and rounds > 1
+    assert filter_.replace(max_rounds=rounds - 1)(xyz).status == jf.Status.ROUND_LIMIT
+
+
 def test_sets_of_a_sweep_that_grow_downward_differently_are_those_of_calls_alone():
     changes = ({}, {"noise_floor": 0.3}, {"max_angle": 1.0})
     sets = [jf.IPTD(max_distance=0.05, **change) for change in changes]

@@ -300,6 +300,16 @@ def test_a_wide_roof_is_no_ground_if_the_disk_is_wider(rng):
         assert ground[~roof].mean() > 0.97
 
 
+def test_points_without_a_reference_in_reach_are_no_ground(rng):
+    """The middle of a roof, whose own plane is no reference."""
+    xy = rng.uniform(0, 110, (12000, 2)).round(2)
+    roof, middle = ((np.abs(xy - 55) < half).all(axis=1) for half in (30, 8))
+    xyz = np.column_stack([xy, (rng.normal(0, 0.02, len(xy)) + 8 * roof).round(2)])
+    result = jf.PPDF(window=32.0, reach=20.0, low_clusters=False)(xyz)
+    assert not result.ground[middle].any() and np.isnan(result.margin[middle]).all()
+    assert result.ground[~roof].mean() > 0.97
+
+
 def test_other_draws_give_nearly_the_same_labels(forest):
     one, two, three = (jf.PPDF()(forest.cloud, key=key).ground for key in (None, jax.random.key(0), jax.random.key(7)))
     assert (one == two).all()

@@ -99,7 +99,7 @@ class CSF(Filter):
             **_HARD, gravity="program",
         ),
         "cai2023": Preset(
-            "resolution 0.3 m, hard cloth: the CSF that Cai et al. (2023) compare with",
+            "resolution 0.3 m, hard cloth: the CSF that Cai et al. (2023) compare with; smoothing and time step are not reported",
             **_HARD, gravity="program", resolution=0.3,
         ),
     }  # fmt: skip

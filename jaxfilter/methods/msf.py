@@ -50,7 +50,9 @@ class MSF(LowOutlierFilter):
     True
     """
 
-    window: float = static("lower points are sought within this radius", "d_max > 0 m", default=10.0, cells=MAX_REACH)
+    window: float = static(
+        "lower points are sought within this radius, in whole cells", "d_max > 0 m", default=10.0, cells=MAX_REACH
+    )
     slope: float = param("terrain rises at most this steeply; 0.577 is 30 degrees", "> 0 rise/run", default=0.577)
     max_height: float = param("terrain rises at most by this within the window", "> 0 m", default=6.0)
     initial_distance: float = param(

@@ -39,8 +39,8 @@ class PMF(LowOutlierFilter):
     doi:10.1109/TGRS.2003.810682
 
     1. Lowest point per cell; empty cells take the value of the nearest cell.
-    2. Openings with windows w(k) of 2 x 2^k + 1 cells (``exponential``), or of 4 k + 1 cells, each of the surface that the
-       one before left.
+    2. Openings with windows w(k) of 2 x 2^k + 1 cells (``exponential``), or of 4 k + 5 cells, k from 0 on, each of the surface
+       that the one before left.
     3. The threshold is h(0) = initial_distance, then
        h(k) = min(max_distance, slope x (w(k) - w(k-1)) x cell + initial_distance).
     4. ``compare`` = "surfaces", as in the paper: cells that the k-th opening lowers by more than h(k) are objects. Ground are

@@ -202,9 +202,11 @@ class PPDF(Filter):
             side = self.reference_cell
             may_be = lowest_seeds(points, self._grid(points, "reference_cell"), seed, ~barred)
         else:
-            may_be, side = np.ones(len(xyz), bool), points.spacing()
+            may_be, side = ~barred, points.spacing()
 
         reference = seed & may_be
+        for values in over:  # a plane of the cloud is none of the ground: without references near there is none
+            values[may_be & ~reference] = np.nan
         around = self._around(xyz, np.flatnonzero(may_be & ~reference), side)
         growing = GroundReferences(around, reference, over, lambda d: self._within(d, self.reference_distance), workers)
         status = grow(growing, self.max_rounds, lambda share, step: progress(0.3 + 0.4 * share, step), trace)

@@ -30,7 +30,7 @@ class PTD(TerrainAngle):
     Presets: "recommended" is the default; it bars clusters of low points from the seeds and lets the simulated border
     points follow the growing ground. "paper" is the plain method with neither. "D1" to "D4" take the thresholds of Li et al.
     (2021), Table I, with e as the distance, for the comparison in their Table IV: they print no values for PTD, and these,
-    with ``refresh_border=False``, come within half a point of total error on two thirds of its rows.
+    with ``refresh_border=False``, come within one point of total error on two thirds of its rows.
 
     All points that pass in a round are added together (docs/fidelity.md has figures of other ways).
 

@@ -18,7 +18,8 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
     1. The highest vertex of a facet with a long edge is noise.
     2. Facets with such a vertex, and facets that are both narrow and steep (as between a roof and the ground beside it),
        separate; the others form clusters with the neighbours that they share an edge with (flood fill).
-    3. Seeds are the vertices of ground clusters. A vertex in no cluster at all, such as a lone high point, is noise.
+    3. Seeds are the vertices of ground clusters. A vertex in no cluster at all, such as a lone high point, is noise,
+       unless there is no cluster: then all vertices but those of step 1 are kept.
 
     Args:
         xyz: f32[s, 3], local metres, at positions of their own, in canonical order.
@@ -26,7 +27,7 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
         raised: metres. A cluster is raised if the ground drops by more than this over at least two thirds of its perimeter,
             the border of the network included in the perimeter. The largest cluster never is.
 
-    Fewer than three seeds, or seeds on one line, are all kept.
+    Fewer than four seeds, or seeds on one line, are all kept.
     """
     s = len(xyz)
     xy = xyz[:, :2].astype(np.float64)

@@ -144,6 +144,7 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
     trace = out.trace
     if network.before is not None:
         before, trace = network.before, network.before.trace + trace
+        status = status if before.status == Status.CONVERGED else before.status
         assert before.decision is not None
         earlier = before.ground & (before.decision != Decision.SEED)
         for name in ("angle", "elevation", "margin", "decision"):
