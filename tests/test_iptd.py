@@ -101,7 +101,7 @@ def test_a_downward_growth_that_is_cut_off_is_no_convergence():
     """Of a bowl, whose seeds lie on its rim."""
     x, y = (v.ravel() for v in np.meshgrid(np.arange(40.0), np.arange(40.0)))
     xyz = np.column_stack([x, y, 0.02 * ((x - 19.5) ** 2 + (y - 19.5) ** 2)])
-    filter_ = jf.IPTD(window=10.0, low_clusters=False, plane_error=0.0, max_angle=89.0, max_distance=99.0)
+    filter_ = jf.IPTD(window=10.0, low_clusters=False, plane_error=0.0, max_angle=89.9, max_distance=999.0)
     whole = filter_(xyz)
     rounds = whole.info["downward_rounds"]
     assert whole.status == jf.Status.CONVERGED and rounds > 1 + whole.info["rounds"]
