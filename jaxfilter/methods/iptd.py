@@ -91,8 +91,8 @@ class IPTD(TerrainAngle):
             "the default: one set for all terrain, planes stay as fitted, clusters of low points are barred"
         ),
         "paper": Preset(
-            "planes of 300 seeds, as Uray and Varlik (2024) report for most samples, moved down to the lowest of them; cells of "
-            "2 m and a tolerance of 0.3 m, which are not reported; window, angle and distance are the defaults",
+            "as reported by Uray and Varlik (2024) for most samples, planes of 300 seeds, moved down to the lowest of them, "
+            "except cells of 2 m and a tolerance of 0.3 m, which are not reported, and window, angle and distance, the defaults",
             tolerance=0.3,
             k=300,
             translation="lowest",
