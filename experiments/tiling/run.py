@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("parts", nargs="*", default=PARTS, help=f"of {', '.join(PARTS)}")
     parser.add_argument("--data", type=Path, help="folder with tiles/ [JAXFILTER_DATA]")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder for the results [%(default)s]")
-    parser.add_argument("--work", type=Path, default=HERE / "work", help="folder for what is generated [%(default)s]")
+    parser.add_argument("--work", type=Path, default=HERE / "out", help="folder for what is generated [%(default)s]")
     parser.add_argument("--methods", nargs="+", default=list(jf.FILTERS), choices=list(jf.FILTERS), metavar="METHOD")
     parser.add_argument("--side", type=int, default=1000, help="of the generated survey, metres [%(default)s]")
     parser.add_argument(
