@@ -112,8 +112,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 BRIEF = {f"test_{name}" for name in (
-    "docstrings", "experiments", "cli", "adversarial", "agptd", "batch", "csf", "docs", "facets", "fit", "grid_filter", "inpaint",
-    "iptd", "morphology", "msf", "outliers", "switches", "windows", "x64",
+    "docstrings", "experiments", "cli", "adversarial", "agptd", "bad_arguments", "batch", "csf", "docs", "facets", "fit",
+    "grid_filter", "inpaint", "iptd", "morphology", "msf", "outliers", "switches", "windows", "x64",
 )}  # fmt: skip
 """Tests that spend their time in XLA, which compiles many programs that run once, for a moment. It compiles them eight times as
 fast if it does not optimise them. All other tests run the code that users run: above all those that hold labels of one program
