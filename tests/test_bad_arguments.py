@@ -21,7 +21,7 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.dtm(CLOUD, HIDDEN), jf.InputError, "masked"),
         (lambda: jf.height_above_ground(CLOUD, HIDDEN), jf.InputError, "masked"),
         (lambda: jf.batch([CLOUD, CLOUD], jf.SMRF(), [TRUTH]), jf.InputError, "2 clouds and labels of 1"),
-        (lambda: jf.batch({"a": CLOUD}, jf.SMRF(), {"b": TRUTH}), jf.InputError, "'a' is the name of a cloud or of labels"),
+        (lambda: jf.batch({"a": CLOUD}, jf.SMRF(), {"b": TRUTH}), jf.InputError, "a has no labels"),
         (lambda: jf.batch([CLOUD], jf.SMRF()).ground({"foo": [1.0]}), jf.ParameterError, "no field 'foo'"),
         (lambda: jf.batch([CLOUD], jf.SMRF()).ground({}), jf.ParameterError, "name at least one field"),
         (lambda: jf.batch([CLOUD], jf.SMRF()).soft(width=-1.0), jf.ParameterError, "width=-1.0"),

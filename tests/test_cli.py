@@ -298,7 +298,7 @@ def test_points_of_the_overlap_are_judged_and_named_unless_they_are_set_aside(fo
     ).groups()
     written = np.asarray(laspy.read(folder / "flagged.las").classification)
     assert int(of_class.replace(",", "")) == (written == 2).sum() and 0 < int(kept) < 100
-    assert ("points of class 12 keep it" in flagged.output) == (mark == "class")
+    assert ("points of class 12 keep their class" in flagged.output) == (mark == "class")
     aside = ground(folder, "--ignore-overlap", "--json", source="marked.las", target="aside.las", method="smrf")
     counts = json.loads(aside.stdout)["overlap"]
     assert counts == {"points": strip.sum(), "judged": 0, "ground": 0, "kept": 0}

@@ -65,7 +65,7 @@ WRITTEN = [
     option(
         "--reset", "Which classes judged non-ground loses.", click.Choice(["ground", "all", "none"]), default="ground"
     ),
-    option("--only-ground", "Mark ground; leave other classes, but for those that options below ask for.", bool),
+    option("--only-ground", "Mark ground and change no other class, unless an option below asks for it.", bool),
     option("--noise-class", "Class for low outliers (ASPRS: 7), which all methods but SMRF find.", CLASS),
     option("--high-noise-class high_noise", "Class for single echoes far above all around (ASPRS: 18).", CLASS),
     option("--water-class water", "Class for points of water (ASPRS: 9), by methods that find it.", CLASS),

@@ -199,7 +199,8 @@ def findings_of(
     if classes.overlap_flag and cloud.overlap is None:
         if (judged & (old == OVERLAP_CLASS)).any():
             warn(
-                "points of class 12 keep it, ground as well, since the point format has no overlap flag: write format 6 or above"
+                "points of class 12 keep their class, even if they are ground, since this point format has no overlap flag: "
+                "convert the input to point format 6 or above"
             )
         code[old == OVERLAP_CLASS] = Finding.KEPT
     return Found(ground, code)

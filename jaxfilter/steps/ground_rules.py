@@ -14,7 +14,7 @@ from ..engines.tin.facets import FacetScore, Verdict
 _STEEPEST = 80.0
 """Degrees that facets are taken to slope at most: a wall of points is in the plane of a slim facet that stands upright."""
 _LEAST = 1e-6
-"""Metres beyond the limit that a point is at least which does not join."""
+"""Metres beyond the limit, at least, of a point that does not join."""
 
 
 class HeightRule(NamedTuple):

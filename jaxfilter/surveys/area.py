@@ -37,10 +37,10 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
         raise ParameterError(
             f"{name}: text is cut by bounds only, not by an area: pass bounds=, or convert it to LAZ first"
         )
+    given: Any = aoi if name == "aoi" else read_shapes(name, "polygons")
     try:
-        given: Any = getattr(read_shapes(name, "polygons") if name != "aoi" else aoi, "geometry", [aoi])
-        frame = geopandas.GeoSeries(given)
-    except TypeError as error:
+        frame = geopandas.GeoSeries(getattr(given, "geometry", [given]))
+    except (TypeError, ValueError) as error:
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
     if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
         warn(f"{name}: transformed from {frame.crs.name} to {survey.crs.name}")

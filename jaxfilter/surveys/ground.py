@@ -96,7 +96,7 @@ class GroundProduct(Product):
             raise ParameterError(f"extra={self.extra!r}: the method states no {absent[0]}; OST does")
         for name, values in found.items():
             if around.cloud.candidate.any() and np.isnan(values).all():
-                warn(f"extra: {name} is NaN for all points, since the method does not state it")
+                warn(f"extra: {name} is NaN for all points: the method does not compute it")
         return {name: values[around.core] for name, values in found.items()}
 
     def file(self, task: FileTask) -> None:

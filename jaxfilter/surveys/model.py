@@ -87,7 +87,7 @@ class RasterProduct(GroundNeeded):
         if wide.rows * wide.columns > MAX_CELLS:
             cells = f"{wide.rows:,} x {wide.columns:,} cells, more than {MAX_CELLS:,}"
             raise InputError(
-                f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= with more, or pass tile= with less"
+                f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= to make them larger, or pass tile= to cut smaller tiles"
             )
         row, column = wide.bottom + wide.rows - grid.bottom - grid.rows, grid.left - wide.left
         ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]

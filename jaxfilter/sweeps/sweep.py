@@ -169,7 +169,7 @@ def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, Po
 
 
 def named_labels(labels: Any, several: bool, named: Iterable[str], caller: str) -> dict[str, Any]:
-    """What belongs to each cloud by its name: of a mapping, of a sequence like the clouds, or of a single cloud.
+    """The labels of each cloud by its name. They are given as a mapping, as a sequence like the clouds, or as those of one cloud.
 
     Raises: InputError for another number, and for names of no cloud.
     """
@@ -184,7 +184,8 @@ def named_labels(labels: Any, several: bool, named: Iterable[str], caller: str) 
             )
         found = dict(zip(names, its, strict=True))
     if other := set(names) ^ set(found):
-        raise InputError(f"{caller}: labels: {min(other)!r} is the name of a cloud or of labels, but not of both")
+        what = "has no labels" if min(other) in names else "is no cloud"
+        raise InputError(f"{caller}: labels: {min(other)} {what}: give those of every cloud, by its name")
     return found
 
 
