@@ -44,8 +44,8 @@ def test_what_makes_no_sense_is_named(call, error, words):
 
 
 def test_labels_of_a_batch_go_by_name_or_by_cloud():
-    whole = jf.batch([CLOUD], jf.SMRF(), [TRUTH]).confusion()
-    for made in (jf.batch(CLOUD, jf.SMRF(), TRUTH), jf.batch({1: CLOUD}, jf.SMRF(), {1: TRUTH})):
+    whole = jf.batch([CLOUD], jf.MSF(), [TRUTH]).confusion()
+    for made in (jf.batch(CLOUD, jf.MSF(), TRUTH), jf.batch({1: CLOUD}, jf.MSF(), {1: TRUTH})):
         np.testing.assert_array_equal(made.confusion(), whole)
 
 

@@ -25,7 +25,10 @@ from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
 pytestmark = pytest.mark.usefixtures("compilation_cache")
-METHODS = pytest.mark.parametrize("method", list(FILTERS))
+SLOW = {"csf", "iptd", "ppdf"}  # they compile for seconds; how flags become parameters is the same for all
+METHODS = pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=pytest.mark.slow) if m in SLOW else m for m in FILTERS]
+)
 
 
 @pytest.fixture
@@ -90,7 +93,7 @@ def test_flags_reach_the_filter(folder, method):
     assert json.loads(result.stdout)["parameters"][name] == value
 
 
-@METHODS
+@pytest.mark.parametrize("method", list(FILTERS))
 def test_flags_cover_every_field_once(method):
     command = ground_command(FILTERS[method])
     names = [p.name for p in command.params]
