@@ -255,7 +255,10 @@ class OST(Filter):
         wet = crossed.cells(points.cloud, scene.cells)
         apart = (points.xyz[:, 2] > deck - np.float32(self.roof_step)) | (np.abs(points.xyz[:, 2] - clear) > AFLOAT)
         seeds = lowest[~in_object[lowest] & ~apart[lowest]]
-        seeds = self.firm(points, spacing, seeds, scene, objects | bare, rough)
+        plants = np.zeros(len(points), bool)
+        if self.sensor in (AIRBORNE, DRONE):
+            plants = self.hidden(points, spacing, low) & (np.broadcast_to(rough, len(points)) == 0)
+        seeds = self.firm(points, seeds, scene, objects | bare, plants)
         del scene, objects, drop, bare, landscape, inside, crossed  # none is needed while the ground grows
         if not has_area(points.xyz[seeds]):
             seeds = lowest
@@ -278,7 +281,7 @@ class OST(Filter):
             scene_limit, local_limit = float(self.scene_spread) * spread, float(self.local_spread) * min(1.0, spacing)
             if self.sensor != AIRBORNE:
                 scene_limit = max(scene_limit, height)
-            pruned = prune(ground, scatter, scene_limit, local_limit, distance)
+            pruned = prune(ground, scatter, scene_limit, local_limit, np.where(plants, limits.out, np.float32(np.inf)))
             if points.kept is None:  # a sweep asks for no more than what is ground
                 ground.finish(ground.todo)
                 scatter = scatter.of_all(ground)
@@ -318,7 +321,11 @@ class OST(Filter):
         beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
         relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
         distance = np.float32(self.max_distance * height) + relief * around
-        return Limits(height, distance, HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond)
+        out = np.float32(self.tolerance_spacing * spacing) + np.float32(self.scaling * spacing) * around
+        out = np.maximum(np.float32(self.noise), out)
+        return Limits(
+            height, distance, out, HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond
+        )
 
     @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
     def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Openings:
@@ -363,33 +370,24 @@ class OST(Filter):
         return Crossings(deck, level, clear)
 
     def firm(
-        self,
-        points: Points,
-        spacing: float,
-        seeds: np.ndarray,
-        scene: Openings,
-        edges: np.ndarray,
-        rough: np.ndarray | np.float32,
+        self, points: Points, seeds: np.ndarray, scene: Openings, edges: np.ndarray, plants: np.ndarray
     ) -> np.ndarray:
         """i64: the ``seeds``, rows, without those that rise from others as what stands on plants, walls and ramps does (step 6).
 
-        ``edges``: bool[rows, columns], cells beside which seeds of photographs and of scans from a car are suspect; ``rough``:
-        f32[m], above zero near steep terrain that was given back, where seeds of lidar from the air are not; or one for all.
+        ``edges``: bool[rows, columns], cells beside which seeds of photographs and of scans from a car are suspect; ``plants``:
+        bool[m], where those of lidar from the air are.
         """
+        high, limits = plants[seeds], (STEEPER, SIDES)
         if self.sensor in (MATCHING, MOBILE):
-            cells, limits, rough = scene.cells, (STEEP, 1), np.float32(0)
-            where = scipy.ndimage.binary_dilation(edges | ~np.asarray(cells.seen))
-        else:
-            limits, (cells, where) = (STEEPER, SIDES), self.hidden(points, spacing, scene.low)
-        high = look_up(points.xyz[seeds], cells, where.astype(np.float32))[0] > 0.5
-        high &= np.broadcast_to(rough, len(points))[seeds] == 0
+            where = scipy.ndimage.binary_dilation(edges | ~np.asarray(scene.cells.seen))
+            high, limits = look_up(points.xyz[seeds], scene.cells, where.astype(np.float32))[0] > 0.5, (STEEP, 1)
         high[high] = rising(points.xyz, seeds[high], seeds, BESIDE, *limits)
         return seeds[~high]
 
-    def hidden(self, points: Points, spacing: float, low: np.ndarray) -> tuple[Cells, np.ndarray]:
-        """Cells without the points ``low``, bool[m], and bool[rows, columns]: those where plants hide the ground."""
+    def hidden(self, points: Points, spacing: float, low: np.ndarray) -> np.ndarray:
+        """bool[m]: points where plants hide the ground, by cells without the points ``low``, bool[m]."""
         cells = lowest_cells(points, max(self.cell, cell_for(spacing, PLANTS)), "OST(cell)", barred=low)
-        return cells, veiled(points, cells, BESIDE)
+        return look_up(points.xyz, cells, veiled(points, cells, BESIDE).astype(np.float32))[0] > 0.5
 
     def low(self, points: Points) -> np.ndarray:
         """bool[m]: low outliers (step 1)."""
@@ -399,8 +397,7 @@ class OST(Filter):
             return low
         below = scattered(points, low_clusters(points, depth=LOW_DEPTH, max_points=self.low_points).barred)
         if (below & ~low).any():
-            cells, where = self.hidden(points, points.spacing() if self.spacing is None else self.spacing, low)
-            low |= below & (look_up(points.xyz, cells, where.astype(np.float32))[0] < 0.5)
+            low |= below & ~self.hidden(points, points.spacing() if self.spacing is None else self.spacing, low)
         return low
 
     def lowest_points(self, points: Points, low: np.ndarray) -> tuple[Cells, np.ndarray]:
@@ -461,10 +458,11 @@ class OST(Filter):
 
 class Limits(NamedTuple):
     """The rules of OST's growth: the ``first`` round, those ``then``, and outside the hull (step 6); ``height``: metres, and
-    ``distance``: f32[m], metres, in them."""
+    ``distance``: f32[m], metres, in them; ``out``: f32[m], metres by which vertices may stick out under plants (step 8)."""
 
     height: float
     distance: np.ndarray
+    out: np.ndarray
     first: HeightRule
     then: AngleRule
     beyond: Beyond

@@ -9,12 +9,12 @@ import numpy as np
 from ..engines.tin.ground import GroundTin
 from ..engines.tin.triangulation import Tin
 
-ROUGH, ROUGHLY = 0.4, 0.6
-"""A vertex is rough by such a share of its limit of distance, and overgrown where such a share of those around it are rough."""
-VEIL = 3.0
+VEIL = 2.0
 """Points that are no ground for each vertex, above which the ground is veiled."""
 AROUND = 3
 """Edges from a vertex to the farthest of those around it."""
+PASSES = 3
+"""Times that vertices are judged where plants hide the ground: beside high plants those that are less high do not stick out."""
 _AT_ONCE = 2**17
 """Vertices that are measured by one call."""
 
@@ -33,9 +33,13 @@ class Scatter(NamedTuple):
     @classmethod
     def of(cls, tin: Tin) -> Scatter:
         """Measure all vertices of a triangulation with threads at work."""
+        return cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)).again(tin, tin.vertex)
+
+    def again(self, tin: Tin, among: np.ndarray) -> Scatter:
+        """With the vertices ``among``, bool[m], measured once more."""
         from ..engines.tin.rings import residuals, roughness  # imports Numba
 
-        out, nodes = cls(*(np.zeros(len(tin.xyz), np.float32) for _ in cls._fields)), np.flatnonzero(tin.vertex)
+        out, nodes = Scatter(*(values.copy() for values in self)), np.flatnonzero(tin.vertex & among)
         tables = tin.triangles, tin.neighbours, tin.where
         parts = np.array_split(nodes, len(nodes) // _AT_ONCE + tin.workers)
         list(tin.pool.map(lambda part: residuals(tin.xyz, *tables, part, out.residual), parts))
@@ -57,44 +61,43 @@ class Scatter(NamedTuple):
         return 1.4826 * float(np.median(np.abs(self.residual[np.flatnonzero(tin.vertex)])))
 
 
-def overgrown(ground: GroundTin, scatter: Scatter, limit: np.ndarray) -> np.ndarray:
-    """f32[m]: metres by which vertices stick out more than those beside them where even the lowest points scatter as plants do.
-
-    There most vertices within three edges are rough: they lie farther from the plane of their neighbours, above or below, than
-    :data:`ROUGH` times ``limit``, f32[m], metres, from which on points are too far to join; and most points are no ground.
-    Elsewhere, and of vertices that are not rough, it is zero or less.
-    """
+def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndarray:
+    """f32[m]: metres by which vertices stick out more than those beside them, and more than ``least``, f32[m], metres, where
+    most points above the vertices at most three edges away are no ground. Elsewhere zero or less."""
     from ..engines.tin.rings import surroundings  # imports Numba
 
-    tin, least = ground.tin, np.float32(ROUGH) * limit
+    tin, over = ground.tin, np.zeros(len(least), np.float32)
     nodes = np.flatnonzero(tin.vertex & (scatter.residual > np.maximum(least, scatter.roughness)))
+    if len(nodes) == 0:
+        return over
     others = ground.rest
-    values = np.zeros((len(tin.xyz), 2), np.float32)
-    values[:, 0] = np.abs(scatter.residual) > least
-    values[:, 1] = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(values))
-    means, over = np.empty((len(nodes), 2), np.float32), np.zeros(len(values), np.float32)
-    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, values, means)
-    nodes = nodes[(means[:, 0] > ROUGHLY) & (means[:, 1] > VEIL)]
+    tin.locate(others)
+    above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(over)).astype(np.float32)
+    means = np.empty(len(nodes), np.float32)
+    surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, above, means)
+    nodes = nodes[means > VEIL]
     over[nodes] = (scatter.residual - np.maximum(least, scatter.roughness))[nodes]
     return over
 
 
-def prune(
-    ground: GroundTin, scatter: Scatter, scene: float, local: float, limit: np.ndarray, among: np.ndarray | bool = True
-) -> int:
+def prune(ground: GroundTin, scatter: Scatter, scene: float, local: float, least: np.ndarray) -> int:
     """Drop vertices that stick out of the plane of their neighbours, but those on the hull; how many.
 
     Those are dropped that lie more than ``scene`` metres above it, and more than ``local`` times the root mean square among
-    the neighbours. ``among``: bool[m], the others stay.
+    the neighbours. Where plants hide the ground, those that are :func:`overgrown`: ``least``: f32[m], metres, infinite elsewhere.
+    They are judged :data:`PASSES` times, by the vertices that are left.
     """
-    tin = ground.tin
-    nodes = np.flatnonzero(tin.vertex)
+    tin, dropped = ground.tin, 0
     inner = np.ones(len(tin.xyz), bool)
     ghosts = tin.triangles[np.flatnonzero(tin.triangles.ravel() == -1) // 3]
     inner[ghosts[ghosts >= 0]] = False
     over = scatter.residual - np.maximum(np.float32(scene), np.float32(local) * scatter.roughness)
-    over = np.maximum(over, overgrown(ground, scatter, limit))
-    drop = nodes[(inner & among)[nodes] & (over[nodes] > 0)]
-    ground.margin[drop] = over[drop]
-    ground.drop(drop)
-    return len(drop)
+    for left in range(PASSES, 0, -1):
+        over = np.maximum(over, overgrown(ground, scatter, least))
+        drop = np.flatnonzero(tin.vertex & inner & (over > 0))
+        ground.margin[drop], dropped = over[drop], dropped + len(drop)
+        ground.drop(drop)
+        if left == 1 or len(drop) == 0 or not np.isfinite(least).any():
+            break
+        scatter, over = scatter.again(tin, np.isfinite(least)), np.zeros_like(over)
+    return dropped

@@ -91,7 +91,7 @@ def roughness(triangles, neighbours, where, nodes, e, out):
 
 @compiled(allocates=True)
 def surroundings(triangles, neighbours, where, nodes, edges, values, out):
-    """Means of ``values``, f32[k, 2], over vertices and all that are at most so many edges away; f32[n, 2] for ``nodes``."""
+    """Means of ``values``, f32[k], over vertices and all that are at most so many edges away; f32[n] for ``nodes``."""
     known, seen = np.empty(64, np.int64), np.full(len(where), -1, np.int32)
     for i in range(len(nodes)):
         known[0], seen[nodes[i]], first, size = nodes[i], i, 0, 1
@@ -109,7 +109,6 @@ def surroundings(triangles, neighbours, where, nodes, edges, values, out):
                     if t == where[known[m]]:
                         break
             first = end
-        out[i, 0], out[i, 1] = 0.0, 0.0
+        out[i] = 0.0
         for m in range(size):
-            out[i, 0] += values[known[m], 0] / size
-            out[i, 1] += values[known[m], 1] / size
+            out[i] += values[known[m]] / size
