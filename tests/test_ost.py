@@ -21,6 +21,7 @@ from jaxfilter.engines.tin.network import one_network
 from jaxfilter.engines.tin.triangulation import Tin
 from jaxfilter.methods import ost
 from jaxfilter.scenes import Kind
+from jaxfilter.steps import pruning
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
@@ -493,7 +494,10 @@ def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few(mon
     found = measured()
     monkeypatch.setattr(ost, "SIDES", 5)  # no seed rises on so many
     before = measured()
-    assert found.rmse < 0.7 * before.rmse and found.off < 0.7 * before.off and before.off > 1
+    assert found.rmse < 0.9 * before.rmse and found.off < 0.9 * before.off
+    monkeypatch.setattr(pruning, "PASSES", 1)
+    once = measured()
+    assert before.rmse < 0.9 * once.rmse and before.off < 0.9 * once.off and once.off > 1
 
 
 def overhanging(rng):
@@ -632,18 +636,18 @@ def test_a_void_hangs_from_the_lowest_around_its_corners(pool):
 def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
     xy = rng.uniform(0, 50, (2000, 2)).round(2)
     plane = points_of(np.column_stack([xy, 0.2 * xy[:, 0] + rng.normal(0, 0.02, 2000)]))
-    limit = np.ones(len(plane), np.float32)
+    nowhere = np.full(len(plane), np.inf, np.float32)
     with ground_of(plane, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         before = ground.tin.vertex.sum()
         scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, limit) == 0
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, nowhere) == 0
         assert ground.tin.vertex.sum() == before and ground.ground.all()
     spiked = plane.copy()
     spike = int(np.argmin(((plane[:, :2] - 25) ** 2).sum(axis=1)))
     spiked[spike, 2] += 0.8
     with ground_of(spiked, np.arange(len(plane)), HeightRule(0.1, 0.1), 2) as ground:
         scatter = Scatter.of(ground.tin)
-        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, limit) == 1
+        assert prune(ground, scatter, 12.0 * scatter.of_scene(ground.tin), 3.0, nowhere) == 1
         assert not ground.ground[spike] and ground.ground.sum() == len(plane) - 1
         residual, roughness = scatter.of_all(ground)  # it is no vertex any more
         assert scatter.residual[spike] > 0.6 and residual[spike] == 0 < roughness[spike]
@@ -652,36 +656,44 @@ def test_pruning_drops_a_spike_of_a_plane_and_nothing_else(rng):
 @pytest.mark.parametrize("edges", [0, 1, 3])
 def test_surroundings_are_means_over_steps_in_scipys_triangulation(rng, pool, edges):
     xyz = points_of(np.column_stack([rng.uniform(0, 40, (400, 2)), np.zeros(400)]).round(3))
-    count, values = len(xyz), rng.normal(size=(len(xyz), 2)).astype(np.float32)
+    count, values = len(xyz), rng.normal(size=len(xyz)).astype(np.float32)
     tin, nodes = Tin(xyz.copy(), np.zeros(count, np.int32), np.arange(count), pool), rng.permutation(count)[:150]
-    out = np.empty((len(nodes), 2), np.float32)
+    out = np.empty(len(nodes), np.float32)
     rings.surroundings(tin.triangles, tin.neighbours, tin.where, nodes, edges, values, out)
     beside = np.eye(count, dtype=int)
     for corners in Delaunay(xyz[:, :2].astype(float)).simplices:
         beside[np.ix_(corners, corners)] = 1
     near = np.linalg.matrix_power(beside, edges)[nodes] > 0
-    np.testing.assert_allclose(out, near @ values / near.sum(axis=1)[:, None], atol=1e-5)
+    np.testing.assert_allclose(out, near @ values / near.sum(axis=1), atol=1e-5)
 
 
-@pytest.mark.parametrize("case", ["plants", "no canopy", "rocks that are few", "within limits"])
-def test_vertices_that_stick_out_are_dropped_where_most_scatter_under_a_canopy(rng, case):
-    """Half of a field of plants is left out, from above, only where the canopy hides what is below and most vertices scatter."""
+@pytest.mark.parametrize("case", ["plants", "no canopy", "in view", "within limits"])
+def test_vertices_that_stick_out_are_dropped_where_plants_hide_the_ground(rng, case, monkeypatch):
+    """Of a field of plants more than half is left out, from above, only where the canopy hides what is below. The highest hide
+    from the first pass that those beside them stick out, too."""
     xy = rng.uniform(0, 40, (1200, 2)).round(2)
-    rough = np.ones(1200, bool) if case != "rocks that are few" else rng.random(1200) < 0.1
-    plants = np.where(rough, rng.uniform(0, 1.2, 1200), 0)
     above = np.column_stack([rng.uniform(0, 40, (6000, 2)).round(2), rng.uniform(8, 12, 6000)])
-    xyz = points_of(np.concatenate([np.column_stack([xy, plants]), above[: 600 if case == "no canopy" else 6000]]))
+    plants = np.column_stack([xy, rng.uniform(0, 1.2, 1200)])
+    xyz = points_of(np.concatenate([plants, above[: 600 if case == "no canopy" else 6000]]))
     low = xyz[:, 2] < xyz[:, 2].min() + 2
-    limit = np.full(len(xyz), 4.0 if case == "within limits" else 0.3, np.float32)
-    with ground_of(xyz, np.flatnonzero(low), HeightRule(0.1, 0.1), 2) as ground:
-        scatter = Scatter.of(ground.tin)
-        dropped = prune(ground, scatter, 1e9, 1.0, limit)
-        left = xyz[ground.ground, 2] - xyz[:, 2].min()
-        assert (dropped > 200) == (case == "plants") and (case == "plants" or dropped == 0)
-        if dropped:
-            assert left.mean() < 0.5 and dropped < 500
+    least = {"in view": np.inf, "within limits": 2.0}.get(case, 0.15)
+
+    def pruned(passes):
+        monkeypatch.setattr(pruning, "PASSES", passes)
+        with ground_of(xyz, np.flatnonzero(low), HeightRule(0.1, 0.1), 2) as ground:
+            scatter = Scatter.of(ground.tin)
+            dropped = prune(ground, scatter, 1e9, 1.0, np.full(len(xyz), least, np.float32))
             gone = low & ~ground.ground
-            assert (scatter.residual[gone] > scatter.roughness[gone]).all() and (ground.margin[gone] > 0).all()
+            assert dropped == gone.sum() and (ground.margin[gone] > 0).all()
+            if passes == 1:
+                assert (scatter.residual[gone] > np.maximum(scatter.roughness[gone], least)).all()
+            return dropped, (xyz[ground.ground, 2] - xyz[:, 2].min()).mean()
+
+    (first, mean), (more, less) = pruned(1), pruned(3)
+    if case == "plants":
+        assert 200 < first < 500 and first + 100 < more < 900 and less < min(0.5, mean - 0.05)
+    else:
+        assert first == more == 0
 
 
 def test_low_roofs_close_together_do_not_pass_for_relief():
@@ -741,7 +753,7 @@ def test_what_the_border_cuts_is_not_climbed():
 def test_the_local_spread_counts_per_metre_of_spacing_up_to_one_metre():
     """In filters in which the spacing decides nothing else."""
     cloud = jf.scenes.make("mixed", size=60.0, density=1.5, seed=3).cloud
-    plain = jf.OST(tolerance_spacing=0.0, scaling=0.0, distance_relief=0.0, void=99.0, scene_spread=1.0)
+    plain = jf.OST(tolerance_spacing=0.0, scaling=0.0, distance_relief=0.0, noise=99.0, void=99.0, scene_spread=1.0)
 
     def ground(spacing, spread):
         result = plain.replace(spacing=spacing, local_spread=spread)(cloud)

@@ -97,7 +97,7 @@ class Constant(NamedTuple):
         whole = isinstance(self.default, int)
         value = round(self.default * factor) if whole else float(self.default) * factor
         share = self.place.endswith(
-            (".ROOFS", ".WALLS", ".BANKS", ".KNOWN", ".ROUGHLY", ".STEADY", ".RISING", ".FALLING", ".STEEPEST")
+            (".ROOFS", ".WALLS", ".BANKS", ".KNOWN", ".STEADY", ".RISING", ".FALLING", ".STEEPEST")
         )
         most = 90.0 if self.place.endswith(".STEEPEST") else 1.0
         return None if value == self.default or (share and value >= most) else value
@@ -143,7 +143,8 @@ CONSTANTS = [
     *_of("steep terrain", "steps.objects", "SMOOTH ROOFS WALLS"),
     *_of("embankments", "steps.objects", "BANK EVEN BANKS"),
     *_of("overhangs", "steps.overhangs", "VOID SHEET"),
-    *_of("under plants", "steps.pruning", "ROUGH ROUGHLY VEIL AROUND"),
+    *_of("under plants", "steps.pruning", "VEIL AROUND PASSES"),
+    *_of("under plants", "methods.ost", "OUT"),
     *_of("decks", "steps.decks", "DROP HIGH NEAR AREA LENGTH STEADY ENDS MOST JOIN LAND"),
     *_of("water", "steps.voids", "AROUND"),
     *_of("water", "steps.water", "FLAT STEP LEVEL CORE AREA SLOPING DENSE_AREA DENSE_LEVEL THIN RISE RISING FALLING RIM"),
@@ -156,7 +157,7 @@ CONSTANTS = [
 TRIED = {
     "low points": "53 rules and limits", "voids": "5 rims", "borders": "3 rules", "faces at borders": "9 sets",
     "steep terrain": "40 sets of limits, and 40 of how far distances grow", "embankments": "22 rules and limits",
-    "under plants": "25 sets of limits",
+    "under plants": "about 75 rules and limits",
     "overhangs": "3 voids, 4 sheets, 3 rules",
     "decks": "not counted", "water": "not counted", "dense clouds": "3 squares, 3 sheets",
     "other sensors": "5 multiples of the thickness, 6 numbers of rounds",

@@ -79,6 +79,8 @@ scans from a car those beside an object or a void are suspect: ramps, crowns and
 SIDES, PLANTS = 2, 2.0
 """In lidar from the air those where plants hide the ground are suspect. They must not lie above the steeper slope on so many
 sides: the upper edge of a step does on one. Plants are looked for in cells of so many point spacings, which hold four points."""
+OUT = 0.3
+"""Metres per metre of point spacing that vertices may stick out on level land where plants hide the ground."""
 TILTS = (0.1, 1.0)
 """Least and largest tolerance per slope of the facet, metres."""
 
@@ -321,7 +323,7 @@ class OST(Filter):
         beyond = Beyond(height, np.tan(np.radians(np.minimum(angle, STEEPEST))))
         relief = np.float32(self.distance_relief * spacing) + np.float32(self.cell) * rough
         distance = np.float32(self.max_distance * height) + relief * around
-        out = np.float32(self.tolerance_spacing * spacing) + np.float32(self.scaling * spacing) * around
+        out = np.float32(OUT * spacing) + np.float32(self.scaling * spacing) * around
         out = np.maximum(np.float32(self.noise), out)
         return Limits(
             height, distance, out, HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond
