@@ -111,7 +111,7 @@ class OST(Filter):
        limits grow with G. Within ``noise`` of the plane of the facet angles do not count. Outside the hull a point must
        be within the angle of the nearest place on it, too.
     8. Vertices that stick out of the plane of their neighbours, measured by the scatter of the scene and of those
-       neighbours, are dropped; sooner where plants hide the ground and most vertices scatter as they do.
+       neighbours, are dropped; sooner, and in three passes, where plants hide the ground.
 
     Rock over a void beside steep terrain is ground as well, though the triangulation does not hold it
     (:mod:`jaxfilter.steps.overhangs`).
