@@ -470,7 +470,7 @@ def test_signals_while_a_file_is_written(tmp_path, monkeypatch, heard, name, suf
 def test_a_signal_that_gets_lost_in_a_finaliser_comes_again(tmp_path, monkeypatch):
     class Finaliser:
         def __del__(self):
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)  # os.kill may reach another thread, and this one too late
             time.sleep(0)  # the handler runs here, and what it raises goes nowhere
 
     at_call(monkeypatch, records.Writer, "write", 0, Finaliser)
