@@ -498,6 +498,7 @@ def test_terrain_below_plants_that_let_few_pulses_through_is_that_of_the_few(mon
     monkeypatch.setattr(pruning, "PASSES", 1)
     once = measured()
     assert before.rmse < 0.9 * once.rmse and before.off < 0.9 * once.off and once.off > 1
+    assert found.rmse < 0.7 * once.rmse and found.off < 0.7 * once.off
 
 
 def overhanging(rng):

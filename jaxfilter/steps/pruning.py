@@ -63,11 +63,11 @@ class Scatter(NamedTuple):
 
 def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndarray:
     """f32[m]: metres by which vertices stick out more than those beside them, and more than ``least``, f32[m], metres, where
-    most points above the vertices at most three edges away are no ground. Elsewhere zero or less."""
+    more than :data:`VEIL` points for each vertex at most :data:`AROUND` edges away are no ground. Elsewhere zero or less."""
     from ..engines.tin.rings import surroundings  # imports Numba
 
-    tin, over = ground.tin, np.zeros(len(least), np.float32)
-    nodes = np.flatnonzero(tin.vertex & (scatter.residual > np.maximum(least, scatter.roughness)))
+    tin, over = ground.tin, scatter.residual - np.maximum(least, scatter.roughness)
+    nodes = np.flatnonzero(tin.vertex & (over > 0))
     if len(nodes) == 0:
         return over
     others = ground.rest
@@ -75,8 +75,7 @@ def overgrown(ground: GroundTin, scatter: Scatter, least: np.ndarray) -> np.ndar
     above = np.bincount(tin.corners(tin.where[others])[:, 0], minlength=len(over)).astype(np.float32)
     means = np.empty(len(nodes), np.float32)
     surroundings(tin.triangles, tin.neighbours, tin.where, nodes, AROUND, above, means)
-    nodes = nodes[means > VEIL]
-    over[nodes] = (scatter.residual - np.maximum(least, scatter.roughness))[nodes]
+    over[nodes[means <= VEIL]] = 0
     return over
 
 
