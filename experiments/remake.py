@@ -83,6 +83,7 @@ PAGES = {
     "verdicts/results/speed.md": Page("experiments/verdicts/speed.py", "what apply takes beside ground", 5),
     "dikes/results/results.md": Page("experiments/dikes/run.py", "crests of dikes that methods keep", 3),
     "water/results/results.md": Page("experiments/water/run.py", "water and bridge decks in scenes and tiles", 8),
+    "bench/results/gpu.md": Page("experiments/bench/gpu.py --out experiments/bench/results", "labels and times on a GPU", 6),
     "bench/results/ops.md": Page("experiments/bench/ops.py", "operations beside those of other libraries", 10),
     "tiling/results/labels.md": Page(_tiling("labels"), "labels of tiles against those of the whole", 15),
     "tiling/results/halos.md": Page(_tiling("halos", " --small 300"), "the same by halo", 10),
