@@ -81,6 +81,7 @@ PAGES = {
                                     20),
     "verdicts/results/results.md": Page("experiments/verdicts/run.py", "errors left after verdicts of people", 15),
     "verdicts/results/speed.md": Page("experiments/verdicts/speed.py", "what apply takes beside ground", 5),
+    "halls/results/results.md": Page("experiments/halls/run.py", "large halls that methods find", 10),
     "dikes/results/results.md": Page("experiments/dikes/run.py", "crests of dikes that methods keep", 3),
     "water/results/results.md": Page("experiments/water/run.py", "water and bridge decks in scenes and tiles", 8),
     "bench/results/gpu.md": Page("experiments/bench/gpu.py --out experiments/bench/results", "labels and times on a GPU", 6),

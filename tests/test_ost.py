@@ -208,17 +208,18 @@ def test_the_census_counts_as_numpy_does(rng):
     fall, slope = rng.random((2, *segment.shape)).astype(np.float32)
     fall *= rng.choice([-1, 1], segment.shape)
     falls = np.abs(fall) > 0.25 + 0.5 * slope
-    inside = rng.random(segment.shape) < 0.9
+    walls, inside = rng.random(segment.shape) < 0.5, rng.random(segment.shape) < 0.9
     wide = np.pad(np.where(inside, segment, -1), 1, constant_values=-1)
     border, edge = np.zeros((2, *segment.shape), bool)
     for dr, dc in ((0, 1), (2, 1), (1, 0), (1, 2)):
         beside = wide[dr : dr + 18, dc : dc + 22]
         border |= (beside != segment) & (beside >= 0)
         edge |= beside < 0
-    found = shapes.census(segment, count, marked, fall, slope, inside, np.float32(0.25), np.float32(0.5))
-    assert (found[:, 0] == 0).all() and found.shape == (6, count + 1)
-    falling = border & falls
-    counted = np.ones_like(marked), marked, border, falling, falling & (fall < 0), edge & ~border
+    limits = (np.float32(limit) for limit in (0.25, 0.5, 0.6))
+    found = shapes.census(segment, count, marked, fall, walls, slope, inside, *limits)
+    assert (found[:, 0] == 0).all() and found.shape == (7, count + 1)
+    falling, tall = border & falls, border & walls & (fall > 0.6)
+    counted = np.ones_like(marked), marked, border, falling, falling & (fall < 0), tall, edge & ~border
     for k, cells in enumerate(counted):
         np.testing.assert_array_equal(found[k, 1:], np.bincount(segment[cells], minlength=count + 1)[1:])
 
@@ -329,12 +330,13 @@ def test_falls_equal_those_of_scipy(rng):
     z = np.cumsum(rng.choice(np.float32([0, 0, 0, 0.3, 2, 5, -6]), (40, 50)), axis=1, dtype=np.float32)
     segment, count = shapes.segments(z, np.float32(0.4), 4)
     seen = rng.random(z.shape) < np.linspace(0.6, 1, 50)
-    found = shapes.falls(segment, z, seen, np.float32(1.6), np.float32(0.8))
+    found, walls = shapes.falls(segment, z, seen, np.float32(1.6), np.float32(0.8))
     near, far = (z - ndimage.minimum_filter(z, size, mode="nearest") for size in (5, 9))
     share = ndimage.generic_filter(seen.astype(float), np.nanmean, 9, mode="constant", cval=np.nan)
     edge = ndimage.maximum_filter(segment, footprint=PLUS) != ndimage.minimum_filter(segment, footprint=PLUS)
     border, face = (segment > 0) & edge, (share >= 0.8) & (far >= np.float32(1.6) * near)
     np.testing.assert_array_equal(found, np.where(border, np.where(face, -near, near), 0))
+    np.testing.assert_array_equal(walls, border & (share >= 0.5) & (far < np.float32(1.6) * near))
     assert count > 20 and 20 < (border & face).sum() < border.sum() / 2
 
 
@@ -564,6 +566,38 @@ def test_a_plateau_at_the_edge_of_the_data_is_ground_where_it_is_larger_than_the
     corner = np.hypot(*np.mgrid[:80, :80]) < 100  # the data end along a circle; nothing beyond is judged
     found = whole_of(z, inside=corner, largest=1e9).objects(none, flat)
     np.testing.assert_array_equal(found, plateau & corner)
+
+
+def test_a_roof_of_several_levels_is_an_object():
+    """Bands of 8 m on a hall of 40 m, 1 m higher and lower in turn: most of the border of each falls by no more."""
+    level = np.zeros((80, 80), np.float32)
+    none = np.zeros(level.shape, bool)
+    hall = level.copy()
+    hall[20:60, 20:60] = 8 + np.arange(40) // 8 % 2
+    np.testing.assert_array_equal(whole_of(hall).objects(none, level), hall > 0)
+    rock = np.where(hall > 0, hall + np.random.default_rng(0).uniform(-0.8, 0.8, hall.shape), 0).astype(np.float32)
+    assert not whole_of(rock).objects(none, level).any()  # a group, but of no segments
+    corner = np.roll(hall, (-20, -20), (0, 1))
+    np.testing.assert_array_equal(whole_of(corner).objects(none, level), corner > 0)
+    low = whole_of(corner * np.float32(0.4)).objects(
+        none, level
+    )  # walls of 3 m: the band beside them falls, no other does
+    np.testing.assert_array_equal(low, (corner > 0) & (np.arange(80) >= 32))
+
+
+def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is():
+    """Half of its outline is inside, with walls. A plateau has faces, walls above a void, or less of it inside."""
+    (row, column), level = np.mgrid[:80, :80], np.zeros((80, 80), np.float32)
+    none, hall, judged = level > 0, level.copy(), {"roofs": ROOFS._replace(drop_share=0.53), "largest": 400}
+    hall[:50, :40] = 8
+    np.testing.assert_array_equal(whole_of(hall, **judged).objects(none, level), hall > 0)
+    assert not whole_of(hall / 2, **judged).objects(none, level).any()  # 4 m high
+    assert not whole_of(hall, seen=column + row < 70, **judged).objects(none, level).any()  # a void beside most of it
+    face = 8 - 2 * np.clip(np.maximum(row - 49, column - 39), 0, 4).astype(np.float32)
+    assert not whole_of(face, **judged).objects(none, level)[face == 8].any()
+    wide = level.copy()
+    wide[:10] = 8  # as a strip along one edge it is cut by three
+    assert not whole_of(wide, **judged).objects(none, level).any()
 
 
 def test_a_narrow_headland_with_faces_is_ground_and_a_hall_with_walls_is_none():

@@ -101,9 +101,10 @@ class OST(Filter):
     4. The slope of the landscape, G: that between means of blocks of cells that are no objects, averaged with a Gaussian of
        ``landscape`` metres. Cells with S > ``slope`` + ``relief`` G are marked.
     5. Segments of cells that differ by less than ``roof_step`` from one to the next are objects as a whole if ``roof_share``
-       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border. Parts of
-       all these cells that are bare and steep without walls are terrain, and so are smooth ones that fall on banks, as the
-       crests of dikes do. Steps 4 and 5 are repeated once, since G needs to know what is an object.
+       of their cells are marked, or if the surface falls by ``roof_drop`` along ``roof_drop_share`` of their border; so are
+       groups of them, as roofs of several levels are. Parts of all these cells that are bare and steep without walls are
+       terrain, and so are smooth ones that fall on banks, as the crests of dikes do. Steps 4 and 5 are repeated once, since G
+       needs to know what is an object.
     6. Seeds are the lowest points of the cells that are neither marked nor in such a segment. Where plants hide the ground, and
        in photographs and scans from a car beside objects and voids, they must not rise steeply from others. On their
        triangulation all points within ``tolerance`` + ``scaling`` x slope become ground, where both grow with the point spacing.

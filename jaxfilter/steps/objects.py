@@ -13,6 +13,12 @@ FURTHER, KNOWN = np.float32(1.6), np.float32(0.8)
 a bank within two as within one."""
 ROOFS, WALLS = 0.1, 0.45
 """Shares of the cells of steep terrain that may be in roofs, and of those on its border that may be walls."""
+LEVELS = 2 / 3, 1.0
+"""Shares of the drop at the border of an object: steps below these join segments to groups. Fewer trees beside a wall are a way
+down by the smaller one."""
+TALL, HALL, SHOWN = np.float32(4.0), 0.8, 0.9
+"""Metres by which the surface falls at the walls of large halls, at least; the share of their border inside the data that such
+walls are; and how many times as many cells are on it as at the edge of the data. A rectangle cut by a corner has as many."""
 BANK, EVEN, BANKS = 0.5, 0.1, 0.8
 """Metres that a bank falls by within two cells at least, and that the top of an embankment bends by; and the share of its border,
 where the surface falls, that banks are at least."""
@@ -36,12 +42,36 @@ class Roofs(NamedTuple):
     drop_share: float
 
 
-class Segments:
-    """Segments of a surface, and how far it falls at their borders.
+class Parts(NamedTuple):
+    """Parts of a surface, and how far it falls at their borders.
 
     Attributes:
-        segment: i32[rows, columns], the segment that each cell is in, 0 for those in none that is large enough; count: of these.
+        number: i32[rows, columns], the part that each cell is in, 0 for those in none that is large enough; count: of these.
         fall: f32[rows, columns], metres that the surface falls by at their borders, negative on faces, zero elsewhere.
+        walls: bool[rows, columns], where it is seen to fall at once.
+    """
+
+    number: np.ndarray
+    count: int
+    fall: np.ndarray
+    walls: np.ndarray
+
+    @classmethod
+    def of(cls, z: np.ndarray, inside: np.ndarray, seen: np.ndarray, step: float, least: float) -> Parts:
+        """Cells ``inside`` joined over edges where ``z``, f32[rows, columns], differs by less than ``step``, metres; ``least``
+        cells at least. ``seen``: bool[rows, columns], cells with points."""
+        from ..engines.grid.shapes import falls, segments  # imports Numba
+
+        number, count = segments(np.where(inside, z, np.float32(np.nan)), np.float32(step), least)
+        return cls(number, count, *falls(number, z, seen, FURTHER, KNOWN))
+
+
+class Segments:
+    """Segments of a surface, and groups of them with small steps between them: roofs of several levels.
+
+    Attributes:
+        segments: joined over edges where elevations differ by less than the ``step`` of roofs.
+        groups: by less than shares of their ``drop``, one for each of :data:`LEVELS`.
     """
 
     def __init__(
@@ -49,33 +79,44 @@ class Segments:
     ) -> None:
         """``z``: f32[rows, columns], metres, none missing; ``inside``, ``seen``: bool[rows, columns], cells that the data
         surround, and cells with points; ``cell``: metres; ``largest``: square metres of the largest building."""
-        from ..engines.grid.shapes import falls, segments  # imports Numba
-
         self.z, self.inside, self.seen, self.cell, self.roofs = z, inside, seen, cell, roofs
         self.least, self.largest = roofs.area / cell**2, largest / cell**2
-        self.segment, self.count = segments(np.where(inside, z, np.float32(np.nan)), np.float32(roofs.step), self.least)
-        self.fall = falls(self.segment, z, seen, FURTHER, KNOWN)
+        steps = roofs.step, *(share * roofs.drop for share in LEVELS)
+        self.segments, *self.groups = (Parts.of(z, inside, seen, step, self.least) for step in steps)
 
     def objects(self, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells of segments that are objects as a whole.
 
         What the edge of the data cuts is judged by the border that is inside, unless it is larger than the largest building: then
-        the edge counts as border along which nothing falls, as that of a plateau above a cliff. Nor does it fall on faces of
-        what is cut: headlands go on beyond the edge, and decks over a valley are seen with both ends.
+        the edge counts as border along which nothing falls, as that of a plateau above a cliff. Large halls are told from it by
+        high walls along nearly all of their border inside, and by how much of it is inside. Nor does it fall on faces of what is
+        cut: headlands go on beyond the edge, and decks over a valley are seen with both ends.
+
+        Groups are objects by their border alone, if at least half of their cells are in segments: rocks are not. Those that the
+        edge cuts must have the walls of large halls.
 
         Args:
             marked: bool[rows, columns], cells that openings take for objects.
             slope: f32[rows, columns], rise over run, of the landscape; what it explains of a fall is none.
         """
+        roofs, segment = self.roofs, self.segments.number
+        cells, inside, border, falling, faces, walls, edge = self._census(self.segments, marked, slope)
+        falling = falling - np.where(edge > 0, faces, 0)
+        border = border + np.where((cells > self.largest) & ~_hall(border, walls, edge), edge, 0)
+        whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
+        roof = (whole & (cells > 0))[segment]
+        for group in self.groups:
+            cells, inside, border, falling, _, walls, edge = self._census(group, segment > 0, slope)
+            falls = np.where(edge > 0, _hall(border, walls, edge), falling >= roofs.drop_share * border)
+            roof |= (falls & (border > 0) & (2 * inside >= cells))[group.number]
+        return roof
+
+    def _census(self, parts: Parts, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """See :func:`jaxfilter.engines.grid.shapes.census`."""
         from ..engines.grid.shapes import census
 
-        roofs, run = self.roofs, 2 * np.float32(self.cell)
-        given = marked, self.fall, slope, self.inside, np.float32(roofs.drop), run
-        cells, inside, border, falling, faces, edge = census(self.segment, self.count, *given)
-        falling = falling - np.where(edge > 0, faces, 0)
-        border = border + np.where(cells > self.largest, edge, 0)
-        whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
-        return (whole & (cells > 0))[self.segment]
+        limits = np.float32(self.roofs.drop), 2 * np.float32(self.cell), TALL
+        return census(parts.number, parts.count, marked, parts.fall, parts.walls, slope, self.inside, *limits)
 
     def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells that are steep ground though openings cut them: parts of the objects, joined over edges,
@@ -115,3 +156,8 @@ class Segments:
             part, count, self.z, np.float32(BANK), steepest, FURTHER, np.float32(EVEN)
         )
         return ((2 * even >= cells) & (sloping >= BANKS * falling) & (falling > 0))[part]
+
+
+def _hall(border: np.ndarray, walls: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """bool[k]: parts that the edge of the data cuts and that have the walls of large halls, by cells on their border."""
+    return (walls >= HALL * border) & (border >= SHOWN * edge)

@@ -95,17 +95,17 @@ def segments(z, step, least):
 @compiled(allocates=True)
 def falls(segment, z, seen, further, known):
     """f32[rows, columns]: how far the surface falls at the cells that have a cell of another segment beside them, metres: down to
-    the lowest elevation within two rows and columns; zero for all others.
+    the lowest elevation within two rows and columns; zero for all others. bool[rows, columns]: those that are seen to be walls.
 
     It is negative on a face: there it falls ``further`` times as far at least within four rows and columns, and a share
-    ``known`` of these cells at least have points. At a wall it falls at once.
+    ``known`` of these cells at least have points. At a wall it falls at once; it is seen if half of these cells have points.
 
     Args:
         segment: i32[rows, columns], from :func:`segments`. z: f32[rows, columns], metres.
         seen: bool[rows, columns], cells with points. further, known: f32.
     """
     rows, columns = segment.shape
-    fall = np.zeros(segment.shape, np.float32)
+    fall, walls = np.zeros(segment.shape, np.float32), np.zeros(segment.shape, np.bool_)
     for row in range(rows):
         for column in range(columns):
             name, border = segment[row, column], False
@@ -121,24 +121,26 @@ def falls(segment, z, seen, further, known):
                     cells, points, far = cells + 1, points + seen[r, c], min(far, z[r, c])
                     if abs(r - row) < 3 and abs(c - column) < 3:
                         near = min(near, z[r, c])
-            wall = points < known * cells or z[row, column] - far < further * (z[row, column] - near)
-            fall[row, column] = z[row, column] - near if wall else near - z[row, column]
-    return fall
+            at_once = z[row, column] - far < further * (z[row, column] - near)
+            face = points >= known * cells and not at_once
+            fall[row, column] = near - z[row, column] if face else z[row, column] - near
+            walls[row, column] = at_once and 2 * points >= cells
+    return fall, walls
 
 
 @compiled(allocates=True)
-def census(segment, count, marked, fall, slope, inside, drop, run):
-    """i32[6, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
-    others, of the latter where the surface falls, of these on faces, and of its other cells at the edge of what is ``inside``;
-    zero for the cells that are in none.
+def census(segment, count, marked, fall, walls, slope, inside, drop, run, tall):
+    """i32[7, 1 + count]: for each segment the numbers of its cells, of those that are ``marked``, of those on its border with
+    others, of the latter where the surface falls, of these on faces, of those at walls of more than f32 ``tall``, metres, and of
+    its other cells at the edge of what is ``inside``; zero for the cells that are in none.
 
     Args:
         segment: i32[rows, columns], and how many there are, from :func:`segments`; marked, inside: bool[rows, columns].
-        fall, slope: f32[rows, columns], metres, from :func:`falls`, and rise over run. The surface falls by more than f32
-            ``drop``, metres, and the slope times f32 ``run``, metres.
+        fall, walls: from :func:`falls`; slope: f32[rows, columns], rise over run. The surface falls by more than f32 ``drop``,
+            metres, and the slope times f32 ``run``, metres.
     """
     rows, columns = segment.shape
-    found = np.zeros((6, count + 1), np.int32)
+    found = np.zeros((7, count + 1), np.int32)
     for row in range(rows):
         for column in range(columns):
             name = segment[row, column]
@@ -157,7 +159,8 @@ def census(segment, count, marked, fall, slope, inside, drop, run):
             falling = border and abs(fall[row, column]) > drop + run * slope[row, column]
             found[3, name] += falling
             found[4, name] += falling and fall[row, column] < 0
-            found[5, name] += edge and not border
+            found[5, name] += border and walls[row, column] and fall[row, column] > tall
+            found[6, name] += edge and not border
     return found
 
 
