@@ -575,6 +575,9 @@ def test_a_roof_of_several_levels_is_an_object():
     hall = level.copy()
     hall[20:60, 20:60] = 8 + np.arange(40) // 8 % 2
     np.testing.assert_array_equal(whole_of(hall).objects(none, level), hall > 0)
+    low = np.where(hall > 0, np.float32(11), 0)
+    low[20:60, 33:47] = 8  # between two higher parts it falls at its ends only
+    np.testing.assert_array_equal(whole_of(low).objects(none, level), low > 0)
     rock = np.where(hall > 0, hall + np.random.default_rng(0).uniform(-0.8, 0.8, hall.shape), 0).astype(np.float32)
     assert not whole_of(rock).objects(none, level).any()  # a group, but of no segments
     corner = np.roll(hall, (-20, -20), (0, 1))

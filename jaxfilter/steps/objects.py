@@ -13,9 +13,9 @@ FURTHER, KNOWN = np.float32(1.6), np.float32(0.8)
 a bank within two as within one."""
 ROOFS, WALLS = 0.1, 0.45
 """Shares of the cells of steep terrain that may be in roofs, and of those on its border that may be walls."""
-LEVELS = 2 / 3, 1.0
+LEVELS = 2 / 3, 1.0, 5 / 3
 """Shares of the drop at the border of an object: steps below these join segments to groups. Fewer trees beside a wall are a way
-down by the smaller one."""
+down by the smaller ones; parts of a large building differ by the larger one."""
 TALL, HALL, SHOWN = np.float32(4.0), 0.8, 0.9
 """Metres by which the surface falls at the walls of large halls, at least; the share of their border inside the data that such
 walls are; and how many times as many cells are on it as at the edge of the data. A rectangle cut by a corner has as many."""
