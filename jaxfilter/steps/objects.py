@@ -46,13 +46,13 @@ class Parts(NamedTuple):
     """Parts of a surface, and how far it falls at their borders.
 
     Attributes:
-        number: i32[rows, columns], the part that each cell is in, 0 for those in none that is large enough; count: of these.
+        number: i32[rows, columns], the part that each cell is in, 0 for those in none that is large enough; last: of these.
         fall: f32[rows, columns], metres that the surface falls by at their borders, negative on faces, zero elsewhere.
         walls: bool[rows, columns], where it is seen to fall at once.
     """
 
     number: np.ndarray
-    count: int
+    last: int
     fall: np.ndarray
     walls: np.ndarray
 
@@ -116,7 +116,7 @@ class Segments:
         from ..engines.grid.shapes import census
 
         limits = np.float32(self.roofs.drop), 2 * np.float32(self.cell), TALL
-        return census(parts.number, parts.count, marked, parts.fall, parts.walls, slope, self.inside, *limits)
+        return census(parts.number, parts.last, marked, parts.fall, parts.walls, slope, self.inside, *limits)
 
     def terrain(self, objects: np.ndarray, whole: np.ndarray, high: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells that are steep ground though openings cut them: parts of the objects, joined over edges,
