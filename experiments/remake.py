@@ -264,7 +264,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="pages whose place holds one of these")
     parser.add_argument("--budget", type=float, default=float("inf"), help="minutes; what takes longer is not begun")
     options = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))  # either stops the command that runs, too
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it stops the command that runs, too, as Ctrl-C does
     end = time.time() + 60 * options.budget
     todo = list(plan(options.only))
     print(f"{len(todo)} stale pages, about {_long(sum(expected for expected, _, _ in todo))}:")

@@ -1,6 +1,7 @@
 """The experiments: published figures are consistent, tables come out right, and a small run works from end to end."""
 
 import json
+import signal
 import statistics
 import subprocess
 import sys
@@ -970,7 +971,9 @@ write_page(place, "# A title\\n\\nText.", f"python {{' '.join(sys.argv)}}", sys.
     monkeypatch.setattr(report_page, "main", lambda _: None)
     monkeypatch.setattr(quoted, "main", lambda _: None)
     monkeypatch.setattr(labels, "counts", {"smrf": "1 2 3"}.__getitem__)
-    return tmp_path
+    handler = signal.getsignal(signal.SIGTERM)
+    yield tmp_path
+    signal.signal(signal.SIGTERM, handler)
 
 
 @pytest.mark.slow
@@ -1011,6 +1014,7 @@ def test_a_driver_that_is_interrupted_says_so_and_counts_the_time(two_pages, mon
     clock = iter(range(1000, 2000, 7))
     monkeypatch.setattr(remake.time, "time", lambda: float(next(clock)))
     assert remake.main(["--only", "one.md"]) == 130
+    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler  # also in the background, where Ctrl-C is ignored
     spent = json.loads(remake.TIMES.read_text())["one/results/one.md"]["spent"]
     assert spent > 0 and "2 of 2 pages are stale" in remake.README.read_text()
     monkeypatch.undo()
