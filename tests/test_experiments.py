@@ -1014,7 +1014,7 @@ def test_a_driver_that_is_interrupted_says_so_and_counts_the_time(two_pages, mon
     clock = iter(range(1000, 2000, 7))
     monkeypatch.setattr(remake.time, "time", lambda: float(next(clock)))
     assert remake.main(["--only", "one.md"]) == 130
-    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler  # also in the background, where Ctrl-C is ignored
+    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler  # even where Ctrl-C is ignored
     spent = json.loads(remake.TIMES.read_text())["one/results/one.md"]["spent"]
     assert spent > 0 and "2 of 2 pages are stale" in remake.README.read_text()
     monkeypatch.undo()
