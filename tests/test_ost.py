@@ -594,6 +594,9 @@ def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is(
     none, hall, judged = level > 0, level.copy(), {"roofs": ROOFS._replace(drop_share=0.53), "largest": 400}
     hall[:50, :40] = 8
     np.testing.assert_array_equal(whole_of(hall, **judged).objects(none, level), hall > 0)
+    stairs = hall.copy()
+    stairs[50:57, 20] = np.arange(7, 0, -1)  # by which it is in one group with the ground
+    assert whole_of(stairs, **judged).objects(none, level)[hall > 0].all()
     assert not whole_of(hall / 2, **judged).objects(none, level).any()  # 4 m high
     assert not whole_of(hall, seen=column + row < 70, **judged).objects(none, level).any()  # a void beside most of it
     face = 8 - 2 * np.clip(np.maximum(row - 49, column - 39), 0, 4).astype(np.float32)

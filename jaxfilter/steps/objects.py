@@ -46,7 +46,7 @@ class Parts(NamedTuple):
     """Parts of a surface, and how far it falls at their borders.
 
     Attributes:
-        number: i32[rows, columns], the part that each cell is in, 0 for those in none that is large enough; last: of these.
+        number: i32[rows, columns], the part that each cell is in, 0 for those in none that is large enough; last: the largest.
         fall: f32[rows, columns], metres that the surface falls by at their borders, negative on faces, zero elsewhere.
         walls: bool[rows, columns], where it is seen to fall at once.
     """
