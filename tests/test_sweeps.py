@@ -11,9 +11,10 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
-from jaxfilter.core.compilation import on_same_device
+from jaxfilter.core.compilation import on_processor, on_same_device
 from jaxfilter.core.filter import ground_each
 from jaxfilter.core.points import canonical_points, plain_points
+from jaxfilter.engines.tin import ground as ground_tin
 from jaxfilter.engines.tin.ground import GroundTin
 from jaxfilter.sweeps.ranges import search_ranges
 
@@ -305,6 +306,24 @@ def test_threads_keep_the_device_of_their_caller():
         with jax.default_device(device):
             assert pool.submit(used, 0).result() is None, "threads do not inherit it"
             assert pool.submit(on_same_device(used), 0).result() == device
+
+
+def test_kernels_of_the_triangulation_run_on_the_processor_unless_a_device_was_chosen(hills, monkeypatch):
+    devices, tested = [], ground_tin.judge
+
+    def judge(*arrays, **named):
+        devices.append(jax.config.values["jax_default_device"])
+        return tested(*arrays, **named)
+
+    monkeypatch.setattr(ground_tin, "judge", judge)
+    plain = jf.PTD()(hills).ground
+    assert devices and set(devices) == {None}, "kept code is of use here"
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    devices.clear()
+    assert (jf.PTD()(hills).ground == plain).all() and {device.platform for device in devices} == {"cpu"}
+    chosen = jax.devices()[0]
+    with jax.default_device(chosen), on_processor():
+        assert jax.config.values["jax_default_device"] is chosen
 
 
 @pytest.mark.slow

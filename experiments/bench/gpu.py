@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=HERE / "results", help="folder for the results [%(default)s]")
     parser.add_argument("--size", type=float, default=1000.0, help="side of the simulated scene, m [%(default)s]")
-    parser.add_argument("--platforms", nargs=2, default=["cpu", "cuda"], help="names of JAX [%(default)s]")
+    parser.add_argument("--platforms", nargs=2, default=["cpu", "cuda,cpu"], help="names of JAX [%(default)s]")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(given)
     if options.child:
@@ -130,8 +130,8 @@ def report(rows: list[Row], device: str, points: int) -> str:
     return f"""# Methods on a GPU
 
 Every method with its defaults on a simulated cloud of {points:,} points at one per m2, on {device} and on the processor of the
-same machine ({cores()} cores). The first call compiles; warm is the median of three calls. Triangulations, the cloth of CSF and
-other compiled loops stay on the processor, and arrays travel to and from the device in every call.
+same machine ({cores()} cores). The first call compiles; warm is the median of three calls. Triangulations, the tests over their
+facets, the cloth of CSF and other compiled loops stay on the processor. Other arrays travel to and from the device in every call.
 
 {markdown(columns, single)}
 

@@ -54,6 +54,18 @@ def on_same_device(function: Callable[[T], R]) -> Callable[[T], R]:
     return call
 
 
+def on_processor() -> contextlib.AbstractContextManager[Any]:
+    """In this block JAX runs on the processor, unless the caller has chosen a default device: for kernels that do so little
+    with so many small arrays that the way to another device and back takes longer."""
+    chosen = jax.config.jax_default_device is not None  # type: ignore[attr-defined]
+    if chosen or jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # JAX was told to leave the processor alone
+        return contextlib.nullcontext()
+
+
 def in_turn(function: Callable[[T], R], jobs: Sequence[T], at_once: int) -> Iterator[tuple[T, R]]:
     """Jobs with what the function makes of them, in their order; so many are worked on at once, in threads, as they are read."""
     pool = ThreadPoolExecutor(at_once)

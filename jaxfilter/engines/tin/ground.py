@@ -17,6 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from ...core.compilation import on_processor
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
@@ -302,7 +303,8 @@ class GroundTin(GroundNodes):
         def images(xyz: np.ndarray, corners: np.ndarray) -> Any:
             return mirrored(xyz, corners, not mirror.nearest)
 
-        image = in_chunks(images, given, len(steep), _BATCH)
+        with on_processor():
+            image = in_chunks(images, given, len(steep), _BATCH)
         there = self.tin.walk(image, facet[steep])
         inside = there >= 0
         steep, image, there = steep[inside], image[inside], there[inside]
@@ -332,7 +334,8 @@ class GroundTin(GroundNodes):
             rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
             return judge(rule, *arrays[len(own) :], names=names)
 
-        found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
+        with on_processor():
+            found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
         return found
 
     def finish(self, nodes: np.ndarray | None = None) -> None:
