@@ -126,6 +126,25 @@ def test_water_of_tiles_is_that_of_the_whole(tmp_path) -> None:  # type: ignore[
     assert outlines["elevation"].tolist() == expected["elevation"].tolist()
 
 
+@pytest.mark.parametrize("more", [{}, {"max_gap": 3.0}])
+def test_water_has_its_level_where_the_ground_gives_no_height(tmp_path, more) -> None:  # type: ignore[no-untyped-def]
+    """A lake at the corner of the data, beyond the hull of the ground, and wider than ``max_gap``: in files as in memory."""
+    rng = np.random.default_rng(3)
+    xyz = np.column_stack([rng.random((20_000, 2)) * [160.0, 120.0], np.full(20_000, 50.0)])
+    wet = (xyz[:, 0] > 100) & (xyz[:, 1] < 60)
+    xyz[:, 2] += np.where(wet, -2, 0.02 * xyz[:, 0])
+    classes = np.where(wet, 9, 2).astype(np.uint8)
+    jf.write(tmp_path / "in.laz", jf.PointCloud.from_arrays(xyz + CORNER, classification=classes), None)
+    model = jf.dtm(jf.read(tmp_path / "in.laz", units="m"), **more)
+    how = {"interpolation": jf.Interpolation(**more), "reading": METRES}
+    jf.terrain_model(tmp_path / "in.laz", tmp_path / "model.tif", **how)
+    assert (model.values[-50:-5, -50:-5] == 48).all()
+    np.testing.assert_array_equal(jf.Raster.read(tmp_path / "model.tif").values, model.values)
+    area = shapely.box(*CORNER[:2] + [90, 10], *CORNER[:2] + [150, 40])
+    jf.terrain_model(tmp_path / "in.laz", tmp_path / "part.tif", **how | {"reading": jf.Reading(units="m", aoi=area)})
+    np.testing.assert_array_equal(jf.Raster.read(tmp_path / "part.tif").values, model.values[80:110, 90:150])
+
+
 def test_water_that_is_found_in_tiles_is_that_of_the_whole(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """By OST: labels, outlines and levels of a river that goes through four files."""
     layout = jf.scenes.SceneLayout(relief=4, landform=128, river=28, water_echoes=0.8, forest=0, settlement=0)

@@ -169,11 +169,14 @@ class RasterProduct(GroundNeeded):
                 values = stored[KEPT + layer.NAME]
                 if levels is not None and names and names[0] in stored:
                     known = {part: stored[name] for part, name in zip(anew, names, strict=True)}
-                    wide = RasterGrid(self.grid.cell, *ring)
+                    part, wide = (
+                        RasterGrid(self.grid.cell, *corner) for corner in ((left, bottom, columns, rows), ring)
+                    )
                     row, column = ring[1] + ring[3] - bottom - rows, left - ring[0]
                     made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
                     made = packed(made[row : row + rows, column : column + columns], layer.KIND, layer.NODATA)
-                    values = np.where(values == layer.NODATA, values, made)
+                    wanted = within(self.reader.reading.aoi, *np.meshgrid(*part.centres()))
+                    values = np.where(wanted, made, values)
                 yield self.grid.bottom + self.grid.rows - bottom - rows, left - self.grid.left, values
 
         return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
