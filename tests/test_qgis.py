@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import tomllib
+import types
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
@@ -110,6 +111,15 @@ def test_choices_are_those_of_the_library():
 )  # fmt: skip
 def test_parameters_make_the_words_of_a_command_line(name, values, line):
     assert algorithms.command_line(BY_NAME[name], values) == line
+
+
+def test_further_options_are_split_as_on_the_command_line_of_the_system(monkeypatch):
+    more = algorithms.Parameter("MORE", "words", "")
+    said = r'--aoi "C:\a b\new.gpkg" --log=C:\x.txt --units "m"'
+    monkeypatch.setattr(algorithms, "os", types.SimpleNamespace(name="nt"))
+    assert algorithms.words(more, said) == ["--aoi", r"C:\a b\new.gpkg", r"--log=C:\x.txt", "--units", "m"]
+    monkeypatch.setattr(algorithms, "os", types.SimpleNamespace(name="posix"))
+    assert algorithms.words(more, r"--aoi /a\ b.gpkg --log 'c # d'") == ["--aoi", "/a b.gpkg", "--log", "c # d"]
 
 
 def test_a_message_names_the_label_of_a_flag():
@@ -213,6 +223,10 @@ def test_the_command_is_found_by_its_setting_or_path_and_else_pip_is_named(tmp_p
             command.find(str(setting))
         assert str(setting) in str(error.value)
     monkeypatch.setenv("PATH", str(program.parent))
+    assert command.find() == str(program)
+    scripts = tmp_path / "user" / "Python313" / "Scripts"  # pip install --user on Windows
+    scripts.mkdir(parents=True)
+    program = program.rename(scripts / "jaxfilter")
     assert command.find() == str(program)
     with pytest.raises(command.CommandError, match="cannot be started"):
         command.run([str(tmp_path / "none")], Feedback())

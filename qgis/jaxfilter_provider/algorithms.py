@@ -138,11 +138,10 @@ ALGORITHMS = [
 def words(parameter: Parameter, value: Any) -> list[str]:
     """The words of a parameter; none for an empty value, and for the default of a flag or choice."""
     if parameter.kind == "words":
-        return shlex.split(value or "", posix=os.name != "nt")
+        return shlex.split((value or "").replace("\\", "\\" * (1 + (os.name == "nt"))))  # there \ parts folders
     if value is False or value in (None, "", []) or (value == parameter.default and parameter.words != "{}"):
         return []
-    values = value if isinstance(value, (list, tuple)) else [value]
-    values = [one for one in values if one != ""]  # '' of empty widgets
+    values = [one for one in (value if isinstance(value, (list, tuple)) else [value]) if one != ""]  # '' of widgets
     if parameter.kind == "list":
         values = [",".join(values)] * bool(values)
     return [word.replace("{}", str(one)) for one in values for word in parameter.words.split()]

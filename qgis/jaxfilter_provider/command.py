@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import queue
 import re
@@ -29,7 +30,8 @@ def find(setting: str = "") -> str:
     """The path of the command: that of the setting, which may also name the environment that holds it, or else of what PATH
     and the user's own scripts have. Raises CommandError."""
     place = os.path.expanduser(setting.strip())
-    roots = [place] if place else [*os.get_exec_path(), site.getuserbase()]
+    versions = glob.glob(os.path.join(glob.escape(site.getuserbase()), "Python3*"))  # each has Scripts on Windows
+    roots = [place] if place else [*os.get_exec_path(), site.getuserbase(), *sorted(versions, reverse=True)]
     folders = os.pathsep.join(os.path.join(root, part) for root in roots for part in ("", "bin", "Scripts"))
     found = (place and shutil.which(place)) or shutil.which(NAME, path=folders)
     if not found:
@@ -87,8 +89,7 @@ def _read(stream: IO[str], lines: queue.Queue[str | None]) -> None:
 
 def tell(text: str, feedback: Any) -> None:
     """Pass on a line of the command: progress, a warning, or what else it is."""
-    share = re.search(r": (\d+) %(?:,|$)", text)
-    if share:
+    if share := re.search(r": (\d+) %(?:,|$)", text):
         feedback.setProgress(float(share[1]))
         feedback.setProgressText(text)
     else:
