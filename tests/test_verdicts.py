@@ -17,6 +17,7 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
+from jaxfilter.files.vectors import write_features
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
 from jaxfilter.surveys.measures import Recipe, Sampler
 
@@ -163,6 +164,27 @@ def test_order_of_points_and_of_places_does_not_count(scene, wrong):
     made = jf.apply(labelled(xyz, wrong), places)
     other = jf.apply(labelled(xyz[order], wrong[order]), places.iloc[::-1])
     np.testing.assert_array_equal(made.ground[order], other.ground)
+
+
+def test_places_that_were_drawn_are_named_by_their_row():
+    places = table(house="object", hill="roof", river="road")
+    places.insert(0, "rank", [4, 7, None])
+    with pytest.warns(jf.JaxfilterWarning):
+        (one,), problems = read_verdicts(places, UTM, box(0, 0, WIDE, HIGH).bounds)
+    assert one.name == "place 4"
+    assert [text.split(":")[1].strip() for text in problems] == ["place 7", "the place in row 3"]
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".geojson"])
+def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwarn):
+    """GeoJSON cannot state such a CRS, and GDAL then takes coordinates for degrees."""
+    crs = pyproj.CRS("+proj=tmerc +lon_0=9 +x_0=500000 +datum=WGS84 +units=m")
+    places = geopandas.GeoDataFrame({"verdict": ["object"]}, geometry=[box(0, 0, 10, 10)], crs=crs)
+    write_features(tmp_path / f"list{suffix}", [places], "review")
+    (one,), problems = read_verdicts(tmp_path / f"list{suffix}", crs, box(0, 0, 100, 100).bounds)
+    assert not problems and one.shape.bounds == box(0, 0, 10, 10).bounds
+    said = [str(one.message) for one in recwarn if issubclass(one.category, jf.JaxfilterWarning)]
+    assert len(said) == (suffix == ".geojson") and all("GeoJSON cannot state the CRS unknown" in text for text in said)
 
 
 def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):

@@ -37,6 +37,8 @@ def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFra
         raise InputError(f"{path}: cannot be read as {what}: {error}") from error
     if not isinstance(table, geopandas.GeoDataFrame):
         raise InputError(f"{path}: holds no geometry: pass {what}, as a GeoPackage or GeoJSON")
+    if table.crs == "EPSG:4326" and max(map(abs, table.total_bounds)) > 360:  # GDAL's guess where GeoJSON states none
+        table = table.set_crs(None, allow_override=True)
     return table
 
 
@@ -60,6 +62,8 @@ def write_features(
 
 
 def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: str, first: bool) -> None:
+    import pyogrio
+
     kind = DRIVERS[target.suffix.lower()]
     options = {"layer": layer} if kind == "GPKG" else {}
     if first and table.crs is None:
@@ -69,5 +73,11 @@ def _append(table: geopandas.GeoDataFrame, target: Place, named: Path, layer: st
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
             table.to_file(named, driver=kind, engine="pyogrio", mode="w" if first else "a", **options)
+        lost = first and kind == "GeoJSON" and table.crs is not None and pyogrio.read_info(named)["crs"] == "EPSG:4326"
     except Exception as error:
         raise OutputError(f"{target}: cannot be written: {error}") from error
+    if lost:
+        warn(
+            f"{target}: GeoJSON cannot state the CRS {table.crs.name}, which has no code, so programs take its coordinates for "
+            "degrees: write a GeoPackage (.gpkg), or set the CRS of the layer where it is opened"
+        )

@@ -71,6 +71,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
     Raises: InputError if it cannot be read, or has no such column. Warns: if it is transformed, and of the others.
     """
     import geopandas
+    import pandas
 
     table: Any = places
     if isinstance(places, (str, os.PathLike)):
@@ -87,11 +88,15 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
         warn(f"{name}: transformed from {table.crs.name} to {crs.name}")
         table = table.to_crs(crs)
     verdicts, problems = [], []
-    numbers = table["rank"] if "rank" in table else np.arange(1, len(table) + 1)
+    rows = np.arange(1, len(table) + 1)
+    ranks = pandas.to_numeric(table["rank"], errors="coerce") if "rank" in table else rows
+    names = [
+        f"place {rank:.0f}" if np.isfinite(rank) else f"the place in row {row}"
+        for rank, row in zip(ranks, rows, strict=True)
+    ]
     every = table["verdict"].where(table["verdict"].notna(), "")
-    for number, said, shape in zip(numbers, every, table.geometry, strict=True):
+    for which, said, shape in zip(names, every, table.geometry, strict=True):
         word = str(said).strip().lower()
-        which = f"place {number}"
         if not word:
             continue
         if word not in WORDS:
