@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -89,6 +90,13 @@ def test_what_labels_and_model_say(folder, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.json"]
 
 
+def test_what_only_sounds_like_plants_is_not_vegetated(folder, tmp_path):
+    cover = ["street", "rock outcrop", "not vegetated", "Unvegetated", "non-vegetated", "trees", "Crops", "vegetated"]
+    points = checkpoints(tmp_path / "p.csv", np.zeros(8), cover)
+    said = jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", points)
+    assert (said["checkpoints"]["nva"]["points"], said["checkpoints"]["vva"]["points"]) == (5, 3)
+
+
 def test_points_that_do_not_count_and_too_few_are_named(folder, tmp_path):
     more = [f"{X - 10},{Y + 10},100", f"{X + 2},{Y + SIDE - 2},100", f"{X + 20},{Y + 20},"]
     points = checkpoints(tmp_path / "p.csv", np.full(25, 0.1), more=more)
@@ -111,6 +119,17 @@ def test_another_vertical_datum_is_refused(folder, tmp_path, datum, good):
     if not good:
         assert "NAVD88 height" in done.output and "the model is in DHHN92 height" in done.output
         assert not (tmp_path / "a.html").exists()
+
+
+def test_a_datum_may_be_named_without_the_word_height(folder, tmp_path):
+    model = dataclasses.replace(jf.Raster.read(folder / "model.tif"), crs=pyproj.CRS("EPSG:25832+6360"))
+    points = checkpoints(tmp_path / "p.csv", np.zeros(30), datum="NAVD88")
+    said = jf.accuracy_statement(folder / "points.laz", model, tmp_path / "a.html", points)
+    assert said["checkpoints"]["nva"]["points"] == 30
+    with pytest.raises(jf.InputError, match="vertical datum NAVD, and the model is in NAVD88 height"):
+        jf.accuracy_statement(
+            folder / "points.laz", model, tmp_path / "b.html", checkpoints(points, [0.0], datum="NAVD")
+        )
 
 
 def test_a_file_without_heights_is_refused(folder, tmp_path):

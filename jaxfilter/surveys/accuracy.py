@@ -38,7 +38,9 @@ EDITIONS = {
 """What figures are made by."""
 _LEAST = {"2014": 20, "2023": 30}
 _COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum", "vertical_crs")
-_PLANTS = ("veg", "forest", "tree", "wood", "brush", "shrub", "crop", "weed", "tall", "vva")
+_PLANTS = ("veg", "forest", "(?<!s)tree", "wood", "brush", "shrub", "(?<!out)crop", "weed", "tall", "vva")
+_BARE = "non|not veg|unveg"
+"""Parts of the names of land covers that are vegetated, if none of these is in them: a street and an outcrop are not."""
 _FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
@@ -155,7 +157,7 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
         notes.append(f"{path.name}: has no column {name}: all check points count as not vegetated")
     covers = rows[name].fillna("not stated")[used]
     named = covers.str.contains("|".join(_PLANTS), case=False)
-    plants = (named & ~covers.str.contains("non", case=False)).to_numpy(bool)
+    plants = (named & ~covers.str.contains(_BARE, case=False)).to_numpy(bool)
     for edition, least in _LEAST.items():
         if (count := int((~plants).sum())) < least:
             notes.append(f"{count} check points for NVA: the {edition} edition asks for {least} at least")
@@ -200,7 +202,7 @@ def _same_datum(path: Path, rows: Any, model: Raster, collection: Collection, no
             notes.append(
                 f"the model states no vertical datum: that of the check points, {text}, is taken to be the same"
             )
-        elif (datum := _named(text)) != known:
+        elif (datum := _named(text)) != known and not known.casefold().startswith(f"{text.casefold()} height"):
             raise InputError(
                 f"{path}: check points are in the vertical datum {datum}, and the model is in {known}: transform them first, "
                 "such as with cs2cs of PROJ"
