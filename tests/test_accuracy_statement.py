@@ -6,10 +6,12 @@ import dataclasses
 import json
 import math
 
+import geopandas
 import laspy
 import numpy as np
 import pyproj
 import pytest
+import shapely
 from click.testing import CliRunner
 
 import jaxfilter as jf
@@ -88,6 +90,35 @@ def test_what_labels_and_model_say(folder, tmp_path):
     assert labels["ground"] == 4500 and labels["ground_per_m2"] == pytest.approx(4500 / (SIDE**2 - 25))
     assert labels["named_places"] == 0 and said["made"]["jaxfilter"] == jf.__version__
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.json"]
+
+
+def test_points_beside_the_model_do_not_count(folder, tmp_path):
+    whole = jf.Raster.read(folder / "model.tif")
+    part = jf.Raster(whole.values[20:, 10:40], (1.0, 0.0, X + 10, 0.0, -1.0, Y + 30), HEIGHTS)
+    said = jf.accuracy_statement(folder / "points.laz", part, tmp_path / "a.html")
+    las = laspy.read(folder / "points.laz")
+    inside = (las.x >= X + 10) & (las.x < X + 40) & (las.y < Y + 30)
+    ground = inside & (np.asarray(las.classification) == 2)
+    assert said["labels"]["ground"] == pytest.approx(ground.sum(), abs=2)  # on the edges
+    assert said["labels"]["ground_per_m2"] == pytest.approx(ground.sum() / 900, rel=0.01)
+    assert said["labels"]["expected_wrong_per_km2"] == pytest.approx((inside & ~ground).sum() * 0.25 / 900e-6, rel=0.01)
+    assert said["notes"] == ["the model covers a part of the files: points and places in its bounds count"]
+
+
+def test_verdicts_are_those_on_these_files(folder, tmp_path):
+    for name in ("a.laz", "b.laz"):
+        (tmp_path / name).write_bytes((folder / "points.laz").read_bytes())
+    place = geopandas.GeoDataFrame({"verdict": ["bridge"]}, geometry=[shapely.box(X, Y, X + 9, Y + 9)], crs=HEIGHTS)
+    jf.apply_survey(place, tmp_path / "a.laz")
+
+    def verdicts(name):
+        page, again = tmp_path / "s.html", jf.RunOptions(overwrite=True)
+        said = jf.accuracy_statement(tmp_path / name, folder / "model.tif", page, run=again)
+        return said["made"]["verdicts"]
+
+    assert verdicts("a.laz") == {"bridge": 1} and verdicts("b.laz") == {}
+    (tmp_path / "a.laz").write_bytes((folder / "points.laz").read_bytes())  # labelled anew
+    assert verdicts("a.laz") == {}
 
 
 def test_what_only_sounds_like_plants_is_not_vegetated(folder, tmp_path):

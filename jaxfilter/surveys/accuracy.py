@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+import os
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -18,7 +20,7 @@ from ..core.errors import InputError, OutputError, ParameterError
 from ..core.markup import table
 from ..core.reading import Reading
 from ..core.version import __version__
-from ..files.disk import new_file
+from ..files.disk import Bounds, Seal, new_file
 from ..files.header import FLOAT32, FLOAT64
 from ..files.reading import open_las
 from ..files.records import read_records
@@ -26,6 +28,7 @@ from ..terrain.raster import Raster
 from .collection import Collection
 from .collection import open as open_collection
 from .options import RunOptions
+from .survey import check_in_place
 from .targets import REPORT
 from .verdicts import LOG, reviewed
 
@@ -91,13 +94,20 @@ def accuracy_statement(
         if target.exists() and not run.overwrite:
             raise OutputError(f"{target} exists: name another file, or pass overwrite=True")
     raster = model if isinstance(model, Raster) else Raster.read(model)
+    check_in_place(reading)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     notes: list[str] = []
     points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
+    inner = _covered(raster, collection)
+    if inner is not None:
+        import shapely
+
+        notes.append("the model covers a part of the files: points and places in its bounds count")
+        reading = dataclasses.replace(reading, aoi=shapely.box(*inner))
     report = reviewed(collection, page, None, ground, reading, run)
     cells, square = int(np.isfinite(raster.values).sum()), (raster.cell * collection.metre) ** 2
     km2 = cells * square / 1e6
-    doubt = _doubt(collection)
+    doubt = _doubt(collection, inner)
     if doubt is None:
         notes.append(
             "the files hold no doubt, so wrong points are not estimated: jaxfilter ground --extra doubt writes it"
@@ -230,8 +240,17 @@ def _named(text: str) -> str:
     return _vertical(crs) or text
 
 
-def _doubt(collection: Collection) -> float | None:
-    """The sum of the extra dimension doubt of all points; None if a file has none. Raises: InputError."""
+def _covered(model: Raster, collection: Collection) -> Bounds | None:
+    """The bounds of a model that covers a part of the files only; None if it covers all, but for less than a cell, or if there is
+    text, which no area cuts."""
+    if any(source.format == "text" for source in collection):
+        return None
+    (x0, y0, x1, y1), (a0, b0, a1, b1) = model.bounds, collection.bounds
+    return None if max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) < model.cell else model.bounds
+
+
+def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
+    """The sum of the extra dimension doubt of all points, or of those in bounds; None if a file has none. Raises: InputError."""
     total = 0.0
     for source in collection:
         if source.format == "text":
@@ -240,21 +259,23 @@ def _doubt(collection: Collection) -> float | None:
         doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
         if doubt is None or doubt.data_type not in _FLOATS:
             return None
-        for chunk, _ in read_records(header):
+        for chunk, _ in read_records(header, inner):
             column = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size])
             total += float(np.nansum(column.view(_FLOATS[doubt.data_type]), dtype=np.float64))
     return total
 
 
 def _made(collection: Collection) -> dict[str, Any]:
-    """How the files were made, as far as the reports beside them say."""
+    """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them."""
     found: dict[str, Any] = {"jaxfilter": __version__}
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
         if (place := folder / REPORT).is_file():
             facts = json.loads(place.read_text())
             found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
         if (place := folder / LOG).is_file():
-            said = Counter(one["verdict"] for one in json.loads(place.read_text())["verdicts"])
+            log, own = json.loads(place.read_text()), {os.path.relpath(uri, folder) for uri in collection.uris}
+            own = {name for name in own & set(log["files"]) if Seal(**log["files"][name]).broken(folder / name) is None}
+            said = Counter(one["verdict"] for one in log["verdicts"] if own & set(one["files"]))
             found["verdicts"] = dict(sorted(said.items()))
     return found
 

@@ -365,6 +365,7 @@ def review_survey(
     (True, True)
     """
     check_suffix(target := Path(path))
+    check_in_place(reading)
     return reviewed(what, target, target, ground, reading, run)
 
 
@@ -373,7 +374,6 @@ def reviewed(
 ) -> RunReport:
     """:func:`review_survey`, with a list that is written only if it has a ``path``; ``out``: what the run is for."""
     classes = class_numbers(ground)
-    check_in_place(reading)
     collection, reading = open_files(what, reading)
     targets = beside([out], run, len(collection) == 1)
     return Survey(collection, targets, None, reading, run).run(ReviewProduct, ground=classes, path=path)
