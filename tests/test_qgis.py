@@ -3,6 +3,7 @@
 import ast
 import configparser
 import contextlib
+import importlib
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import types
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
+from unittest import mock
 
 import click
 import laspy
@@ -120,6 +122,30 @@ def test_further_options_are_split_as_on_the_command_line_of_the_system(monkeypa
     assert algorithms.words(more, said) == ["--aoi", r"C:\a b\new.gpkg", r"--log=C:\x.txt", "--units", "m"]
     monkeypatch.setattr(algorithms, "os", types.SimpleNamespace(name="posix"))
     assert algorithms.words(more, r"--aoi /a\ b.gpkg --log 'c # d'") == ["--aoi", "/a b.gpkg", "--log", "c # d"]
+
+
+def test_a_crs_of_the_user_has_no_code_that_others_know(monkeypatch):
+    """Of QGIS there is only what the module needs to be loaded."""
+    core = mock.MagicMock(QgsProcessingProvider=object, QgsProcessingAlgorithm=object)
+    core.QgsProcessingLayerPostProcessorInterface = object
+    parts = (
+        "processing",
+        "processing.core",
+        "processing.core.ProcessingConfig",
+        "qgis",
+        "qgis.PyQt",
+        "qgis.PyQt.QtGui",
+    )
+    for part in parts:
+        monkeypatch.setitem(sys.modules, part, mock.MagicMock(core=core))
+    monkeypatch.delitem(sys.modules, "jaxfilter_provider.provider", raising=False)
+    provider = importlib.import_module("jaxfilter_provider.provider")
+    monkeypatch.delitem(sys.modules, "jaxfilter_provider.provider")
+    stated = next(one for one in BY_NAME["ground"].parameters if one.kind == "crs")
+    for code, word in (("EPSG:25832", "EPSG:25832"), ("USER:100001", "PROJCS[...]"), ("", "PROJCS[...]")):
+        crs = mock.Mock(**{"authid.return_value": code, "toWkt.return_value": "PROJCS[...]"})
+        self = mock.Mock(**{"parameterAsCrs.return_value": crs})
+        assert provider.Command._value(self, stated, {"CRS": code}, None) == word
 
 
 def test_a_message_names_the_label_of_a_flag():

@@ -173,7 +173,7 @@ class Command(core.QgsProcessingAlgorithm):
         if parameters.get(one.name) is None and (one.default is None or one.kind.startswith("new ")):
             return None
         value = getattr(self, f"parameterAs{read}")(parameters, one.name, context)
-        value = value.authid() or value.toWkt() if one.kind == "crs" else value
+        value = value.authid().partition("USER:")[0] or value.toWkt() if one.kind == "crs" else value
         return os.path.join(value, "") if one.kind == "new folder" else value
 
     def processAlgorithm(self, parameters: dict[str, Any], context: Any, feedback: Any) -> dict[str, Any]:
