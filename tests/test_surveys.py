@@ -113,7 +113,7 @@ def facts_of(out):
 
 def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeypatch):
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
-    monkeypatch.setattr("jaxfilter.surveys.survey.WHOLE", 4000)
+    monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
     ways = {
         "one": {"workers": 1},

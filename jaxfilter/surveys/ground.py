@@ -27,7 +27,7 @@ from .measures import Recipe, recipe_of
 from .options import RunOptions
 from .product import Cut, FileTask, Product, packed
 from .report import RunReport, Summary
-from .survey import survey_of_points
+from .run import survey_of_points
 from .targets import Targets
 from .tiles import Around, Tile, part_of
 

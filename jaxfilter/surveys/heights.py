@@ -23,8 +23,8 @@ from .kept import list_places, suspects_in
 from .options import RunOptions
 from .product import FileTask, packed
 from .report import RunReport, Summary
+from .run import FIND_GROUND, survey_of_points
 from .surroundings import HALOS, GroundNeeded, GroundSource, source_of_ground
-from .survey import FIND_GROUND, survey_of_points
 from .targets import Targets
 from .tiles import Tile
 

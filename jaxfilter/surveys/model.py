@@ -30,9 +30,9 @@ from .executors import LOCAL
 from .kept import WaterWanted, kept_water, list_water
 from .options import RunOptions
 from .report import RunReport, Summary
+from .run import FIND_GROUND, Survey, open_files
 from .store import KEPT
 from .surroundings import GroundNeeded, GroundSource, source_of_ground
-from .survey import FIND_GROUND, Survey, open_files
 from .targets import Targets, beside
 from .tiles import Tile
 

@@ -20,7 +20,7 @@ from .measures import Recipe, recipe_of
 from .plan import window_around
 from .product import Cut, Product
 from .report import Summary
-from .survey import FIND_GROUND
+from .run import FIND_GROUND
 from .tiles import Around, Tile, inside
 
 HALOS = (40.0, 80.0, 160.0, 320.0)

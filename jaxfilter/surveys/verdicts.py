@@ -36,9 +36,9 @@ from .measures import Recipe
 from .options import RunOptions
 from .product import CANDIDATE, Cut, FileTask, Product, found_in, gathered, packed
 from .report import RunReport, Summary
+from .run import Survey, check_in_place, open_files
 from .store import KEPT
 from .surroundings import ground_by_class
-from .survey import Survey, check_in_place, open_files
 from .targets import REPORT, Targets, beside
 from .tiles import Tile, inside, part_of
 
