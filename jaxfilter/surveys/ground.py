@@ -61,15 +61,13 @@ class GroundProduct(Product):
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Label the points of a tile. Raises: InputError, ParameterError."""
         assert self.filter is not None
-        summary, start, local = Summary(), time.perf_counter(), LOCAL.get()
-        around = self.reader.read(tile)
-        summary.seconds["read"] = (read := time.perf_counter()) - start
+        summary, local = Summary(), LOCAL.get()
+        around = self.read(tile, summary)
         if self.reader.reading.aoi is not None and not around.core.any():
-            summary.read, summary.unread = len(around.cloud), around.left_out
             return {}, summary
-        cloud = around.cloud
+        cloud, start = around.cloud, time.perf_counter()
         result = self.filter(self._wider(tile, cloud), workers=local.threads, progress=local.progress)
-        summary.seconds["filter"] = (done := time.perf_counter()) - read
+        summary.seconds["filter"] = (done := time.perf_counter()) - start
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
         found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
         told = time.perf_counter()
@@ -119,7 +117,6 @@ def summarise(summary: Summary, around: Around, result: FilterResult, found: Fou
     """What is said of the labels of a tile; ``classes``: that are written, None = the output has none."""
     own = around.own
     cloud, ground, barred = part_of(around.cloud, own), result.ground[own], result.barred[own]
-    summary.points, summary.read, summary.unread = len(own), len(around.cloud), around.left_out
     summary.candidates, summary.ground = int(cloud.candidate.sum()), int(ground.sum())
     summary.barred, summary.barred_ground = int(barred.sum()), int((barred & ground).sum())
     summary.low_noise = int(result.low_noise[own].sum())

@@ -62,7 +62,6 @@ class HeightProduct(GroundNeeded):
             summarise(summary, around, result, classed, Classes())
             kept = suspects_in(around, result, found.tile, self.reader.reading)
         else:
-            summary.points, summary.read, summary.unread = len(own), len(cloud), around.left_out
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
             summary.statuses[Status.CONVERGED.name] = 1
         summary.heights = (float(heights.min()), float(heights.max())) if len(heights) else None

@@ -53,8 +53,7 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
     from ..reports.places import Suspects, places_of
 
     names = [f"{KEPT}{field.name}" for field in dataclasses.fields(Suspects)]
-    stored = (product.store.arrays(number, names) for number in np.flatnonzero(report.state != -1).tolist())
-    parts = [Suspects(*(arrays[name] for name in names)) for arrays in stored if arrays]
+    parts = [Suspects(*(arrays[name] for name in names)) for arrays in product.kept(report, names)]
     places = places_of(Suspects.together(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
@@ -96,8 +95,7 @@ def list_water(product: Product, report: RunReport, collection: Collection, want
     """Put the water of a run into its report, and into a file. Raises: InputError, OutputError."""
     report.water = wanted.levels
     if wanted.seeks:
-        stored = (product.store.arrays(number, _NAMES) for number in np.flatnonzero(report.state != -1).tolist())
-        parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in stored if arrays]
+        parts = [WaterRuns(*(arrays[name] for name in _NAMES)) for arrays in product.kept(report, _NAMES)]
         report.water = WaterRuns.joined(parts) or report.water
     if wanted.path is not None:
         write_features(wanted.path, [outlines(report.water, collection.crs)], "breaklines", overwrite=replace)

@@ -117,7 +117,6 @@ class RasterProduct(GroundNeeded):
             doubtful = grid.rows * grid.columns if unknown else doubt.count
             if not doubtful:
                 break
-        summary.points, summary.read, summary.unread = len(own), len(around.cloud), around.left_out
         summary.ground, summary.uncertain = int(found.ground[own].sum()), doubtful if len(own) else 0
         summary.halos[found.halo] = 1
         return arrays, summary
@@ -160,9 +159,8 @@ class RasterProduct(GroundNeeded):
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
         def parts() -> Iterator[tuple[int, int, np.ndarray]]:
-            for number in np.flatnonzero(report.state != -1).tolist():
-                names = [_WIDE + part.NAME for part in anew]
-                stored = self.store.arrays(number, (_CORNER, KEPT + layer.NAME, *names))
+            names = [_WIDE + part.NAME for part in anew]
+            for stored in self.kept(report, (_CORNER, KEPT + layer.NAME, *names)):
                 if KEPT + layer.NAME not in stored:
                     continue
                 (left, bottom, columns, rows), ring = stored[_CORNER].tolist()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -83,6 +83,19 @@ class Product:
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Make the one output of all tiles, and complete the report of the run. Raises: InputError, OutputError."""
+
+    def read(self, tile: Tile, summary: Summary) -> Around:
+        """The points of a tile and its halo; how many they are, and the time, goes into the summary. Raises: InputError."""
+        start = time.perf_counter()
+        around = self.reader.read(tile)
+        summary.seconds["read"] += time.perf_counter() - start
+        summary.points, summary.read, summary.unread = len(around.own), len(around.cloud), around.left_out
+        return around
+
+    def kept(self, report: RunReport, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """Arrays of such names, of each tile that has kept some of them for the end of the run."""
+        done = np.flatnonzero(report.state != -1).tolist()
+        return filter(None, (self.store.arrays(number, names) for number in done))
 
     def collected(self, task: FileTask, kinds: Mapping[str, type]) -> tuple[PointCloud, Found, dict[str, np.ndarray]]:
         """What stands for the points of a file, what tiles have found of them, and f[n]: quantities of such ``kinds``.

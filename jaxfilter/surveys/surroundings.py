@@ -88,17 +88,15 @@ class GroundNeeded(Product):
         metre, local = tile.sources[0].metre, LOCAL.get()
         beyond, lattice = self._seen()
         for halo in HALOS:
-            start, near, wide = time.perf_counter(), None, tile
+            near, wide = None, tile
             if tile.core is not None:
                 near = window_around(tile.core, (halo + self.reach) / metre, self.grain / metre)
                 wide = dataclasses.replace(tile, window=window_around(near, beyond / metre, lattice / metre))
-            around = self.reader.read(wide)
-            summary.seconds["read"] += (read := time.perf_counter()) - start
-            result = None
+            around, result, start = self.read(wide, summary), None, time.perf_counter()
             if self.filter is not None:
                 cloud = dataclasses.replace(around.cloud, core=near)
                 result = self.filter(cloud, workers=local.threads, progress=local.progress)
-                summary.seconds["filter"] += time.perf_counter() - read
+                summary.seconds["filter"] += time.perf_counter() - start
             ground = ground_by_class(around.cloud, self.classes_of_ground, tile) if result is None else result.ground
             doubt = DoubtfulTriangles(around.cloud, self.data, near)
             yield Surroundings(around, wide, halo, ground, near, result, doubt)

@@ -142,18 +142,16 @@ class VerdictProduct(Product):
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """The points of a site that change. Raises: InputError."""
-        summary, start = Summary(), time.perf_counter()
-        around = self.reader.read(tile)
+        summary = Summary()
+        around = self.read(tile, summary)
         cloud, (filter_, site) = around.cloud, (self.filter, self.sites[tile.number])
         assert isinstance(filter_, OST)
-        summary.seconds["read"] = (read := time.perf_counter()) - start
         if cloud.classification is None:
             return {}, summary
-        ground = cloud.classification == self.classes.ground_class
+        ground, start = cloud.classification == self.classes.ground_class, time.perf_counter()
         cloud = dataclasses.replace(cloud, candidate=cloud.candidate | ground, core=None)  # whatever echoes were judged
         found = repaired(cloud, ground, site, filter_)
-        summary.seconds["filter"] = time.perf_counter() - read
-        summary.points, summary.read, summary.unread = int(around.core.sum()), len(cloud), around.left_out
+        summary.seconds["filter"] = time.perf_counter() - start
         summary.ground = int(found.ground[around.core].sum())
         touched = found.changed if self.classes.water is None else found.changed | found.water
         some = dataclasses.replace(around, cloud=cloud, core=touched)
@@ -173,10 +171,8 @@ class VerdictProduct(Product):
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed."""
         assert isinstance(report, VerdictReport)
-        stored = (self.store.arrays(number, (_CHANGED,)) for number in np.flatnonzero(report.state != -1).tolist())
-        files, counts = np.concatenate(
-            [np.zeros((2, 0), int), *(arrays[_CHANGED] for arrays in stored if arrays)], axis=1
-        )
+        changed = [arrays[_CHANGED] for arrays in self.kept(report, (_CHANGED,))]
+        files, counts = np.concatenate([np.zeros((2, 0), int), *changed], axis=1)
         written = {str(targets.places[number]) for number in files}
         report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
 
@@ -327,9 +323,9 @@ class ReviewProduct(Product):
 
     def tile(self, tile: Tile) -> tuple[dict[str, np.ndarray], Summary]:
         """Cells of a tile whose terrain may be wrong. Raises: InputError if points have no classes."""
-        summary, around = Summary(), self.reader.read(tile)
+        summary = Summary()
+        around = self.read(tile, summary)
         ground = ground_by_class(around.cloud, self.ground, tile)
-        summary.points, summary.read, summary.unread = int(around.core.sum()), len(around.cloud), around.left_out
         summary.ground = int(ground[around.core].sum())
         return suspects_in(around, ground, tile, self.reader.reading), summary
 
