@@ -30,7 +30,7 @@ from experiments.report import Column, Row, markdown, read_csv, save_png, write_
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.reports.places import OFF, SIDE, places_of, suspects
 from jaxfilter.reports.verdicts import RIM
-from jaxfilter.terrain.layer import extent_of
+from jaxfilter.terrain import layer
 from jaxfilter.terrain.models import interpolated
 from jaxfilter.terrain.raster import RasterGrid
 
@@ -60,13 +60,14 @@ class Site:
     @classmethod
     def of(cls, known: Known) -> Site:
         cloud = known.cloud
-        grid = RasterGrid.over(extent_of(cloud), 1.0 / cloud.units.xy, cloud.units.xy)
+        grid = RasterGrid.over(layer.extent_of(cloud), 1.0 / cloud.units.xy, cloud.units.xy)
         near = dataclasses.replace(FILLED, max_gap=NEAR / cloud.units.xy)
-        return cls(known, jf.default_filter(cloud)(cloud), grid, interpolated(cloud, known.ground, grid, near))
+        truth = interpolated(layer.Site(cloud, known.ground, grid, interpolation=near))
+        return cls(known, jf.default_filter(cloud)(cloud), grid, truth)
 
     def off(self, ground: np.ndarray) -> np.ndarray:
         """bool[rows, columns]: cells whose terrain is off by these labels, bool[n]."""
-        model = interpolated(self.known.cloud, ground, self.grid, FILLED)
+        model = interpolated(layer.Site(self.known.cloud, ground, self.grid, interpolation=FILLED))
         return np.abs(model.astype(float) - self.truth) * self.known.cloud.units.z > OFF
 
     def errors(self, ground: np.ndarray) -> Row:

@@ -12,7 +12,7 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import ParameterError
 from ..core.result import FilterResult
 from .interpolation import Interpolation
-from .layer import grid_of, ground_of
+from .layer import Site, grid_of, ground_of
 from .models import interpolated
 from .outline import inward, occupied
 from .raster import RasterGrid
@@ -172,8 +172,8 @@ def differences(
     grid = grid_of(cloud, cell, None)
     gaps = (interpolation.max_gap, near and near / cloud.units.xy)
     known = dataclasses.replace(interpolation, max_gap=min((gap for gap in gaps if gap is not None), default=None))
-    truth = interpolated(cloud, ground_of(cloud, reference), grid, known)
-    model = interpolated(cloud, ground_of(cloud, result), grid, interpolation)
+    truth = interpolated(Site(cloud, ground_of(cloud, reference), grid, interpolation=known))
+    model = interpolated(Site(cloud, ground_of(cloud, result), grid, interpolation=interpolation))
     metres = (model.astype(np.float64) - truth) * cloud.units.z
     border = inward(occupied(cloud, grid), cell * cloud.units.xy) <= rim
     return Differences(metres, np.isfinite(truth) & ~np.isfinite(model), border, grid)

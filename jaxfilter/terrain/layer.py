@@ -11,7 +11,7 @@ import numpy as np
 from ..core.cloud import PointCloud, as_cloud
 from ..core.errors import InputError
 from ..core.points import check_extent
-from ..core.result import FilterResult
+from ..core.result import FilterResult, Progress, silent
 from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
 from .interpolation import Heights, Interpolation
@@ -86,9 +86,10 @@ class Site:
         grid: the cells. Hillshade looks one cell further, and has other values along the edge of the grid.
         interpolation: how heights between ground points are found.
         workers: threads; by default one per core.
-        look: as of :func:`jaxfilter.terrain.models.interpolated`.
+        look: called with the centres of cells, f64[q, 2], local metres, and the surface that gives their heights.
         strict: too few ground points for a surface are an error; else there are no heights.
         levels: of water, which the terrain model has.
+        progress: of the interpolation.
     """
 
     cloud: PointCloud
@@ -100,6 +101,7 @@ class Site:
     look: Callable[[np.ndarray, Heights], None] | None = None
     strict: bool = True
     levels: WaterRuns | None = None
+    progress: Progress = silent
     _known: dict[Layer, np.ndarray] = dataclasses.field(default_factory=dict, init=False)
 
     def of(self, layer: Layer) -> np.ndarray:

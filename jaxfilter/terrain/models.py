@@ -69,11 +69,10 @@ def dtm(
     """
     interpolation = Interpolation(method, max_gap, fill, neighbours, power, level_water)
     cloud = as_cloud(cloud)
-    ground = ground_of(cloud, result)
-    grid = grid_of(cloud, cell, bounds)
-    values = interpolated(cloud, ground, grid, interpolation, progress=progress, workers=workers)
-    if level_water and (levels := levels_in(cloud, result, ground)) is not None:
-        values = levels.put(values, grid)
+    ground, grid = ground_of(cloud, result), grid_of(cloud, cell, bounds)
+    levels = levels_in(cloud, result, ground) if level_water else None
+    site = Site(cloud, ground, grid, None, interpolation, workers, levels=levels, progress=progress or silent)
+    values = site.of(Dtm())
     if bounds is not None and len(cloud) and np.isnan(values).all():
         ends = np.stack([cloud.xyz[ground].min(axis=0), cloud.xyz[ground].max(axis=0)])
         low, high = dataclasses.replace(cloud, xyz=ends).coordinates()
@@ -101,32 +100,15 @@ class Dtm(Layer):
 
     def values(self, site: Site) -> np.ndarray:
         """Heights. Raises: InputError for too few ground points."""
-        values = interpolated(
-            site.cloud, site.ground, site.grid, site.interpolation,
-            workers=site.workers, look=site.look, strict=site.strict,
-        )  # fmt: skip
+        values = interpolated(site)
         return values if site.levels is None else site.levels.put(values, site.grid)
 
 
-def interpolated(
-    cloud: PointCloud,
-    ground: np.ndarray,
-    grid: RasterGrid,
-    interpolation: Interpolation,
-    *,
-    workers: int | None = None,
-    progress: Progress | None = None,
-    look: Callable[[np.ndarray, Heights], None] | None = None,
-    strict: bool = True,
-) -> np.ndarray:
-    """f32[rows, columns]: the heights of :func:`dtm` in the cells of a grid; ``ground``: bool[n].
-
-    ``look`` is called with the centres f64[q, 2], local metres, of the cells of some rows, and the surface that gives their
-    heights. Unless ``strict``, too few ground points are no error: there are no heights. Raises: as :func:`dtm`.
-    """
-    report = progress or silent
-    report(0.0, "interpolator")
-    points = canonical_points(dataclasses.replace(cloud, candidate=ground))
+def interpolated(site: Site) -> np.ndarray:
+    """f32[rows, columns]: the heights of :func:`dtm`, but for the level of water. Raises: as :func:`dtm`."""
+    cloud, grid, strict, interpolation = site.cloud, site.grid, site.strict, site.interpolation
+    site.progress(0.0, "interpolator")
+    points = canonical_points(dataclasses.replace(cloud, candidate=site.ground))
     values = np.full(grid.shape, np.nan, np.float32)
     if not len(cloud) and strict:
         warn("dtm: the cloud has no points, so no cell has a height")
@@ -137,15 +119,15 @@ def interpolated(
         raise InputError(f"dtm: the cloud has {count}; three that do not lie on one line are needed")
     fill, max_gap = interpolation.fill, interpolation.max_gap
     xyz = _lowest(points.xyz)
-    surface = surface_through(xyz, interpolation, workers)
+    surface = surface_through(xyz, interpolation, site.workers)
     inside = inside_hull(xyz) if interpolation.method in ("idw", "kriging") and not fill else None
-    nearest = nearest_point(xyz, workers) if fill or max_gap is not None else None
+    nearest = nearest_point(xyz, site.workers) if fill or max_gap is not None else None
 
     for rows, at in blocks_of(cloud, grid):
-        report(rows.start / grid.rows, "heights")
+        site.progress(rows.start / grid.rows, "heights")
         z = surface(at)
-        if look is not None:
-            look(at, surface)
+        if site.look is not None:
+            site.look(at, surface)
         if inside is not None:
             z[~inside(at)] = np.nan
         if nearest is not None:
