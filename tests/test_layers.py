@@ -339,7 +339,7 @@ def test_all_files_are_cloud_optimized_and_the_page_shows_them(done):
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_path, name):
-    target = tmp_path / f"x{LAYERS[name].SUFFIX}"
+    target = tmp_path / f"x{LAYERS[name].SUFFIXES[0]}"
     words = [name, survey / "in", target, "--tile", 80, "--wide-halos", "--workers", 1, "--json", "--quiet"]
     run = CliRunner().invoke(main, [str(word) for word in words])
     assert run.exit_code == 0, run.output

@@ -213,11 +213,11 @@ def check_target(target: Place, overwrite: bool, suffixes: Sequence[str] = (), m
 
 def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "") -> None:
     """As :func:`check_target`, for files of shapes of a run that may go on."""
-    from ..files.vectors import DRIVERS
+    from ..files.vectors import SUFFIXES
 
     for target in targets:
         if target is not None:
-            check_target(target, options["overwrite"] or options["resume"], tuple(DRIVERS), made)
+            check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -94,16 +94,14 @@ def _layer_command(name: str, what: str, own: list[click.Option]) -> None:
     @command(NAMES, *CELL, *own, *shared, name=name, help=help)
     def run(session: Session, names: tuple[str, ...], **options: Any) -> Answer:
         from ..files.storage import place_of
-        from ..files.vectors import DRIVERS
         from ..surveys.model import make_rasters
         from ..terrain.interpolation import Interpolation
         from ..terrain.layers import LAYERS
-        from ..terrain.raster import SUFFIXES
 
         layer = take(type(LAYERS[name]), options)
         how = take(Interpolation, options)
         ground = _ground(options)
-        files = open_files(session, names, options, SUFFIXES if layer.SUFFIX in SUFFIXES else tuple(DRIVERS))
+        files = open_files(session, names, options, layer.SUFFIXES)
         assert files.out is not None
         outputs, (cell, side) = {layer: place_of(files.out)}, _side(files, options)
         report = files.do(make_rasters, outputs, ground, cell=cell, interpolation=how)

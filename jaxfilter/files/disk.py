@@ -142,6 +142,13 @@ class Tally:
             raise InputError(f"{self.path}: {CHANGED_SINCE}")
 
 
+def check_suffix(place: Place, suffixes: Sequence[str]) -> Place:
+    """The place. Raises: OutputError if its name is that of another kind of file."""
+    if place.suffix.lower() not in suffixes:
+        raise OutputError(f"{place}: the suffix must be one of {', '.join(suffixes)}")
+    return place
+
+
 def existing(path: Path) -> os.stat_result | None:
     """Status of the regular file that an output of this name would replace, also through a symbolic link; None if there is
     none. Raises: OutputError if the name stands for something else (folder, pipe, device, socket) or cannot be used."""

@@ -17,14 +17,8 @@ if TYPE_CHECKING:
 
 DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON"}
 """Kinds of files by their suffix."""
+SUFFIXES = tuple(DRIVERS)
 _DATE = "OGR_CURRENT_DATE"  # a GeoPackage says when it was changed; the same shapes shall be the same bytes
-
-
-def check_suffix(path: Place) -> Place:
-    """The path. Raises: OutputError for the name of another kind of file than :func:`write_features` writes."""
-    if path.suffix.lower() not in DRIVERS:
-        raise OutputError(f"{path}: the suffix must be one of {', '.join(DRIVERS)}")
-    return path
 
 
 def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFrame:

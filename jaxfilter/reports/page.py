@@ -19,7 +19,7 @@ import numpy as np
 
 from ..citing import citation
 from ..core.cloud import GROUND_CLASS, PointCloud, as_cloud
-from ..core.errors import InputError, OutputError, check_whole
+from ..core.errors import InputError, check_whole
 from ..core.filter import Filter, check_resources
 from ..core.markup import table
 from ..core.params import declared
@@ -27,7 +27,7 @@ from ..core.points import morton
 from ..core.result import Decision, FilterResult, Progress, silent
 from ..core.version import __version__
 from ..files.classes import class_changes, class_name
-from ..files.disk import new_file
+from ..files.disk import check_suffix, new_file
 from ..scoring import Scores, reference_labels
 from ..sweeps.best import SCORES
 from .layers import Layers, layers_of, places
@@ -130,8 +130,7 @@ def report(
     'report.html'
     """
     path, notify = Path(path), progress or silent
-    if path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
+    check_suffix(path, SUFFIXES)
     what = _Labelled.of(as_cloud(cloud), result, reference)
     with new_file(path, overwrite=overwrite) as temporary:
         notify(0.0, "slider")

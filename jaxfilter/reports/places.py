@@ -15,8 +15,8 @@ from ..core.cloud import PointCloud, as_cloud
 from ..core.grid import most_cells
 from ..core.result import FilterResult
 from ..engines.neighbours import groups, touching
-from ..files.disk import Bounds
-from ..files.vectors import check_suffix, write_features
+from ..files.disk import Bounds, check_suffix
+from ..files.vectors import SUFFIXES, write_features
 from ..terrain.layer import extent_of, ground_of
 from ..terrain.models import heights_of
 from ..terrain.outline import cells_of, inward, occupied
@@ -335,7 +335,7 @@ def review(
     >>> places["rank"].tolist() == list(range(1, len(places) + 1)), bool(places["volume"].is_monotonic_decreasing)
     (True, True)
     """
-    target = None if path is None else check_suffix(Path(path))
+    target = None if path is None else check_suffix(Path(path), SUFFIXES)
     cloud = as_cloud(cloud)
     table = table_of(places_of(suspects(cloud, result), cloud.units.xy), cloud.units.xy, cloud.crs)
     if target is not None:

@@ -16,8 +16,9 @@ from ..core.filter import Filter
 from ..core.reading import Reading
 from ..core.result import FilterResult
 from ..files.classes import Classes, Finding, Found, asked, class_changes, findings_of
+from ..files.disk import check_suffix
 from ..files.text import SUFFIXES as TEXT
-from ..files.vectors import check_suffix
+from ..files.vectors import SUFFIXES
 from ..files.writing import Additions, write_cloud
 from ..terrain.levels import water_of
 from .collection import Collection
@@ -171,7 +172,7 @@ def ground(
     listed, outlined = (None if one is None else Path(one) for one in (review, breaklines))
     for path in (listed, outlined):
         if path is not None:
-            check_suffix(path)
+            check_suffix(path, SUFFIXES)
     survey = survey_of_points(what, out, recipe, reading, run)
     return survey.run(
         GroundProduct,

@@ -15,15 +15,15 @@ from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError
 from ..core.grid import MAX_CELLS
 from ..core.reading import Reading
-from ..files.disk import Bounds
+from ..files.disk import Bounds, check_suffix
 from ..files.storage import Place, place_of
-from ..files.vectors import check_suffix, write_features
+from ..files.vectors import write_features
 from ..terrain.contours import Contours, contour_tables
 from ..terrain.interpolation import Interpolation
 from ..terrain.layer import Layer, Site
 from ..terrain.levels import water_of
 from ..terrain.models import Dtm
-from ..terrain.raster import RasterGrid, check_target, packed, strips_of, write_mosaic
+from ..terrain.raster import RasterGrid, packed, strips_of, write_mosaic
 from .area import within
 from .collection import Collection
 from .executors import LOCAL
@@ -239,7 +239,7 @@ def make_rasters(
     """
     layers, places = tuple(outputs), list(outputs.values())
     for layer, place in outputs.items():
-        (check_target if layer.SUFFIX == ".tif" else check_suffix)(place)
+        check_suffix(place, layer.SUFFIXES)
     recipe, classes = source_of_ground(ground)
     collection, reading = open_files(what, reading, clip=False)
     bounds = reading.bounds if reading.aoi is None else reading.aoi.bounds

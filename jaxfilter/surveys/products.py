@@ -11,9 +11,9 @@ from ..core.errors import InputError, OutputError, ParameterError
 from ..core.filter import Filter
 from ..core.reading import Reading
 from ..files.classes import Classes
-from ..files.disk import is_there, output_errors
+from ..files.disk import check_suffix, is_there, output_errors
 from ..files.storage import Place, place_of
-from ..files.vectors import check_suffix
+from ..files.vectors import SUFFIXES
 from ..terrain.layers import LAYERS
 from .ground import ground as classify
 from .kept import WaterWanted
@@ -87,7 +87,7 @@ def products(
     if run.in_place:
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     layers = [LAYERS[name] for name in LAYERS if name in names]
-    outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIX}" for layer in layers}
+    outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
     for place in (*outputs.values(), folder / PAGE):
         if is_there(place) and not (run.overwrite or run.resume):
             raise OutputError(
@@ -98,7 +98,7 @@ def products(
             folder.mkdir(parents=True, exist_ok=True)
     classified, outlined = None, None if breaklines is None else Path(breaklines)
     if outlined is not None:
-        check_suffix(outlined)
+        check_suffix(outlined, SUFFIXES)
     water = WaterWanted(path=outlined)
     source: GroundSource = Recipe() if ground is None else ground
     if isinstance(source, Filter | Recipe):

@@ -20,9 +20,9 @@ from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
 from ..core.version import __version__
 from ..files.classes import Classes, Finding, Found
-from ..files.disk import Seal, new_file
+from ..files.disk import Seal, check_suffix, new_file
 from ..files.storage import Remote, place_of
-from ..files.vectors import check_suffix
+from ..files.vectors import SUFFIXES
 from ..files.windows import file_cloud
 from ..files.writing import LAS_SUFFIXES, write_cloud
 from ..methods.default import default_filter
@@ -360,7 +360,7 @@ def review_survey(
     >>> report.complete, report.points == len(cloud)
     (True, True)
     """
-    check_suffix(target := Path(path))
+    check_suffix(target := Path(path), SUFFIXES)
     check_in_place(reading)
     return reviewed(what, target, target, ground, reading, run)
 

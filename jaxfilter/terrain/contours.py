@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import check_positive
+from ..files.disk import check_suffix
 from ..files.storage import place_of
-from ..files.vectors import check_suffix, write_features
+from ..files.vectors import SUFFIXES, write_features
 from .layer import Layer
 from .models import Dtm
 from .raster import STRIP, Raster
@@ -29,7 +30,7 @@ _STEP = 2.0**-20
 class Contours(Layer):
     """Make contour lines of the terrain model, a GeoPackage or GeoJSON of lines with their elevation."""
 
-    NAME, TITLE, SUFFIX = "contours", "elevation", ".gpkg"
+    NAME, TITLE, SUFFIXES = "contours", "elevation", SUFFIXES
     interval: float = 1.0
 
     def __post_init__(self) -> None:
@@ -67,7 +68,7 @@ def contours(
     import pandas as pd
 
     layer, z = Contours(interval), model.values
-    target = None if path is None else check_suffix(place_of(path))
+    target = None if path is None else check_suffix(place_of(path), SUFFIXES)
     strips = (z[top : top + STRIP + 1] for top in range(0, max(1, len(z) - 1), STRIP))
     table = pd.concat(list(contour_tables(strips, interval, model.transform, model.crs)), ignore_index=True)
     if target is not None:

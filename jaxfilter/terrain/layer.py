@@ -16,7 +16,7 @@ from ..core.units import Units
 from ..files.disk import Bounds, check_bounds
 from .interpolation import Heights, Interpolation
 from .levels import WaterRuns, levels_in
-from .raster import NODATA, Raster, RasterGrid
+from .raster import NODATA, SUFFIXES, Raster, RasterGrid
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,14 +25,15 @@ class Layer:
     the raster of a cloud in memory.
 
     ``NAME`` is that of the command and of files, ``TITLE`` is what the values are, in units of Z where they are heights. ``KIND``
-    is the type of the values in files, in which ``NODATA`` stands for none. ``SURFACE``: it needs a surface through the ground.
+    is the type of the values in files, in which ``NODATA`` stands for none. ``SUFFIXES``: of files, the usual one first.
+    ``SURFACE``: it needs a surface through the ground.
     """
 
     NAME: ClassVar[str] = ""
     TITLE: ClassVar[str] = ""
     KIND: ClassVar[str] = "float32"
     NODATA: ClassVar[float] = NODATA
-    SUFFIX: ClassVar[str] = ".tif"
+    SUFFIXES: ClassVar[tuple[str, ...]] = SUFFIXES
     SURFACE: ClassVar[bool] = True
 
     def reach(self, side: float) -> float:

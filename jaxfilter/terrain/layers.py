@@ -16,8 +16,9 @@ from ..core.errors import ParameterError, check_positive
 from ..core.points import canonical_points, has_area
 from ..core.result import FilterResult
 from ..core.units import Units
+from ..files.disk import check_suffix
 from ..files.storage import place_of
-from ..files.vectors import check_suffix, write_features
+from ..files.vectors import SUFFIXES, write_features
 from .contours import Contours
 from .contours import contours as contours
 from .interpolation import Linear, nearest_point
@@ -296,7 +297,7 @@ def breaklines(
     ({'Polygon'}, True, True)
     """
     cloud = as_cloud(cloud)
-    target = None if path is None else check_suffix(place_of(path))
+    target = None if path is None else check_suffix(place_of(path), SUFFIXES)
     table = outlines(levels_in(cloud, result, ground_of(cloud, result)), cloud.crs)
     if target is not None:
         write_features(target, [table], "breaklines", overwrite=overwrite)

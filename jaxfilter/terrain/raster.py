@@ -13,7 +13,7 @@ import numpy as np
 from ..core.cloud import QUANTUM
 from ..core.errors import InputError, OutputError, check_positive
 from ..core.grid import MAX_CELLS
-from ..files.disk import Bounds, new_file
+from ..files.disk import Bounds, check_suffix, new_file
 from ..files.storage import Place, Remote, place_of
 
 if TYPE_CHECKING:
@@ -128,8 +128,7 @@ class Raster:
         """
         import rasterio
 
-        path = place_of(path)
-        check_target(path)
+        path = check_suffix(place_of(path), SUFFIXES)
         profile = _profile(self.values.shape, self.transform, self.crs, self.kind, self.nodata)
         profile |= {"compress": "deflate", "predictor": 3 if self.kind == "float32" else 2}
         with rasterio.io.MemoryFile() as memory:  # GDAL does not tell why, nor always that, a disk refused
@@ -294,12 +293,6 @@ def strips_of(path: Path) -> Iterator[np.ndarray]:
 def packed(values: np.ndarray, kind: str, nodata: float) -> np.ndarray:
     """[rows, columns], values f32[rows, columns] as a file has them."""
     return np.where(np.isnan(values), np.float32(nodata), values).astype(kind)
-
-
-def check_target(path: Place) -> None:
-    """Raises OutputError if the name is not that of a GeoTIFF."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"{path}: the suffix must be one of {', '.join(SUFFIXES)}")
 
 
 def _profile(
