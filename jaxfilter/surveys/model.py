@@ -89,9 +89,7 @@ class RasterProduct(GroundNeeded):
             raise InputError(
                 f"cell={self.grid.cell:g}: a tile has {cells}: pass cell= to make them larger, or pass tile= to cut smaller tiles"
             )
-        row, column = wide.bottom + wide.rows - grid.bottom - grid.rows, grid.left - wide.left
-        ends = [[grid.left, grid.bottom, grid.columns, grid.rows], [wide.left, wide.bottom, wide.columns, wide.rows]]
-        arrays: dict[str, np.ndarray] = {_CORNER: np.array(ends)}
+        arrays: dict[str, np.ndarray] = {_CORNER: np.array([dataclasses.astuple(one)[1:] for one in (grid, wide)])}
         for found in self.surroundings(tile, summary):
             around, doubt, start, doubtful = found.around, found.doubt, time.perf_counter(), 0
             own = around.own
@@ -104,7 +102,7 @@ class RasterProduct(GroundNeeded):
             site = Site(around.cloud, usable, wide, noise, self.interpolation, threads, doubt.look, strict)
             wanted = within(self.reader.reading.aoi, *np.meshgrid(*grid.centres()))
             for layer in _cells(self.layers):
-                values = site.of(layer)[row : row + grid.rows, column : column + grid.columns]
+                values = site.of(layer)[wide.slices(grid)]
                 values = np.where(wanted, values, np.float32(np.nan))
                 arrays[KEPT + layer.NAME] = packed(values, layer.KIND, layer.NODATA)
             water = water_of(around.cloud, found.result, found.ground) if self.water.seeks else None
@@ -158,24 +156,19 @@ class RasterProduct(GroundNeeded):
         levels, units = report.water, collection.units
         anew = layer.parts if levels is not None and Dtm() in layer.parts else ()
 
-        def parts() -> Iterator[tuple[int, int, np.ndarray]]:
+        def parts() -> Iterator[tuple[RasterGrid, np.ndarray]]:
             names = [_WIDE + part.NAME for part in anew]
             for stored in self.kept(report, (_CORNER, KEPT + layer.NAME, *names)):
                 if KEPT + layer.NAME not in stored:
                     continue
-                (left, bottom, columns, rows), ring = stored[_CORNER].tolist()
+                own, wide = (RasterGrid(self.grid.cell, *cells) for cells in stored[_CORNER].tolist())
                 values = stored[KEPT + layer.NAME]
                 if levels is not None and names and names[0] in stored:
                     known = {part: stored[name] for part, name in zip(anew, names, strict=True)}
-                    part, wide = (
-                        RasterGrid(self.grid.cell, *corner) for corner in ((left, bottom, columns, rows), ring)
-                    )
-                    row, column = ring[1] + ring[3] - bottom - rows, left - ring[0]
                     made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
-                    made = packed(made[row : row + rows, column : column + columns], layer.KIND, layer.NODATA)
-                    wanted = within(self.reader.reading.aoi, *np.meshgrid(*part.centres()))
-                    values = np.where(wanted, made, values)
-                yield self.grid.bottom + self.grid.rows - bottom - rows, left - self.grid.left, values
+                    made = packed(made[wide.slices(own)], layer.KIND, layer.NODATA)
+                    values = np.where(within(self.reader.reading.aoi, *np.meshgrid(*own.centres())), made, values)
+                yield own, values
 
         return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
 

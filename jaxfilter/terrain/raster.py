@@ -221,6 +221,11 @@ class RasterGrid:
         top = min(self.bottom + self.rows, round(box[3] / self.cell))
         return RasterGrid(self.cell, left, bottom, right - left, top - bottom)
 
+    def slices(self, part: RasterGrid) -> tuple[slice, slice]:
+        """Rows, from north, and columns that the cells of a part have."""
+        row, column = self.bottom + self.rows - part.bottom - part.rows, part.left - self.left
+        return slice(row, row + part.rows), slice(column, column + part.columns)
+
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
         """As of a :class:`Raster` on these cells."""
@@ -233,7 +238,7 @@ def write_mosaic(
     crs: Any,
     kind: str,
     nodata: float,
-    parts: Callable[[], Iterable[tuple[int, int, np.ndarray]]],
+    parts: Callable[[], Iterable[tuple[RasterGrid, np.ndarray]]],
     *,
     overwrite: bool = False,
 ) -> int:
@@ -242,8 +247,8 @@ def write_mosaic(
 
     Args:
         grid: all cells; crs, kind, nodata: as of a :class:`Raster`.
-        parts: gives, each time it is called, first row, first column and values [r, c], see :func:`packed`, of parts that do not
-            overlap. What no part covers has no value.
+        parts: gives, each time it is called, cells and their values, see :func:`packed`, of parts that do not overlap. What no
+            part covers has no value.
 
     Returns: how many cells have a value.
     Raises: OutputError (exists and not ``overwrite``, disk; the file is read back).
@@ -253,7 +258,7 @@ def write_mosaic(
     from rasterio.windows import Window
 
     def windows() -> Iterator[tuple[Window, np.ndarray]]:
-        return ((Window(column, row, values.shape[1], values.shape[0]), values) for row, column, values in parts())
+        return ((Window.from_slices(*grid.slices(part)), values) for part, values in parts())
 
     profile, known = _profile(grid.shape, grid.transform, crs, kind, nodata), 0
     with new_file(path, overwrite=overwrite) as temporary:
