@@ -13,7 +13,7 @@ from test_tiles_run import Here
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.surveys.tiles import TileReader
+from jaxfilter.surveys.tiles import read_tile
 
 pytestmark = [
     pytest.mark.usefixtures("compilation_cache"),
@@ -363,13 +363,12 @@ def test_a_halo_is_what_the_filter_sees_around_heights_and_models(tmp_path, monk
     cloud = jf.scenes.make("town", size=90, density=1, seed=2).cloud
     jf.write(tmp_path / "in.laz", cloud, None)
     seen = []
-    read = TileReader.read
 
-    def watched(self, tile, keep=False):
+    def watched(tile, *how):
         seen.append(tile.window)
-        return read(self, tile, keep)
+        return read_tile(tile, *how)
 
-    monkeypatch.setattr(TileReader, "read", watched)
+    monkeypatch.setattr("jaxfilter.surveys.product.read_tile", watched)
     for halo in (10.0, 30.0):
         run, reading = (
             jf.RunOptions(tile=30.0, wide_halos=True, halo=halo, workers=1, overwrite=True),

@@ -17,7 +17,7 @@ from jaxfilter.surveys.collection import Collection
 from jaxfilter.surveys.measures import Sampler
 from jaxfilter.surveys.plan import plan_tiles
 from jaxfilter.surveys.run import tile_of
-from jaxfilter.surveys.tiles import TileReader, joined
+from jaxfilter.surveys.tiles import joined, read_tile
 
 READING = jf.Reading(returns="all", ignore_classes=(7, 18), units="m")
 """What producers set apart is filtered like the rest."""
@@ -99,13 +99,12 @@ def tiled(one: Survey, filter_: jf.Filter, cuts: int, halo: float, folder: Path)
     if lowest is not None:
         height = float(points.xyz[lowest, 2].min())
         whole = dataclasses.replace(whole, lowest=float(one.cloud.origin[2]) + height)
-    reader = TileReader(READING, whole, folder / "index")
     tiles = [tile_of(plan, files, number) for number in range(len(plan))]
     ground = np.zeros(len(one.cloud), bool)
     times = np.zeros(len(one.cloud), np.int8)
     seen = []
     for tile in tiles:
-        around = reader.read(tile)
+        around = read_tile(tile, READING, whole, folder / "index")
         if not around.core.any():
             continue
         found = filter_(around.cloud, workers=1).ground[around.core]

@@ -64,18 +64,18 @@ class GroundProduct(Product):
         assert self.filter is not None
         summary, local = Summary(), LOCAL.get()
         around = self.read(tile, summary)
-        if self.reader.reading.aoi is not None and not around.core.any():
+        if self.reading.aoi is not None and not around.core.any():
             return {}, summary
         cloud, start = around.cloud, time.perf_counter()
         result = self.filter(self._wider(tile, cloud), workers=local.threads, progress=local.progress)
         summary.seconds["filter"] = (done := time.perf_counter()) - start
         bare = self.into_text and (cloud.classification is None or tile.sources[0].format != "text")
-        found = findings_of(cloud, result, self.classes, self.reader.reading, local.threads)
+        found = findings_of(cloud, result, self.classes, self.reading, local.threads)
         told = time.perf_counter()
         if asked(self.classes):
             summary.seconds["classes"] = told - done
         summarise(summary, around, result, found, None if bare else self.classes)
-        kept = suspects_in(around, result, tile, self.reader.reading)
+        kept = suspects_in(around, result, tile, self.reading)
         kept |= kept_water(cloud, water_of(cloud, result, result.ground), tile)
         summary.seconds["places"] = time.perf_counter() - told
         return packed(around, found, self.columns(around, result)) | kept, summary

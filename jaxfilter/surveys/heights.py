@@ -60,7 +60,7 @@ class HeightProduct(GroundNeeded):
         classed = findings_of(cloud, found.ground)
         if result is not None:
             summarise(summary, around, result, classed, Classes())
-            kept = suspects_in(around, result, found.tile, self.reader.reading)
+            kept = suspects_in(around, result, found.tile, self.reading)
         else:
             summary.candidates, summary.ground = int(cloud.candidate[own].sum()), int(found.ground[own].sum())
             summary.statuses[Status.CONVERGED.name] = 1

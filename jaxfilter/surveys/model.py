@@ -100,7 +100,7 @@ class RasterProduct(GroundNeeded):
             # A triangle is that of the whole if the circle through its corners holds no place that has data and was not read.
             strict = found.near is None and bool(usable.any())
             site = Site(around.cloud, usable, wide, noise, self.interpolation, threads, doubt.look, strict)
-            wanted = within(self.reader.reading.aoi, *np.meshgrid(*grid.centres()))
+            wanted = within(self.reading.aoi, *np.meshgrid(*grid.centres()))
             for layer in _cells(self.layers):
                 values = site.of(layer)[wide.slices(grid)]
                 values = np.where(wanted, values, np.float32(np.nan))

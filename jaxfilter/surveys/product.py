@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.cloud import PointCloud
+from ..core.cloud import PointCloud, Whole
 from ..core.errors import InputError
 from ..core.filter import Filter, lowest_among
+from ..core.reading import Reading
 from ..files.classes import Found
 from ..files.disk import Seal
 from ..files.sources import Source
@@ -23,7 +24,7 @@ from .options import RunOptions
 from .report import RunReport, Summary, collected_warnings
 from .store import Store
 from .targets import Targets
-from .tiles import Around, Tile, TileReader
+from .tiles import Around, Tile, read_tile
 
 CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 """Bits of a label, and the bit at which the number of what was found begins."""
@@ -57,14 +58,16 @@ class Product:
     """What is made of every tile. A subclass says how, in ``tile``; ``REPORT`` is what is said in the end.
 
     Attributes:
-        reader: of the points.
+        reading: which points count; where it has ``bounds``, points outside are not there.
+        whole: measures of the scene.
         store: what is kept of the run, in a folder which all processes see.
         filter: that finds the ground; None if classes say what it is.
         halo: metres around each tile that the filter sees as well; None = as the filter says.
     """
 
     REPORT: ClassVar[type[RunReport]] = RunReport
-    reader: TileReader
+    reading: Reading
+    whole: Whole | None
     store: Store
     filter: Filter | None
     halo: float | None
@@ -87,7 +90,7 @@ class Product:
     def read(self, tile: Tile, summary: Summary) -> Around:
         """The points of a tile and its halo; how many they are, and the time, goes into the summary. Raises: InputError."""
         start = time.perf_counter()
-        around = self.reader.read(tile)
+        around = read_tile(tile, self.reading, self.whole, self.store.index)
         summary.seconds["read"] += time.perf_counter() - start
         summary.points, summary.read, summary.unread = len(around.own), len(around.cloud), around.left_out
         return around
@@ -102,7 +105,7 @@ class Product:
 
         Raises: InputError if a point has no label.
         """
-        source, index, reading = task.source, self.reader.index, self.reader.reading
+        source, index, reading = task.source, self.store.index, self.reading
         label, quantities, checksum = gathered(self.store, task, kinds)
         rows = label > 0
         if reading.bounds is not None or reading.aoi is not None:
@@ -155,7 +158,7 @@ def lowest_in_tile(product: Product, tile: Tile) -> float | None:
     """
     assert product.filter is not None
     with collected_warnings():
-        around = product.reader.read(tile)
+        around = read_tile(tile, product.reading, product.whole, product.store.index)
         points = product.filter.points_of(around.cloud)
         if len(points) == 0 or not points.has_area():
             return None

@@ -40,7 +40,7 @@ from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, write_file
 from .report import Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .targets import MAP, REPORT, Targets, check_out, targets_of
-from .tiles import Tile, TileReader
+from .tiles import Tile, read_tile
 
 TRIED = 300_000
 """Points of the piece that a forecast tries, about."""
@@ -148,14 +148,12 @@ class Survey:
 
     def _planned(self, kind: type[Product], settings: dict[str, Any]) -> tuple[Product, Plan]:
         """What is to be made, and of which tiles."""
-        (filter_, whole), path = self._filter(), self.targets.store.path
-        reader = TileReader(self.reading, whole, self.targets.store.index)
-        product = kind(reader, Store(path), filter_, self.options.halo, **settings)
+        filter_, whole = self._filter()
+        product = kind(self.reading, whole, Store(self.targets.store.path), filter_, self.options.halo, **settings)
         plan = self._plan(product.cut())
         if whole is not None and any(plan.many):
             width, height = (side * self.collection.metre for side in plan.largest())
-            reader = dataclasses.replace(reader, whole=dataclasses.replace(whole, width=width, height=height))
-            product = dataclasses.replace(product, reader=reader)
+            product = dataclasses.replace(product, whole=dataclasses.replace(whole, width=width, height=height))
         return product, plan
 
     def _plan(self, cut: Cut) -> Plan:
@@ -205,7 +203,7 @@ class Survey:
                 used = tuple(np.flatnonzero(self.collection.counts).tolist())
                 sources = tuple(self.collection[number] for number in used)
                 everything = Tile(0, None, None, used, sources, patient=len(self.collection) > 1)
-                filter_ = recipe.on(TileReader(self.reading, whole, index).read(everything, keep=True).cloud)
+                filter_ = recipe.on(read_tile(everything, self.reading, whole, index, keep=True).cloud)
             return filter_, whole
         sampler = Sampler(self.collection, self.reading, index)
         if filter_ is None or recipe.by_data:
@@ -225,8 +223,8 @@ class Survey:
         if "parameters" not in store.facts and product.filter is not None:
             fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
             store.note(parameters={"method": type(product.filter).__name__.lower(), "fields": fields})
-        if "measures" not in store.facts and product.reader.whole is not None:
-            store.note(measures=dataclasses.asdict(product.reader.whole))
+        if "measures" not in store.facts and product.whole is not None:
+            store.note(measures=dataclasses.asdict(product.whole))
 
     def _digest(self) -> str:
         """Tells the files, by name and content, from others; of those that were replaced in place, by what they were."""
@@ -306,7 +304,7 @@ class Run:
         self._missing = np.diff(plan.tiles_of.start).astype(np.int64)  # tiles per file that are not done
         self._is_written = np.zeros(len(self._missing), bool)
         self._hopeless: dict[int, str] = {}
-        if (aoi := product.reader.reading.aoi) is not None:  # nothing of other files is wanted
+        if (aoi := product.reading.aoi) is not None:  # nothing of other files is wanted
             for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
                 self._is_written[file] = True
                 self._need_no_more(file)
@@ -329,7 +327,7 @@ class Run:
 
     def _find_lowest(self, executor: Executor) -> None:
         """Measure the elevation of the lowest point of the collection, once, if the filter asks for it."""
-        filter_, whole = self.product.filter, self.product.reader.whole
+        filter_, whole = self.product.filter, self.product.whole
         if filter_ is None or whole is None or lowest_among.dispatch(type(filter_)) is lowest_among.dispatch(object):
             return
         if "lowest" not in self.store.facts:
@@ -341,8 +339,7 @@ class Run:
                 self._show(standing)
             self.store.note(lowest=None if len(found) == 1 else min(found))
         whole = dataclasses.replace(whole, lowest=self.store.facts["lowest"])
-        reader = dataclasses.replace(self.product.reader, whole=whole)
-        self.product = dataclasses.replace(self.product, reader=reader)
+        self.product = dataclasses.replace(self.product, whole=whole)
 
     def _carry_out(self, executor: Executor) -> None:
         done = self._look()
@@ -485,7 +482,7 @@ class Run:
         filter_ = self.product.filter
         if filter_ is not None:
             report.method, report.parameters = type(filter_).__name__, dataclasses.asdict(filter_)  # type: ignore[call-overload]
-        whole = self.product.reader.whole
+        whole = self.product.whole
         report.measures = None if whole is None else dataclasses.asdict(whole)
         self.product.finish(report, self.collection, self.targets, self.options)
         report.elapsed = time.perf_counter() - self._start

@@ -68,81 +68,68 @@ class Around:
         return np.flatnonzero(self.core)
 
 
-@dataclasses.dataclass(frozen=True)
-class TileReader:
-    """How the points of all tiles are read.
-
-    Attributes:
-        reading: which points count; where it has ``bounds``, points outside are not there.
-        whole: measures of the scene.
-        index: where :func:`jaxfilter.files.windows.read_window` keeps what it finds out about files.
-    """
-
-    reading: Reading
-    whole: Whole | None
-    index: Path
-
-    def read(self, tile: Tile, keep: bool = False) -> Around:
-        """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
-
-        What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With
-        ``keep`` they are kept for whoever asks next in this process.
-        """
-        key = (tile.window, tile.sources, self.reading)
-        kept = _KEPT.pop() if _KEPT else None
-        around = kept[1] if kept is not None and kept[0] == key else self._read(tile)
-        if keep:
-            _KEPT.append((key, around))
-        if self.whole is None and tile.core is None:
-            return around  # the same cloud again: what is known of its order and spacing need not be found out anew
-        return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=self.whole, core=tile.core))
-
-    def _read(self, tile: Tile) -> Around:
-        clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
-        left_out: dict[int, str] = {}
-        checksums: dict[int, int] = {}
-        for number, source in zip(tile.files, tile.sources, strict=True):
-            box = self._box(tile.window, source)
-            if box is not None and not (box[0] < box[2] and box[1] < box[3]):
-                continue
-            try:
-                window = read_window(source, box, self.index, self.reading)
-            except InputError as error:
-                if not tile.patient:
-                    raise
-                left_out[number] = str(error)
-                continue
-            cloud, record = window.cloud, window.record
-            if tile.window is None and cloud.source.checksum is not None:
-                checksums[number] = cloud.source.checksum
-            there = inside(cloud, tile.window)
-            if not there.all():
-                cloud, record = part_of(cloud, there), record[there]
-            if len(cloud):
-                clouds.append(cloud)
-                own = inside(cloud, tile.core)
-                if self.reading.aoi is not None:
-                    own &= within(self.reading.aoi, *cloud.coordinates()[:, :2].T)
-                cores.append(own)
-                numbers.append(number)
-                records.append(record)
-        file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
-        cloud, record, core = joined(clouds, self.whole, self.reading), np.concatenate(records), np.concatenate(cores)
-        return Around(cloud, file, record, core, left_out, checksums)
-
-    def _box(self, window: Bounds | None, source: Source) -> Bounds | None:
-        """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
-        bounds = self.reading.bounds
-        if window is None:
-            return bounds
-        slack = 4 * QUANTUM / source.metre
-        x0, y0, x1, y1 = window
-        wide = (x0 - slack, y0 - slack, x1 + slack, y1 + slack)
-        return wide if bounds is None else common(wide, bounds)
-
-
 _KEPT: list[tuple[Any, Around]] = []
 """Points of the tile that was read last, if they are to be used once more."""
+
+
+def read_tile(tile: Tile, reading: Reading, whole: Whole | None, index: Path, keep: bool = False) -> Around:
+    """The points of a tile and its halo, out of all its files. Raises: InputError unless the tile is ``patient``.
+
+    What is inside is decided by the quantised coordinates that the filter sees, which are the same in every tile. With ``keep``
+    they are kept for whoever asks next in this process. ``index``: see :func:`jaxfilter.files.windows.read_window`.
+    """
+    key = (tile.window, tile.sources, reading)
+    kept = _KEPT.pop() if _KEPT else None
+    around = kept[1] if kept is not None and kept[0] == key else _read(tile, reading, whole, index)
+    if keep:
+        _KEPT.append((key, around))
+    if whole is None and tile.core is None:
+        return around  # the same cloud again: what is known of its order and spacing need not be found out anew
+    return dataclasses.replace(around, cloud=dataclasses.replace(around.cloud, whole=whole, core=tile.core))
+
+
+def _read(tile: Tile, reading: Reading, whole: Whole | None, index: Path) -> Around:
+    clouds, numbers, records, cores = [], [], [np.zeros(0, np.int64)], [np.zeros(0, bool)]
+    left_out: dict[int, str] = {}
+    checksums: dict[int, int] = {}
+    for number, source in zip(tile.files, tile.sources, strict=True):
+        box = _box(tile.window, reading.bounds, source)
+        if box is not None and not (box[0] < box[2] and box[1] < box[3]):
+            continue
+        try:
+            window = read_window(source, box, index, reading)
+        except InputError as error:
+            if not tile.patient:
+                raise
+            left_out[number] = str(error)
+            continue
+        cloud, record = window.cloud, window.record
+        if tile.window is None and cloud.source.checksum is not None:
+            checksums[number] = cloud.source.checksum
+        there = inside(cloud, tile.window)
+        if not there.all():
+            cloud, record = part_of(cloud, there), record[there]
+        if len(cloud):
+            clouds.append(cloud)
+            own = inside(cloud, tile.core)
+            if reading.aoi is not None:
+                own &= within(reading.aoi, *cloud.coordinates()[:, :2].T)
+            cores.append(own)
+            numbers.append(number)
+            records.append(record)
+    file = np.repeat(np.array(numbers, np.int32), [len(cloud) for cloud in clouds])
+    cloud, record, core = joined(clouds, whole, reading), np.concatenate(records), np.concatenate(cores)
+    return Around(cloud, file, record, core, left_out, checksums)
+
+
+def _box(window: Bounds | None, bounds: Bounds | None, source: Source) -> Bounds | None:
+    """What is read of a file: the window, a little wider, as far as the bounds of the reading."""
+    if window is None:
+        return bounds
+    slack = 4 * QUANTUM / source.metre
+    x0, y0, x1, y1 = window
+    wide = (x0 - slack, y0 - slack, x1 + slack, y1 + slack)
+    return wide if bounds is None else common(wide, bounds)
 
 
 def inside(cloud: PointCloud, box: Bounds | None) -> np.ndarray:

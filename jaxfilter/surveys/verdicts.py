@@ -165,7 +165,7 @@ class VerdictProduct(Product):
         """Write a file whose points have changed. Raises: InputError, OutputError."""
         label, _, _ = gathered(self.store, task, {})
         if label.any():
-            cloud = file_cloud(task.source, (label & CANDIDATE) > 0, self.reader.index)
+            cloud = file_cloud(task.source, (label & CANDIDATE) > 0, self.store.index)
             write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, in_place=True)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
@@ -327,7 +327,7 @@ class ReviewProduct(Product):
         around = self.read(tile, summary)
         ground = ground_by_class(around.cloud, self.ground, tile)
         summary.ground = int(ground[around.core].sum())
-        return suspects_in(around, ground, tile, self.reader.reading), summary
+        return suspects_in(around, ground, tile, self.reading), summary
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Write the list. Raises: InputError, OutputError."""
