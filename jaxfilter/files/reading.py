@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -36,8 +36,6 @@ __all__ = ["Classes", "class_changes", "info", "read", "write"]
 
 _LARGEST_CRS = 2**20  # bytes
 _OF_FILES = ("bounds", "aoi")  # fields of Reading that say which points of a file are read
-Suspect = Callable[[str], None] | None
-"""Is told why coordinates cannot be lengths."""
 
 
 def read(
@@ -99,8 +97,7 @@ def read(
             las = las[inside(np.stack([las.x, las.y], axis=1), cut)]
         return _warn_if_empty("LasData", PointCloud.from_laspy(las, **_fields(reading)), cut)
     place = place_of(path)
-    file = _opened(place, reading)
-    return _warn_if_empty(place, file.cloud(reading, _refuse if units is None else None, progress or silent), cut)
+    return _warn_if_empty(place, _opened(place, reading).cloud(reading, progress or silent), cut)
 
 
 def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: Any = None) -> dict[str, Any]:
@@ -123,7 +120,7 @@ def info(path: str | Path | Remote, *, units: str | Units | None = None, crs: An
     reference = reading.stated.of(reference, str(place))
     if angular := reference.problem is not None:
         reading = dataclasses.replace(reading, units=Units(1.0, 1.0, reference.shown))
-    cloud = _warn_if_empty(place, file.cloud(reading, warn if units is None and not angular else None), None)
+    cloud = _warn_if_empty(place, file.cloud(reading, strict=False), None)
     corners = None
     if len(cloud):
         corners = np.round(dataclasses.replace(cloud, xyz=np.stack(ends(cloud.xyz))).coordinates(), 3)
@@ -178,16 +175,16 @@ class LasFile:
     def cloud(
         self,
         reading: Reading,
-        suspect: Suspect = None,
         progress: Progress = silent,
         *,
+        strict: bool = True,
         chunks: Iterable[np.ndarray] | None = None,
         most: int | None = None,
     ) -> PointCloud:
         """The points inside ``reading.bounds``, in the units asked for, or of the CRS, or in metres with a warning.
 
         Args:
-            suspect: is told why coordinates cannot be lengths, if so.
+            strict: coordinates that cannot be lengths are an error, not a warning, where no units are asked for.
             chunks: the records of these points, u8[k, record_length] at a time; by default they are read. ``most``: there are
                 as many or fewer.
 
@@ -217,7 +214,8 @@ class LasFile:
         if n < most:
             ticks, columns = ticks[:n].copy(), {name: column[:n].copy() for name, column in columns.items()}
         stated = reference.units is not None or reading.bounds is not None
-        _look(path, ticks[sampled(n)] * scales + offsets, n, stated, suspect)
+        if reading.units is None:
+            _check_lengths(path, ticks[sampled(n)] * scales + offsets, n, stated, strict)
         is_ground = columns["classification"] == GROUND_CLASS
         return PointCloud.from_integers(
             ticks,
@@ -269,14 +267,16 @@ class TextFile:
         columns = {name: column[rows] for name, column in self.columns.items()}
         return dataclasses.replace(self, xyz=self.xyz[rows], columns=columns)
 
-    def cloud(self, reading: Reading, suspect: Suspect = None, progress: Progress = silent) -> PointCloud:
-        """The points, which are those inside ``reading.bounds``; ``suspect``: as of :class:`LasFile`."""
+    def cloud(self, reading: Reading, progress: Progress = silent, *, strict: bool = True) -> PointCloud:
+        """The points, which are those inside ``reading.bounds``; ``strict``: as of :class:`LasFile`."""
         xyz, columns, tally = self.xyz, dict(self.columns), Tally()
         is_ground = columns.get("classification", np.zeros(0)) == GROUND_CLASS
         if "reference" not in columns and is_ground.any():
             columns["reference"] = is_ground
-        some = xyz[sampled(len(xyz))]
-        _look(self.path, some[np.isfinite(some).all(axis=1)], len(xyz), reading.bounds is not None, suspect)
+        if reading.units is None:
+            some = xyz[sampled(len(xyz))]
+            some = some[np.isfinite(some).all(axis=1)]
+            _check_lengths(self.path, some, len(xyz), reading.bounds is not None, strict)
         tally.add(xyz)
         source = Handle(
             self.path.absolute(), "text", str(self.layout), len(xyz), reading.bounds, self.identity, tally.checksum
@@ -318,14 +318,12 @@ def _fields(reading: Reading) -> dict[str, Any]:
     return {name: getattr(reading, name) for name in names if name not in _OF_FILES}
 
 
-def _look(path: Place, some: np.ndarray, n: int, stated: bool, suspect: Suspect) -> None:
-    """Tell ``suspect`` why some coordinates out of n cannot be lengths, if so."""
-    if suspect is not None and (reason := not_metric(some, n, stated)):
-        suspect(f"{path}: {reason}")
-
-
-def _refuse(message: str) -> None:
-    raise InputError(message)
+def _check_lengths(path: Place, some: np.ndarray, n: int, stated: bool, strict: bool) -> None:
+    """Raises: InputError if some coordinates out of n cannot be lengths; unless ``strict``, that is a warning."""
+    if reason := not_metric(some, n, stated):
+        if strict:
+            raise InputError(f"{path}: {reason}")
+        warn(f"{path}: {reason}")
 
 
 def _warn_if_empty(name: object, cloud: PointCloud, bounds: Bounds | None) -> PointCloud:
