@@ -11,7 +11,6 @@ import contextlib
 import dataclasses
 import os
 import posixpath
-import shutil
 import tempfile
 import time
 import urllib.parse
@@ -210,13 +209,10 @@ def new_object(place: Remote, overwrite: bool) -> Iterator[Path]:
     try:
         if not overwrite and place.exists():
             raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
-        folder = Path(tempfile.mkdtemp(prefix="jaxfilter-"))
-        try:
-            part = folder / "part"
+        with tempfile.TemporaryDirectory(prefix="jaxfilter-", ignore_cleanup_errors=True) as folder:
+            part = Path(folder) / "part"
             yield part
             place.put(part)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
     except InputError as error:
         if str(error).startswith(f"{place}:"):
             raise OutputError(str(error)) from error

@@ -50,17 +50,14 @@ def list_places(product: Product, report: RunReport, collection: Collection, pat
 
     Raises: InputError, OutputError.
     """
-    from ..reports.places import Suspects, places_of
+    from ..reports.places import Suspects, places_of, table_of
 
     names = [f"{KEPT}{field.name}" for field in dataclasses.fields(Suspects)]
     parts = [Suspects(*(arrays[name] for name in names)) for arrays in product.kept(report, names)]
     places = places_of(Suspects.together(parts), collection.metre) if parts else []
     report.places = [place.facts() for place in places]
     if path is not None:
-        from ..reports.places import table_of
-
-        table = table_of(places, collection.metre, collection.crs)
-        write_features(path, [table], "review", overwrite=replace)
+        write_features(path, [table_of(places, collection.metre, collection.crs)], "review", overwrite=replace)
         report.review = str(path)
 
 
