@@ -42,7 +42,9 @@ _ITEMS, _ITEM = 34, 6  # where a laszip record lists the parts of a point, and b
 _WAVES, _POINT14 = 9, 10  # kinds of parts: wave packets of formats 4 and 5; the first of those that are layered
 _POINTS_PER_BYTE = 1000  # more than LAZ reaches for points that are all equal
 _EXTRA_SIZES = (1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes of the data types 1 to 10
-_UINT8, FLOAT32, FLOAT64 = 1, 9, 10
+_UINT8, _FLOAT32, _FLOAT64 = 1, 9, 10
+FLOATS = {_FLOAT32: "<f4", _FLOAT64: "<f8"}
+"""Data types of extra bytes that are floating point, as NumPy names them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,7 +233,7 @@ class Header:
                 raise OutputError(f"{self.path}: the description of its extra bytes is damaged, so none can be added")
             end = max((d.start + d.size for d in described), default=RECORD_LENGTHS[self.point_format])
             entries = [(f"undescribed {i + 1}", _UINT8, "") for i in range(length - end)]  # they precede the new ones
-            entries += [(name, FLOAT32, words) for name, words in extra.items()]
+            entries += [(name, _FLOAT32, words) for name, words in extra.items()]
             payload = b"".join(
                 struct.pack("<HBB32s124x32s", 0, kind, 0, name.encode(), words.encode())
                 for name, kind, words in entries

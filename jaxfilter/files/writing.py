@@ -22,7 +22,7 @@ from . import copc, records, text
 from .classes import Classes, Found, asked, findings_of, largest, table_of
 from .disk import Tally, new_file
 from .handles import Handle
-from .header import FLOAT32, FLOAT64, RECORD_LENGTHS, Header, laszip_record, new_header
+from .header import FLOATS, RECORD_LENGTHS, Header, laszip_record, new_header
 from .records import CHUNK, Writer
 from .storage import Place, Remote, place_of
 
@@ -43,8 +43,6 @@ EXTRAS = tuple(name for name in _DESCRIPTIONS if name != HEIGHT)
 """Quantities of a FilterResult that can be written along with the points."""
 
 LAS_SUFFIXES = (".las", ".laz")
-
-_FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -242,7 +240,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
             "input to point format 6 or above first (laspy convert --point-format-id 6), or choose another class"
         )
     existing = {d.name: d for d in header.extra_dimensions() or () if d.name in labels.extra}
-    if wrong := [name for name, dimension in existing.items() if dimension.data_type not in _FLOATS]:
+    if wrong := [name for name, dimension in existing.items() if dimension.data_type not in FLOATS]:
         raise OutputError(
             f"{path}: the input has extra bytes named {wrong[0]!r} that are not float32 or float64: rename them first"
         )
@@ -274,7 +272,7 @@ def _write_las(path: Place, file: BinaryIO, cloud: PointCloud, labels: _Labels, 
                 )
         labels.put(chunk, rows, number)
         for name, dimension in existing.items():
-            values = labels.extra[name][rows].astype(_FLOATS[dimension.data_type])
+            values = labels.extra[name][rows].astype(FLOATS[dimension.data_type])
             chunk[:, dimension.start : dimension.start + dimension.size] = values.view(np.uint8).reshape(len(chunk), -1)
         if labels.z is not None:
             records.integers(chunk)[:, 2] = _ticks(path, header, labels.z[rows, None], slice(2, 3))[:, 0]

@@ -21,7 +21,7 @@ from ..core.markup import table
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.disk import Bounds, Seal, new_file
-from ..files.header import FLOAT32, FLOAT64
+from ..files.header import FLOATS
 from ..files.reading import open_las
 from ..files.records import read_records
 from ..terrain.raster import Raster
@@ -44,7 +44,6 @@ _COVER, _DATUM = ("land_cover", "landcover", "cover"), ("vertical_datum", "datum
 _PLANTS = ("veg", "forest", "(?<!s)tree", "wood", "brush", "shrub", "(?<!out)crop", "weed", "tall", "vva")
 _BARE = "non|not veg|unveg"
 """Parts of the names of land covers that are vegetated, if none of these is in them: a street and an outcrop are not."""
-_FLOATS = {FLOAT32: "<f4", FLOAT64: "<f8"}
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,"><title>{title} – accuracy</title><style>{style}</style></head>
@@ -257,11 +256,11 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
             return None
         header = open_las(source.place).header
         doubt = next((one for one in header.extra_dimensions() or () if one.name == "doubt"), None)
-        if doubt is None or doubt.data_type not in _FLOATS:
+        if doubt is None or doubt.data_type not in FLOATS:
             return None
         for chunk, _ in read_records(header, inner):
             column = np.ascontiguousarray(chunk[:, doubt.start : doubt.start + doubt.size])
-            total += float(np.nansum(column.view(_FLOATS[doubt.data_type]), dtype=np.float64))
+            total += float(np.nansum(column.view(FLOATS[doubt.data_type]), dtype=np.float64))
     return total
 
 
