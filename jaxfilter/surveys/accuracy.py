@@ -28,7 +28,7 @@ from ..terrain.raster import Raster
 from .collection import Collection
 from .collection import open as open_collection
 from .options import RunOptions
-from .survey import check_in_place
+from .run import check_in_place
 from .targets import REPORT
 from .verdicts import LOG, reviewed
 

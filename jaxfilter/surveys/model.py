@@ -167,7 +167,7 @@ class RasterProduct(GroundNeeded):
                     known = {part: stored[name] for part, name in zip(anew, names, strict=True)}
                     made = layer.made_of(known | {Dtm(): levels.put(known[Dtm()], wide)}, wide, units)
                     made = packed(made[wide.slices(own)], layer.KIND, layer.NODATA)
-                    values = np.where(within(self.reader.reading.aoi, *np.meshgrid(*own.centres())), made, values)
+                    values = np.where(within(self.reading.aoi, *np.meshgrid(*own.centres())), made, values)
                 yield own, values
 
         return write_mosaic(place, self.grid, collection.crs, layer.KIND, layer.NODATA, parts, overwrite=replace)
