@@ -300,6 +300,14 @@ def test_labels_may_come_from_another_file_or_from_patches(folder, scene):
             assert other[key] == report[key], (arguments, key)
 
 
+def test_a_stated_crs_gives_the_units_of_clouds_and_is_part_of_the_command(folder):
+    assert sweep(folder, "--crs", "EPSG:2263").exit_code == 0
+    expected = jf.sweep(jf.SMRF(), read(folder / "truth.laz", units="us-ft"), SETS)
+    np.testing.assert_allclose(stored(folder)["total"].values, expected["total"].values, rtol=1e-6)
+    result = calibrate(folder, "--crs", "EPSG:2263")
+    assert result.exit_code == 0 and " OUT --crs EPSG:2263 " in result.stdout, result.output
+
+
 def test_calibrate_prints_the_command_and_keeps_files(folder):
     options = ("--axis", "slope=0.1..0.4", "--score", "kappa", "--set", "window=10", "--out", folder / "a.json")
     result = calibrate(folder, *options)

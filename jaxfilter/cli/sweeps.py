@@ -142,7 +142,8 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
     from ..sweeps.design import make_design
     from . import flags
 
-    words, (recipe, alone, reading) = options["units"], _take_method(options)
+    stated = [word for name in ("units", "crs") if options[name] for word in (f"--{name}", options[name])]
+    recipe, alone, reading = _take_method(options)
     given, overwrite = pairs("--axis", options.pop("axes")), options.pop("overwrite")
     ranges = {name: axis(type(alone), name, text, True) for name, text in given.items()} or None
     if ranges is not None:
@@ -165,7 +166,7 @@ def calibrate(session: Session, source: Path, labels_file: Path | None, out: Pat
         session.progress(0.0, "labels")
         found = sweeps.calibrate(filter_, cloud, labels, axes=ranges, progress=session.progress, **options)
     method, best = type(filter_), found.filter
-    names = [str(source), "OUT", *(["--units", words] if words else [])]
+    names = [str(source), "OUT", *stated]
     truth, trials = {"ground": int((labels == 1).sum()), "object": int((labels == 0).sum())}, found.trials
     facts = {
         "method": method.__name__,
@@ -246,7 +247,8 @@ def _read_all(sources: tuple[Path, ...], reading: Reading) -> dict[str, PointClo
     for source in sources:
         stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in source.stem)
         names.append(stem if stem not in names else f"{stem}_{len(names) + 1}")
-    return {name: read(source, units=reading.units) for name, source in zip(names, sources, strict=True)}
+    clouds = (read(source, units=reading.units, crs=reading.crs) for source in sources)
+    return dict(zip(names, clouds, strict=True))
 
 
 def _write(
