@@ -324,6 +324,18 @@ def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_pa
     assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
 
 
+def test_who_goes_back_to_a_verdict_gets_it_again(survey, scene):
+    """Another verdict on the same place was carried out in between."""
+    n, run = len(scene[0]), jf.RunOptions(workers=1)
+    for word in ("bridge", "ground", "bridge"):
+        report = jf.apply_survey(table(house=word), survey, run=run)
+        assert report.applied == {word: 1} and report.before == 0
+        on_roof = (classes_of(survey, n)[inside(scene[0], *HOUSE)] == 2).any()
+        assert on_roof == (word == "ground")
+        (known,) = json.loads((survey / "verdicts.json").read_text())["verdicts"]
+        assert known["verdict"] == word
+
+
 def test_verdicts_are_done_for_files_that_come_later(survey, scene):
     """A place in two files, of which one is given first."""
     places = geopandas.GeoDataFrame({"verdict": ["bridge"]}, geometry=[box(70, 20, 90, 30)], crs=UTM)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from ..core.cloud import GROUND_CLASS
 from ..core.errors import InputError, JaxfilterError, ParameterError, warn
@@ -286,7 +287,8 @@ class _Log:
         return one.key in self._known and files <= set(self._known[one.key]) and not files & self._broken
 
     def add(self, verdicts: Sequence[PlaceVerdict]) -> None:
-        """Write down verdicts, and how their files are now. Others are known no more on files that have changed since.
+        """Write down verdicts, and how their files are now. Others are known no more on files that have changed since, and none
+        is in whose place something else is said now.
 
         Raises: OutputError.
         """
@@ -297,7 +299,7 @@ class _Log:
         for entry in self.facts["verdicts"]:
             files = [name for name in entry["files"] if name not in self._broken and (self.path.parent / name).exists()]
             kept[entry["key"]] = files
-            if files and entry["key"] not in keys:
+            if files and entry["key"] not in keys and not self._replaced(entry, verdicts):
                 entries.append(entry | {"files": files})
         for one in verdicts:
             inner, area = one.shape.representative_point(), one.shape.area * self.collection.metre**2
@@ -308,6 +310,12 @@ class _Log:
         seals = {name: dataclasses.asdict(Seal.of(self.path.parent / name)) for name in names}
         with new_file(self.path, overwrite=True) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
+
+    @staticmethod
+    def _replaced(entry: dict[str, Any], verdicts: Sequence[PlaceVerdict]) -> bool:
+        """Whether a place of before, known by a point inside, has another verdict now."""
+        inner = shapely.Point(entry["x"], entry["y"])
+        return any(one.word != entry["verdict"] and one.shape.intersects(inner) for one in verdicts)
 
 
 @dataclasses.dataclass(frozen=True)
