@@ -382,7 +382,16 @@ def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder)
     before = everything(folder)
     assert_one_line(ground(folder, "--log", folder / "scene.laz"), 2, "scene.laz", "input or output")
     assert_one_line(ground(folder, "--log", folder / "no" / "a.log"), 2, "a.log", "cannot be written")
+    inner = CliRunner().invoke(main, ["info", str(folder), "--log", str(folder / "scene.laz")])
+    assert_one_line(inner, 2, "scene.laz", "is no log")
     assert everything(folder) == before
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is always full")
+def test_a_full_disk_of_the_log_is_said_once_and_stops_nothing(folder, capfd):
+    result = ground(folder, "--log", "/dev/full", "-q", method="smrf")
+    assert result.exit_code == 0 and (folder / "out.laz").exists(), result.output
+    assert result.stderr.count("/dev/full: cannot be written on") == 1 and "Traceback" not in capfd.readouterr().err
 
 
 def test_progress_where_there_is_no_terminal_is_a_line_now_and_then(folder):

@@ -282,11 +282,30 @@ class Session:
         }
 
 
+class _LogFile(logging.FileHandler):
+    """A log whose disk may be full: that is said once, and the work goes on."""
+
+    lost = False
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        if not self.lost:
+            click.echo(f"warning: --log {self.baseFilename}: cannot be written on: {sys.exc_info()[1]}", err=True)
+        self.lost = True
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            super().close()
+
+
 @contextlib.contextmanager
 def _logged(path: Path) -> Iterator[None]:
-    """A block whose messages to the ``logger`` are appended to a file. Raises BadUsage if that cannot be."""
+    """A block whose messages to the ``logger`` are appended to a file. Raises BadUsage if that cannot be, or it is no text."""
     try:
-        handler = logging.FileHandler(path, encoding="utf-8")
+        if path.is_file():
+            with path.open("rb") as file:
+                if b"\0" in file.read(4096):
+                    raise BadUsage(f"--log {path}: exists and is no log, since it holds no text: name another file")
+        handler = _LogFile(path, encoding="utf-8")
     except OSError as error:
         raise BadUsage(f"--log {path}: cannot be written: {error.strerror}") from error
     handler.setFormatter(logging.Formatter("{asctime}.{msecs:03.0f} {levelname} {message}", "%Y-%m-%dT%H:%M:%S", "{"))
