@@ -387,6 +387,15 @@ def test_a_log_is_neither_an_input_nor_in_a_place_that_cannot_be_written(folder)
     assert everything(folder) == before
 
 
+def test_places_and_breaklines_are_two_files(folder):
+    both = folder / "both.gpkg"
+    assert_one_line(ground(folder, "--review", both, "--breaklines", both), 2, "both.gpkg", "name two")
+    products = ["products", folder / "truth.laz", folder / "made", "--classified", 2, "--overwrite"]
+    words = [*products, "--breaklines", folder / "made" / "contours.gpkg", "--only", "contours"]
+    assert_one_line(CliRunner().invoke(main, [str(word) for word in words]), 2, "contours.gpkg", "name another")
+    assert not both.exists() and not (folder / "made").exists()
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is always full")
 def test_a_full_disk_of_the_log_is_said_once_and_stops_nothing(folder, capfd):
     result = ground(folder, "--log", "/dev/full", "-q", method="smrf")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -215,9 +216,11 @@ def check_shapes(options: dict[str, Any], *targets: Path | None, made: str = "")
     """As :func:`check_target`, for files of shapes of a run that may go on."""
     from ..files.vectors import SUFFIXES
 
-    for target in targets:
-        if target is not None:
-            check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
+    named = [target for target in targets if target is not None]
+    for target in named:
+        check_target(target, options["overwrite"] or options["resume"], SUFFIXES, made)
+    if len({os.path.realpath(target) for target in named}) < len(named):
+        raise BadUsage(f"{named[0]}: one file cannot hold both places and breaklines: name two")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -88,6 +88,11 @@ def products(
         raise ParameterError("products are written into a folder and cannot take the place of the input: name a folder")
     layers = [LAYERS[name] for name in LAYERS if name in names]
     outputs = {layer: folder / f"{layer.NAME}{layer.SUFFIXES[0]}" for layer in layers}
+    outlined = None if breaklines is None else Path(breaklines)
+    if outlined is not None:
+        check_suffix(outlined, SUFFIXES)
+        if any(isinstance(place, Path) and outlined.absolute() == place.absolute() for place in outputs.values()):
+            raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the contours: name another")
     for place in (*outputs.values(), folder / PAGE):
         if is_there(place) and not (run.overwrite or run.resume):
             raise OutputError(
@@ -96,9 +101,7 @@ def products(
     if isinstance(folder, Path) and not run.dry_run:
         with output_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-    classified, outlined = None, None if breaklines is None else Path(breaklines)
-    if outlined is not None:
-        check_suffix(outlined, SUFFIXES)
+    classified = None
     water = WaterWanted(path=outlined)
     source: GroundSource = Recipe() if ground is None else ground
     if isinstance(source, Filter | Recipe):
