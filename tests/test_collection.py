@@ -246,6 +246,18 @@ def test_planning_queries():
     assert survey.within((2000, 0, 2100, 10)).tolist() == []
 
 
+@pytest.mark.parametrize("more", [-1, 1])
+def test_files_with_other_points_than_their_virtual_point_cloud_says_are_refused(folder, more):
+    jf.open(folder / "below" / "d.laz").to_vpc(folder / "d.vpc")
+    content = json.loads((folder / "d.vpc").read_text())
+    content["features"][0]["properties"]["pc:count"] += more
+    (folder / "d.vpc").write_text(json.dumps(content))
+    with pytest.raises(
+        jf.InputError, match=r"d\.laz: holds .* points, and the \.vpc that names it says .*: make the .vpc anew"
+    ):
+        jf.ground(folder / "d.vpc", folder / "out", jf.SMRF())
+
+
 def test_virtual_point_cloud_there_and_back(folder):
     survey = jf.open([folder, folder / "below" / "d.laz"])
     with pytest.warns(jf.JaxfilterWarning, match="1 files without points are left out"):

@@ -19,7 +19,7 @@ from .blocks import Blocks, measured, nodes
 from .disk import Bounds, Identity
 from .handles import Handle
 from .header import Header
-from .reading import LasFile, kept_text, open_las, open_text
+from .reading import LasFile, TextFile, kept_text, open_las, open_text
 from .records import coordinates, inside, read_records, reading_errors
 from .sources import Source
 from .storage import Place, Remote
@@ -73,7 +73,7 @@ def read_window(
     with reading_errors(place):
         identity = Identity.of(place)
         file = _opened(place, identity)
-        _check_identity(source, file.header.fingerprint)
+        _check_identity(source, file.header)
         x0, y0, x1, y1 = source.bounds
         whole = cut is None or not source.count or (cut[0] <= x0 and cut[1] <= y0 and x1 < cut[2] and y1 < cut[3])
         blocks = blocks_of(place, identity, index, make=not whole)
@@ -116,7 +116,7 @@ def file_cloud(
     with reading_errors(place):
         identity = Identity.of(place)
         file = kept_text(cast(Path, place)) if kind == "text" else _opened(place, identity).header
-        _check_identity(source, file.fingerprint)
+        _check_identity(source, file)
         if kind == "las" and checksum is None:
             blocks = blocks_of(place, identity, index)
     handle = Handle(place.absolute(), kind, source.format, len(candidate), bounds, identity, checksum, blocks, rows)
@@ -125,14 +125,18 @@ def file_cloud(
     return PointCloud(corner, xyz, candidate=candidate, crs=source.crs, units=source.units, source=handle)
 
 
-def _check_identity(source: Source, now: str) -> None:
-    if source.identity and now != source.identity:
+def _check_identity(source: Source, file: Header | TextFile) -> None:
+    """Raises: InputError if a file has changed, or has another number of points than a .vpc says, which knows no more of it."""
+    if source.identity and file.fingerprint != source.identity:
         raise InputError(f"{source.uri}: the file has changed since the collection was opened; open it again")
+    if not source.identity and isinstance(file, Header) and file.count != source.count:
+        said = f"holds {file.count:,} points, and the .vpc that names it says {source.count:,}"
+        raise InputError(f"{source.uri}: {said}: make the .vpc anew, such as with jaxfilter info --vpc")
 
 
 def _text_window(source: Source, reading: Reading) -> Window:
     file, cut = kept_text(cast(Path, source.place)), reading.bounds
-    _check_identity(source, file.fingerprint)
+    _check_identity(source, file)
     if not reading.drop_invalid and not np.isfinite(file.xyz).all():
         open_text(file.path, cut, drop_invalid=False)  # which names the line
     rows = np.ones(len(file.xyz), bool) if cut is None else inside(file.xyz, cut)
