@@ -128,6 +128,13 @@ def test_what_only_sounds_like_plants_is_not_vegetated(folder, tmp_path):
     assert (said["checkpoints"]["nva"]["points"], said["checkpoints"]["vva"]["points"]) == (5, 3)
 
 
+def test_a_model_beside_the_points_is_refused(folder, tmp_path):
+    jf.Raster(np.zeros((5, 5), np.float32), (1.0, 0.0, 0.0, 0.0, -1.0, 5.0), HEIGHTS).write(tmp_path / "far.tif")
+    with pytest.raises(jf.InputError, match=r"far.tif: lies within 0, 0, 5, 5, beside the points"):
+        jf.accuracy_statement(folder / "points.laz", tmp_path / "far.tif", tmp_path / "a.html")
+    assert not (tmp_path / "a.html").exists()
+
+
 def test_points_that_do_not_count_and_too_few_are_named(folder, tmp_path):
     more = [f"{X - 10},{Y + 10},100", f"{X + 2},{Y + SIDE - 2},100", f"{X + 20},{Y + 20},"]
     points = checkpoints(tmp_path / "p.csv", np.full(25, 0.1), more=more)
@@ -167,3 +174,15 @@ def test_a_file_without_heights_is_refused(folder, tmp_path):
     (tmp_path / "p.csv").write_text("x,y,h\n1,2,3\n")
     with pytest.raises(jf.InputError, match="has no column z; it has x, y, h"):
         jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", tmp_path / "p.csv")
+    (tmp_path / "p.csv").write_text(f"x,y,z\n{X + 2},{Y + 2},100,5\n")  # a decimal comma, say
+    with pytest.raises(jf.InputError, match=r"p\.csv: cannot be read as CSV"):
+        jf.accuracy_statement(folder / "points.laz", folder / "model.tif", tmp_path / "a.html", tmp_path / "p.csv")
+
+
+@pytest.mark.parametrize("name", ["jaxfilter-run.json", "verdicts.json"])
+@pytest.mark.parametrize("text", ["{bad", "[]"])
+def test_damaged_records_beside_the_files_are_named(folder, tmp_path, name, text):
+    (tmp_path / "points.laz").write_bytes((folder / "points.laz").read_bytes())
+    (tmp_path / name).write_text(text)
+    with pytest.raises(jf.InputError, match=f"{name}: is damaged"):
+        jf.accuracy_statement(tmp_path / "points.laz", folder / "model.tif", tmp_path / "a.html")

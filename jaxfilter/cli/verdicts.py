@@ -112,6 +112,8 @@ def accuracy(session: Session, names: tuple[str, ...], checkpoints: Path | None,
     text = f"{out}: {labels['ground']:,} ground points, {count(labels['named_places'], 'place')} of {labels['named_m2']:,.0f} m2"
     if points is not None:
         nva, vva = points["nva"], points["vva"]
-        text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
-        text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
+        if nva["points"]:
+            text += f"; NVA: RMSEz {metres(nva['rmse_m'])} m of {count(nva['points'], 'point')}"
+        if vva["points"]:
+            text += f"; VVA: 95 % within {metres(vva['p95_m'])} m of {count(vva['points'], 'point')}"
     return Answer(facts, text)

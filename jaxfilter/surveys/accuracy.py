@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import os
+import warnings
 from collections import Counter
 from collections.abc import Iterable
 from html import escape
@@ -78,7 +79,8 @@ def accuracy_statement(
     Returns: dict of what the page says: ``checkpoints`` (NVA, VVA, and by land cover), ``labels`` (expected wrong points from the
     extra dimension doubt, area of named places, density of ground points), ``model`` (area, voids), ``made`` (versions,
     parameters), ``notes`` and ``standards``.
-    Raises: InputError for check points in another vertical datum than that of the model, or without coordinates; OutputError.
+    Raises: InputError for check points in another vertical datum than that of the model, or without coordinates, for a model
+    beside the points, and for a damaged report beside the files; OutputError.
 
     >>> jf.dtm(cloud, truth).write("model.tif").name
     'model.tif'
@@ -96,8 +98,9 @@ def accuracy_statement(
     check_in_place(reading)
     collection = what if isinstance(what, Collection) else open_collection(what, units=reading.units, crs=reading.crs)
     notes: list[str] = []
+    inner = _covered("model" if raster is model else str(model), raster, collection)
+    made = _made(collection)
     points = None if checkpoints is None else _checked(Path(checkpoints), raster, collection, notes)
-    inner = _covered(raster, collection)
     if inner is not None:
         import shapely
 
@@ -131,7 +134,7 @@ def accuracy_statement(
             "void_percent": 100 * (1 - cells / max(raster.values.size, 1)),
             "crs": None if raster.crs is None else raster.crs.name,
         },
-        "made": _made(collection),
+        "made": made,
         "notes": [*notes, *(f"{one['file']}: {one['reason']}" for one in (*report.failed, *report.left_out))],
         "standards": EDITIONS,
     }
@@ -144,8 +147,12 @@ def _checked(path: Path, model: Raster, collection: Collection, notes: list[str]
     import pandas
 
     try:
-        rows = pandas.read_csv(path, dtype=str).rename(columns=lambda name: str(name).strip().lower())
-    except (OSError, ValueError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pandas.errors.ParserWarning)  # of lines with more cells than the header
+            rows = pandas.read_csv(path, dtype=str, index_col=False).rename(
+                columns=lambda name: str(name).strip().lower()
+            )
+    except (OSError, ValueError, pandas.errors.ParserWarning) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from error
     if missing := [name for name in "xyz" if name not in rows]:
         raise InputError(f"{path}: has no column {missing[0]}; it has {', '.join(rows)}: name them x, y and z")
@@ -239,13 +246,17 @@ def _named(text: str) -> str:
     return _vertical(crs) or text
 
 
-def _covered(model: Raster, collection: Collection) -> Bounds | None:
+def _covered(name: str, model: Raster, collection: Collection) -> Bounds | None:
     """The bounds of a model that covers a part of the files only; None if it covers all, but for less than a cell, or if there is
-    text, which no area cuts."""
-    if any(source.format == "text" for source in collection):
+    text, which no area cuts. Raises: InputError if it lies beside them."""
+    if not collection.count:
         return None
-    (x0, y0, x1, y1), (a0, b0, a1, b1) = model.bounds, collection.bounds
-    return None if max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) < model.cell else model.bounds
+    (x0, y0, x1, y1), (a0, b0, a1, b1), cell = model.bounds, collection.bounds, model.cell
+    if max(x0 - a1, y0 - b1, a0 - x1, b0 - y1) >= cell:
+        own, theirs = (", ".join(f"{value:.10g}" for value in box) for box in (model.bounds, collection.bounds))
+        raise InputError(f"{name}: lies within {own}, beside the points, within {theirs}: is it in another CRS?")
+    text = any(source.format == "text" for source in collection)
+    return None if text or max(x0 - a0, y0 - b0, a1 - x1, b1 - y1) < cell else model.bounds
 
 
 def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
@@ -265,17 +276,24 @@ def _doubt(collection: Collection, inner: Bounds | None) -> float | None:
 
 
 def _made(collection: Collection) -> dict[str, Any]:
-    """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them."""
+    """How the files were made, as far as the reports beside them say; verdicts are those on files that are as they left them.
+    Raises: InputError for a damaged report."""
     found: dict[str, Any] = {"jaxfilter": __version__}
     for folder in sorted({Path(uri).parent for uri in collection.uris if "://" not in uri}):
-        if (place := folder / REPORT).is_file():
-            facts = json.loads(place.read_text())
-            found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
-        if (place := folder / LOG).is_file():
-            log, own = json.loads(place.read_text()), {os.path.relpath(uri, folder) for uri in collection.uris}
-            own = {name for name in own & set(log["files"]) if Seal(**log["files"][name]).broken(folder / name) is None}
-            said = Counter(one["verdict"] for one in log["verdicts"] if own & set(one["files"]))
-            found["verdicts"] = dict(sorted(said.items()))
+        for place in (folder / name for name in (REPORT, LOG) if (folder / name).is_file()):
+            try:
+                facts = json.loads(place.read_text())
+                if place.name == REPORT:
+                    found |= {"method": facts.get("method"), "parameters": facts.get("parameters")}
+                    continue
+                seals, own = facts["files"], {os.path.relpath(uri, folder) for uri in collection.uris}
+                own = {name for name in own & set(seals) if Seal(**seals[name]).broken(folder / name) is None}
+                said = Counter(one["verdict"] for one in facts["verdicts"] if own & set(one["files"]))
+                found["verdicts"] = dict(sorted(said.items()))
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise InputError(
+                    f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
+                ) from error
     return found
 
 
