@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -175,6 +176,9 @@ def test_windows_and_thresholds():
     np.testing.assert_allclose(PMF.preset("pcl").thresholds(), [0.15, 1.55, 2.95, 5.75, 10.0])
     twice, once = (PMF(cell=2.0, compare=c, max_distance=99.0).thresholds() - 0.5 for c in ("points", "surfaces"))
     np.testing.assert_allclose(twice, 2 * once, rtol=1e-5)
+    for name in ("slope", "initial_distance", "max_distance"):  # each may be traced by itself
+        traced = jax.jit(lambda value, name=name: PMF(**{name: value}).thresholds())(getattr(PMF(), name))
+        np.testing.assert_array_equal(traced, PMF().thresholds())
 
 
 def test_parameters():

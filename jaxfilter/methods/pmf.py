@@ -153,7 +153,8 @@ class PMF(LowOutlierFilter):
         growth = 2 * np.diff(self.radii()) * self.cell * (self.cell if self.compare == "points" else 1.0)
         fields = self.slope, self.initial_distance, self.max_distance
         slope, initial, most = (jnp.float32(v) if isinstance(v, jax.Array) else np.float32(v) for v in fields)
-        return (slope * np.append(0.0, growth).astype(np.float32) + initial).clip(max=most)
+        grown = slope * np.append(0.0, growth).astype(np.float32) + initial
+        return jnp.clip(grown, max=most) if isinstance(most, jax.Array) else grown.clip(max=most)
 
     def halo(self) -> float:
         """Reach of all openings, one after the other, and what the search for low clusters looks at, metres, but at most one and
