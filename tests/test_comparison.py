@@ -17,6 +17,7 @@ import jaxfilter as jf
 from jaxfilter.core.markup import sheet
 from jaxfilter.sweeps.comparison import Comparison, holm, least_p, paired
 from jaxfilter.sweeps.tables import latex, markdown
+from jaxfilter.terrain.accuracy import FIGURES
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,7 @@ def test_tables_are_written_as_markdown_and_latex(compared):
         "x\\_1 \\& \\textbackslash{}y & 2.0 \\\\\nz & -- \\\\\n\\bottomrule\n\\end{tabular}\n"
     )
     assert markdown([("a", "A", ""), ("b", "B", "d")], [{"a": "x"}]) == "| A | B |\n|---|---:|\n| x | – |"
+    assert markdown([("a", "A|", "")], [{"a": r"x|y\|z"}]) == "| A\\| |\n|---|\n| x\\|y\\|z |"
     assert "<table" in compared._repr_html_()
     assert str(compared).splitlines()[0].split() == re.findall(r"<th>(.+)</th>", compared._repr_html_())
 
@@ -248,6 +250,12 @@ def test_methods_by_clouds_have_means_and_the_best_in_bold():
     ]
     assert r"A\_1 & \textbf{1.00} & 4.00 & \textbf{2.50} \\" in found.latex("total")
     assert "| A_1 | **99.00** | 96.00 |" in found.markdown("kappa")
+
+
+def test_every_figure_has_a_table_of_methods_by_clouds(compared):
+    for score in FIGURES:
+        assert compared.markdown(score).startswith("| method | west | east | mean |"), score
+        assert compared.latex(score).startswith(r"\begin{tabular}"), score
 
 
 def test_of_a_list_each_group_is_filtered_with_what_is_best_on_the_others(town):

@@ -154,7 +154,7 @@ class Comparison:
             return self._columns(), self.table.to_dict("records")  # type: ignore[return-value]
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
-        spec = next(spec for key, _, spec in _COLUMNS if key == score)
+        spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
         best = (wide.max() if score in LARGER_IS_BETTER else wide.min()).map(lambda value: format(value, spec))
 
         def shown(name: str, value: float) -> Any:

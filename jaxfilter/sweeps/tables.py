@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -16,10 +17,11 @@ class Marked(str):
 
 
 def markdown(columns: Sequence[Column], rows: Iterable[Row]) -> str:
-    """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right."""
-    heading = "| " + " | ".join(title for _, title, _ in columns) + " |"
+    """A Markdown table. Values that are absent, None or NaN are shown as a dash; numbers are set to the right,
+    and bars in text are escaped."""
+    heading = "| " + " | ".join(_barred(title) for _, title, _ in columns) + " |"
     rule = "|" + "|".join("---:" if spec else "---" for _, _, spec in columns) + "|"
-    lines = ["| " + " | ".join(_cell(row.get(key), spec) for key, _, spec in columns) + " |" for row in rows]
+    lines = ["| " + " | ".join(_barred(_cell(row.get(key), spec)) for key, _, spec in columns) + " |" for row in rows]
     return "\n".join([heading, rule, *lines])
 
 
@@ -44,6 +46,11 @@ _LATEX = str.maketrans(
     {c: f"\\{c}" for c in "&%$#_{}"}
     | {"\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}"}
 )
+
+
+def _barred(text: str) -> str:
+    """Text in which bars do not end a cell of Markdown."""
+    return re.sub(r"(?<!\\)\|", r"\\|", text)
 
 
 def _escaped(text: str) -> str:
