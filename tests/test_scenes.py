@@ -117,6 +117,11 @@ def test_points_lie_inside_the_extent_on_the_lattice_of_the_rounding():
     assert np.abs(scene.xyz * 100 - np.rint(scene.xyz * 100)).max() > 0.05  # millimetres are not centimetres
 
 
+def test_a_scene_that_no_pulse_meets_is_empty():
+    found = scenes.make("town", size=1, density=0.1, seed=1)
+    assert len(found) == len(found.cloud) == len(found.truth) == 0 and found.xyz.shape == (0, 3)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.03, 0.2])
 def test_ground_points_are_terrain_plus_noise(noise):
     scene = scenes.make("mixed", size=300, noise=noise, rounding=0.001)

@@ -249,7 +249,7 @@ def make(
     else:
         shots = pulses(terrain, (width, height), density, pattern, swath, overlap, rounding)
         taken = (echoes(terrain.patch(box_of(s.x, s.y)), s, usual.footprint, noise, density) for s in shots)
-    parts = []
+    parts = [Echoes(np.zeros((0, 3)), *np.zeros((3, 0), np.uint8))]  # no pulse may meet a small scene
     for part in taken:
         part.xyz[:] = np.rint((part.xyz + corner) / rounding) * rounding
         parts.append(part)
