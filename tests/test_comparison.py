@@ -99,6 +99,8 @@ def test_tables_are_written_as_markdown_and_latex(compared):
 def test_wrong_arguments_are_found_before_anything_runs(clouds, filters, options, words):
     with pytest.raises(jf.ParameterError, match=words):
         jf.compare(filters, clouds, **options)
+    with pytest.raises(jf.InputError, match="compare: two clouds are called '1'"):
+        jf.compare([jf.SMRF()], {1: clouds["west"], "1": clouds["east"]})
     with pytest.raises(jf.InputError, match="compare: there is no cloud"):
         jf.compare([jf.SMRF()], {})
 

@@ -156,7 +156,7 @@ def sweep(
 
 
 def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, PointCloud]]:
-    """Whether there are several clouds, and the clouds by name. Raises InputError if there is none."""
+    """Whether there are several clouds, and the clouds by name. Raises InputError if there is none, or two have one name."""
     if isinstance(clouds, Mapping):
         several, pairs = True, [(str(name), cloud) for name, cloud in clouds.items()]
     elif isinstance(clouds, PointCloud) or hasattr(clouds, "shape") or not isinstance(clouds, Iterable):
@@ -165,6 +165,9 @@ def named_clouds(clouds: Any, caller: str = "sweep") -> tuple[bool, dict[str, Po
         several, pairs = True, [(str(i), cloud) for i, cloud in enumerate(clouds)]
     if not pairs:
         raise InputError(f"{caller}: there is no cloud")
+    names = [name for name, _ in pairs]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise InputError(f"{caller}: two clouds are called {min(twice)!r}: give them different names")
     return several, {name: as_cloud(cloud) for name, cloud in pairs}
 
 
