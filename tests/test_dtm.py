@@ -396,6 +396,13 @@ def test_rmse_is_that_of_the_heights(rng):
     half = jf.dtm_rmse(double, west, truth, near=None)
     assert half.missing > 500 and half.rmse < 0.01 and half.cells + half.missing == pytest.approx(errors.cells, abs=60)
     assert len(z) == west.size / 2
+    for reference, message in (
+        (None, "pass reference="),
+        (truth[1:], "reference: bool"),
+        (truth * 1, "reference: bool"),
+    ):
+        with pytest.raises(jf.InputError, match=message):
+            jf.dtm_rmse(double, truth, reference)
 
 
 def test_a_building_taken_for_ground_is_an_error_of_its_height(rng):

@@ -172,7 +172,7 @@ def differences(
     grid = grid_of(cloud, cell, None)
     gaps = (interpolation.max_gap, near and near / cloud.units.xy)
     known = dataclasses.replace(interpolation, max_gap=min((gap for gap in gaps if gap is not None), default=None))
-    truth = interpolated(Site(cloud, ground_of(cloud, reference), grid, interpolation=known))
+    truth = interpolated(Site(cloud, ground_of(cloud, reference, "reference"), grid, interpolation=known))
     model = interpolated(Site(cloud, ground_of(cloud, result), grid, interpolation=interpolation))
     metres = (model.astype(np.float64) - truth) * cloud.units.z
     border = inward(occupied(cloud, grid), cell * cloud.units.xy) <= rim

@@ -117,18 +117,18 @@ class Site:
         return self.grid.cell * self.cloud.units.xy
 
 
-def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None) -> np.ndarray:
-    """bool[n]: the points that the surface goes through."""
+def ground_of(cloud: PointCloud, result: FilterResult | np.ndarray | None, name: str = "result") -> np.ndarray:
+    """bool[n]: the points that the surface goes through. Raises: InputError with the ``name`` of the argument."""
     if result is None:
         if cloud.reference is None:
-            raise InputError("the cloud has no reference labels (a label column, or class 2): pass result=")
+            raise InputError(f"the cloud has no reference labels (a label column, or class 2): pass {name}=")
         ground = cloud.reference if cloud.withheld is None else cloud.reference & ~cloud.withheld
     else:
         ground = result.ground if isinstance(result, FilterResult) else np.asarray(result)
     if np.ma.is_masked(result):
-        raise InputError("result: some labels are masked: say of every point whether it is ground")
+        raise InputError(f"{name}: some labels are masked: say of every point whether it is ground")
     if ground.shape != (len(cloud),) or ground.dtype != bool:
-        raise InputError(f"result: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
+        raise InputError(f"{name}: bool[{len(cloud)}] is needed for this cloud, not {ground.dtype}{list(ground.shape)}")
     return ground if cloud.valid is None else ground & cloud.valid
 
 
