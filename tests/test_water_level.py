@@ -73,6 +73,16 @@ def test_a_level_river_has_one_height_and_land_is_as_it_was() -> None:
     assert len(jf.breaklines(part_of(cloud, cloud.classification == 2))) == 0
 
 
+def test_water_in_feet_has_the_cells_and_levels_of_that_in_metres() -> None:
+    cloud = valley(0.0)
+    feet = jf.PointCloud.from_arrays(
+        cloud.coordinates() / 0.3048, units="ft", classification=cloud.classification, reference=cloud.reference
+    )
+    np.testing.assert_array_equal(feet.xyz, cloud.xyz)
+    model = jf.dtm(feet, cell=1 / 0.3048)  # centres of cells are edges of cells of water
+    np.testing.assert_allclose(model.values * 0.3048, jf.dtm(cloud).values, atol=1e-4)
+
+
 def test_stray_points_of_water_are_no_crash() -> None:
     cloud = jf.PointCloud.from_arrays(
         np.array([[0.0, 0, 0], [99_000, 99_000, 0], [9, 0, 1], [0, 9, 1]]),

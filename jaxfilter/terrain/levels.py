@@ -17,6 +17,7 @@ from ..core.result import FilterResult
 from ..core.water import WaterCells
 from ..engines.neighbours import groups, touching
 from ..files.disk import Bounds
+from .outline import SNAP
 from .raster import RasterGrid
 
 if TYPE_CHECKING:
@@ -141,7 +142,8 @@ class WaterRuns:
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """f64[...]: the level of water at places, file units, NaN on land; ``x``, ``y``: f64[...], file coordinates."""
         side, x0, y0, metre, factor = self.frame
-        row, column = (np.floor((v - v0) * (metre / side) + 0.5).astype(np.int64) for v, v0 in ((y, y0), (x, x0)))
+        snapped = (np.rint((v - v0) * (metre / SNAP)) * SNAP for v, v0 in ((y, y0), (x, x0)))  # a centre may be an edge
+        row, column = (np.floor(v / side + 0.5).astype(np.int64) for v in snapped)
         key = _keys(row, column)
         run = np.maximum(np.searchsorted(_keys(self.run[:, 0], self.run[:, 1]), key, "right") - 1, 0)
         found = (self.run[run, 0] == row) & (self.run[run, 1] <= column) & (column < self.run[run, 2])
