@@ -606,6 +606,20 @@ def test_a_hall_that_a_corner_of_the_data_cuts_is_an_object_however_large_it_is(
     assert not whole_of(wide, **judged).objects(none, level).any()
 
 
+def test_a_steep_roof_that_a_corner_of_the_data_cuts_is_an_object_and_a_rock_is_none():
+    row, column = np.indices((60, 60), np.float32)
+    level = np.zeros((60, 60), np.float32)
+    none, roof = level > 0, np.where((row < 30) & (column < 30), 30 - 0.6 * (abs(column - 16) + abs(row - 16)), level)
+    assert not whole_of(roof).segments.number[roof > 0].any()
+    np.testing.assert_array_equal(whole_of(roof).objects(none, level), roof > 0)
+    rough = np.random.default_rng(0).uniform(-0.6, 0.6, roof.shape)
+    rock = np.where(roof > 0, roof + rough, 0).astype(np.float32)
+    assert not whole_of(rock).objects(none, level).any()
+    assert (
+        not whole_of(np.roll(roof, (20, 20), (0, 1))).objects(none, level).any()
+    )  # a mound inside the data is left to openings
+
+
 def test_a_narrow_headland_with_faces_is_ground_and_a_hall_with_walls_is_none():
     """Both are level, 40 m wide and 30 m high, and cut by the data at their ends; the faces are 70 degrees steep."""
     away = abs(np.mgrid[:90, :90][1].astype(np.float32) - 45) - 20

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 SMOOTH = 0.2
 """Metres that a bare surface bends by from one cell to the next, along its contours, and that its points scatter by."""
@@ -20,8 +21,8 @@ TALL, HALL, SHOWN = np.float32(4.0), 0.8, 0.9
 """Metres by which the surface falls at the walls of large halls, at least; the share of their border inside the data that such
 walls are; and how many times as many cells are on it as at the edge of the data. A rectangle cut by a corner has as many."""
 BANK, EVEN, BANKS = 0.5, 0.1, 0.8
-"""Metres that a bank falls by within two cells at least, and that the top of an embankment bends by; and the share of its border,
-where the surface falls, that banks are at least."""
+"""Metres that a bank falls by within two cells at least, and that the top of an embankment, or a steep roof, bends by; and the
+share of its border, where the surface falls, that banks are at least."""
 
 
 class Roofs(NamedTuple):
@@ -93,7 +94,7 @@ class Segments:
         cut: headlands go on beyond the edge, and decks over a valley are seen with both ends.
 
         Groups are objects by their border alone, if at least half of their cells are in segments: rocks are not. Those that the
-        edge cuts must have the walls of large halls.
+        edge cuts must have the walls of large halls; they may be steep, too, if at least half of their cells are even.
 
         Args:
             marked: bool[rows, columns], cells that openings take for objects.
@@ -105,10 +106,12 @@ class Segments:
         border = border + np.where((cells > self.largest) & ~_hall(border, walls, edge), edge, 0)
         whole = (inside >= roofs.share * cells) | (falling >= roofs.drop_share * np.maximum(border, 1))
         roof = (whole & (cells > 0))[segment]
+        even = np.abs(self.z - uniform_filter(self.z, 3, mode="nearest")) <= EVEN
         for group in self.groups:
             cells, inside, border, falling, _, walls, edge = self._census(group, segment > 0, slope)
             falls = np.where(edge > 0, _hall(border, walls, edge), falling >= roofs.drop_share * border)
-            roof |= (falls & (border > 0) & (2 * inside >= cells))[group.number]
+            steep = np.where(edge > 0, np.bincount(group.number.ravel(), even.ravel(), group.last + 1), 0)
+            roof |= (falls & (border > 0) & (2 * np.maximum(inside, steep) >= cells))[group.number]
         return roof
 
     def _census(self, parts: Parts, marked: np.ndarray, slope: np.ndarray) -> np.ndarray:
