@@ -254,6 +254,18 @@ def test_methods_by_clouds_have_means_and_the_best_in_bold():
     assert "| A_1 | **99.00** | 96.00 |" in found.markdown("kappa")
 
 
+def test_a_model_that_is_too_low_is_no_better_than_one_that_is_too_high():
+    rows = [("low", "a", -2.0), ("low", "b", -1.0), ("high", "a", 0.5), ("high", "b", 1.5)]
+    found = Comparison(pandas.DataFrame(rows, columns=["method", "cloud", "mean"]))
+    assert found.markdown("mean").splitlines()[2:] == [
+        "| low | -2.000 | **-1.000** | -1.500 |",
+        "| high | **0.500** | 1.500 | **1.000** |",
+    ]
+    with pytest.warns(jf.JaxfilterWarning, match="cannot give p"):
+        [row] = found.significance("mean").to_dict("records")
+    assert (row["better"], row["worse"], row["difference"]) == (1, 1, 0.5)
+
+
 def test_every_figure_has_a_table_of_methods_by_clouds(compared):
     for score in FIGURES:
         assert compared.markdown(score).startswith("| method | west | east | mean |"), score

@@ -347,6 +347,8 @@ def test_parameters_follow_spacing_and_building_size(method, small):
     assert len(method.for_cloud(xyz, largest_building=33.3)(xyz)) == len(xyz)
     with pytest.raises(jf.ParameterError, match="largest_building=-1"):
         method.for_cloud(xyz, largest_building=-1)
+    with pytest.raises(jf.ParameterError, match="largest_building='33'"):
+        method.for_cloud(xyz, largest_building="33")
 
 
 def test_an_anchor_moves_grids_not_labels_much(method, small):

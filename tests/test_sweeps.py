@@ -5,7 +5,9 @@ import itertools
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+import pandas
 import pytest
 
 import jaxfilter as jf
@@ -342,8 +344,9 @@ def test_batches_of_clouds_of_unlike_size_have_the_labels_of_single_calls():
 
 
 def test_scores_are_those_of_evaluate_and_dimensions_those_of_the_axes(cloud):
-    slopes, thresholds = [0.05, 0.15, 0.3], [0.3, 0.8]
-    data = jf.sweep(jf.SMRF(), cloud, {"slope": slopes, "threshold": thresholds}, votes=True)
+    slopes, thresholds = [0.05, 0.15, 0.3], [0.25, 0.75]
+    axes = {"slope": pandas.Series(slopes), "threshold": jnp.array(thresholds)}  # as good as lists
+    data = jf.sweep(jf.SMRF(), cloud, axes, votes=True)
     assert data.total.dims == ("slope", "threshold") and data.slope.values.tolist() == slopes
     votes = np.zeros(len(cloud))
     for s, t in itertools.product(slopes, thresholds):

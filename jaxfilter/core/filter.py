@@ -17,7 +17,7 @@ from .cloud import PointCloud, as_cloud
 from .compilation import in_turn
 from .errors import InputError, ParameterError, check_whole, warn
 from .markup import table
-from .params import Preset, check_fields, declared
+from .params import Preset, check_fields, declared, is_number
 from .points import Points, canonical_points, check_extent, plain_points
 from .process import need_threads
 from .result import QUANTITIES, Call, Decision, FilterResult, Progress, Status, silent
@@ -109,7 +109,7 @@ class Filter:
         >>> filter_.cell, filter_.window
         (1.0, 15.0)
         """
-        if largest_building is not None and not largest_building > 0:
+        if largest_building is not None and not (is_number(largest_building) and largest_building > 0):
             raise ParameterError(f"largest_building={largest_building!r}: must be > 0 metres")
         points = canonical_points(as_cloud(cloud), keep=not cls.ORDER_FREE)
         changes = {**cls.from_points(points, largest_building), **changes}

@@ -93,7 +93,8 @@ class FilterResult:
         slope: f32[n], degrees; slope of that surface under the point.
         angle: f32[n], degrees; last tested angle to the facet (TIN filters), else NaN.
         elevation: f32[n], metres; last tested elevation over the highest vertex, or distance to the facet; else NaN.
-        margin: f32[n]; tested quantity minus its threshold in the unit of the deciding test: negative = ground. NaN if untested.
+        margin: f32[n]; tested quantity minus its threshold in the unit of the deciding test: ground has zero or less.
+            It may be infinite; NaN if untested.
         decision: u8[n], see :class:`Decision`.
         barred: bool[n]; points kept out of the seeds as outliers (they were tested again later).
         status: how the run ended; ``status.message`` in words.

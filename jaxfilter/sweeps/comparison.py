@@ -50,6 +50,8 @@ _TIMES = ("seconds", "first_seconds")
 _LEVEL = 0.05
 """Of significance, where it is said that there are too few clouds."""
 _OPTIONAL = (*SCORES, *FIGURES)  # what takes a reference
+SIGNED = ("mean", "border_mean", "inside_mean")
+"""Figures of which the one that is nearest to zero is best."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,6 +101,7 @@ class Comparison:
         the size of the ``effect``, ``p`` of Wilcoxon's signed-rank test, two-sided, and ``p_holm``, corrected for the number of
         rows (Holm 1979). The effect is the matched-pairs rank-biserial correlation (Kerby 2014, Comprehensive Psychology 3,
         11.IT.3.1): the share of the ranks for the method less the share against it; 1 = better everywhere, -1 = worse everywhere.
+        Mean differences of heights (:data:`SIGNED`) are taken without their sign.
 
         Raises: ParameterError for a score or a method that is not in the table.
         Warns: if there are so few clouds that p cannot be below 0.05 whatever they say, with the correction or without.
@@ -109,7 +112,7 @@ class Comparison:
         """
         import pandas
 
-        names, wide = list(self.by_method(score, by)), self.by_method(score)
+        names, wide = list(self.by_method(score, by)), _size(self.by_method(score), score)
         if against is not None and against not in names:
             raise ParameterError(f"against={against!r}: choose one of {', '.join(names)}")
         pairs = [(a, against) for a in names if a != against] if against else list(itertools.combinations(names, 2))
@@ -155,11 +158,14 @@ class Comparison:
         wide = self.by_method(score).T
         wide["mean"] = wide.mean(axis=1, skipna=False)
         spec = next((spec for key, _, spec in _COLUMNS if key == score), ".3f")
-        best = (wide.max() if score in LARGER_IS_BETTER else wide.min()).map(lambda value: format(value, spec))
+        sizes = _size(wide, score)
+        best = (sizes.max() if score in LARGER_IS_BETTER else sizes.min()).map(lambda value: format(value, spec))
 
         def shown(name: str, value: float) -> Any:
-            text = format(value, spec)
-            return value if math.isnan(value) else Marked(bold.format(text)) if text == best[name] else text
+            if math.isnan(value):
+                return value
+            text, wins = format(value, spec), format(_size(value, score), spec) == best[name]
+            return Marked(bold.format(text)) if wins else text
 
         rows = [{"method": one} | {name: shown(name, v) for name, v in line.items()} for one, line in wide.iterrows()]
         return [("method", "method", ""), *((name, name, spec) for name in wide.columns)], rows  # type: ignore[return-value]
@@ -176,6 +182,11 @@ class Comparison:
 
     def _shown(self) -> pandas.DataFrame:
         return self.table[[key for key, _, _ in self._columns()]]
+
+
+def _size(values: Any, score: str) -> Any:
+    """Values of a score, by which methods are compared."""
+    return abs(values) if score in SIGNED else values
 
 
 def compare(

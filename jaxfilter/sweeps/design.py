@@ -81,6 +81,8 @@ def make_design(
 
 def _values(name: str, values: Any) -> list[Any]:
     """Plain Python values of an axis."""
+    if hasattr(values, "__array__"):
+        values = np.asarray(values)
     if (
         isinstance(values, (str, bytes, Mapping))
         or not isinstance(values, (Sequence, np.ndarray))
