@@ -574,11 +574,13 @@ def test_files_that_are_twice_there_or_hold_nothing_to_judge_are_written_like_al
         assert (classes["water.laz"] == 9).all() and (classes["first.laz"] == 0).all()
 
 
-def test_a_terrain_model_has_no_heights_where_there_is_no_ground(odd, tmp_path):
+def test_a_terrain_model_has_no_heights_where_there_is_neither_ground_nor_water(odd, tmp_path):
     report = model(odd, tmp_path / "a.tif", PMF, cell=1.0, tile=40.0, executor=Here())
     values = jf.Raster.read(tmp_path / "a.tif").values
     assert report.complete and report.points == sum(len(laspy.read(path)) for path in odd.glob("*.laz"))
-    assert np.isnan(values[:, -50:]).all() and np.isfinite(values[10:80, 10:90]).all()
+    water, last = values[:, -55:-28], values[:, -25:]
+    assert np.isnan(last).all() and np.isfinite(values[10:80, 10:90]).all()
+    assert np.isfinite(water).any() and (water[np.isfinite(water)] == 3).all()
 
 
 def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):

@@ -187,6 +187,13 @@ def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwar
     assert len(said) == (suffix == ".geojson") and all("GeoJSON cannot state the CRS unknown" in text for text in said)
 
 
+def test_a_file_with_several_layers_of_shapes_is_refused(tmp_path):
+    for layer in ("drafts", "final"):
+        table(house="object").to_file(tmp_path / "list.gpkg", layer=layer, mode="a")
+    with pytest.raises(jf.InputError, match=r"list\.gpkg: has the layers drafts, final: save the one"):
+        read_verdicts(tmp_path / "list.gpkg", UTM, box(0, 0, WIDE, HIGH).bounds)
+
+
 def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
     xyz, _ = scene
     places = table(house="Object ", hill="ground", hill_="object", bridge="road", river=None)

@@ -22,15 +22,22 @@ _DATE = "OGR_CURRENT_DATE"  # a GeoPackage says when it was changed; the same sh
 
 
 def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFrame:
-    """A table of the shapes in a vector file, which are ``what``, in words. Raises: InputError if there are none."""
+    """A table of the shapes in a vector file, which are ``what``, in words. Raises: InputError if there are none, or if several
+    layers have some."""
     import geopandas
+    import pyogrio
 
     try:
-        table = geopandas.read_file(path)
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        table = geopandas.read_file(path, layer=layers[0] if layers else None)
     except Exception as error:  # GDAL has many of its own
         raise InputError(f"{path}: cannot be read as {what}: {error}") from error
     if not isinstance(table, geopandas.GeoDataFrame):
         raise InputError(f"{path}: holds no geometry: pass {what}, as a GeoPackage or GeoJSON")
+    if len(layers) > 1:
+        raise InputError(
+            f"{path}: has the layers {', '.join(layers)}: save the one that is meant, {what}, as a file of its own"
+        )
     if table.crs == "EPSG:4326" and max(map(abs, table.total_bounds)) > 360:  # GDAL's guess where GeoJSON states none
         table = table.set_crs(None, allow_override=True)
     return table
