@@ -11,6 +11,7 @@ import resource
 import subprocess
 import sys
 
+import click
 import laspy
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from click.testing import CliRunner
 import jaxfilter as jf
 from jaxfilter.cli import flags, main
 from jaxfilter.cli.commands import ground_command
+from jaxfilter.cli.session import in_flags
 from jaxfilter.cli.values import on_command_line
 from jaxfilter.core.filter import Filter
 from jaxfilter.files.reading import read, write
@@ -124,6 +126,21 @@ def test_fields_of_every_kind_become_flags():
         with pytest.raises(flags.click.UsageError):
             given(*wrong)
     assert flags.describe(dataclasses.fields(Toy)[0]) == "a number [> 0 m; default 1.0]"
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("pass tile=40 or pass in_place=True", "pass --tile 40 or pass --in-place"),
+    ("another CRS: leave out crs=, since", "another CRS: leave out --crs, since"),
+    ("bounds with in_place=True would remove", "bounds with --in-place would remove"),
+    ("aoi= and bounds= cannot both", "--aoi and --bounds cannot both"),
+    ("tile=-1: must be > 0", "tile=-1: must be > 0"),
+    ("crs='EPSG:0' is none; pass slope=0.1", "crs='EPSG:0' is none; pass slope=0.1"),
+])  # fmt: skip
+def test_messages_of_the_library_speak_of_the_flags_of_the_command(text, told):
+    with click.Context(click.Command("one", params=[
+        click.Option(["--in-place"], is_flag=True), *(click.Option([f"--{name}"]) for name in ("tile", "crs", "aoi", "bounds")),
+    ])):  # fmt: skip
+        assert in_flags(text) == told
 
 
 @pytest.mark.parametrize("options, width", [(("--largest-building", 25), 25.0), (("--for-cloud",), None)])

@@ -101,17 +101,19 @@ def memory() -> float:
 
 def in_flags(text: str) -> str:
     """A message of the library in the words of the running command: ``pass drop_invalid=True`` becomes
-    ``pass --drop-invalid``. Arguments that the command has no flag for stay."""
+    ``pass --drop-invalid``, and ``leave out crs=`` becomes ``leave out --crs``. Arguments that the command has no flag for stay,
+    and so do values that were given (``cell=0``)."""
     context = click.get_current_context(silent=True)
     options = {p.name: p for p in context.command.params if isinstance(p, click.Option)} if context else {}
 
     def flag(found: re.Match[str]) -> str:
-        option = options.get(found[1])
-        if option is None:
+        verb, name, value = found[1] or "", found[2], found[3]
+        if (option := options.get(name)) is None or (value and not verb):
             return found[0]
-        return f"pass {option.opts[0]}" + (f" {found[2]}" if found[2] and not option.is_flag else "")
+        return f"{verb}{option.opts[0]}" + (f" {value}" if value and not option.is_flag else "")
 
-    return re.sub(r"\bpass (\w+)=([\w.]*)", flag, " ".join(text.split()))
+    words = r"\b(pass |leave out |with )?(\w+)=([\w.]*+)(?!['\"\[({-])"
+    return re.sub(words, flag, " ".join(text.split()))
 
 
 class Session:

@@ -173,6 +173,8 @@ def ground(
     for path in (listed, outlined):
         if path is not None:
             check_suffix(path, SUFFIXES)
+    if listed is not None and outlined is not None and listed.absolute() == outlined.absolute():
+        raise ParameterError(f"breaklines={str(outlined)!r}: is the file of the places (review=): name another")
     survey = survey_of_points(what, out, recipe, reading, run)
     return survey.run(
         GroundProduct,
