@@ -25,6 +25,7 @@ from jaxfilter.steps import pruning
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
+from jaxfilter.steps.outliers import lowest_few
 from jaxfilter.steps.overhangs import overhangs
 from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.seeds import veiled
@@ -87,6 +88,18 @@ def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, e
     alone = jf.OST(window=window, low_points=6, sensor="drone lidar")  # without larger clusters
     np.testing.assert_array_equal(alone.low(points), expected)
     assert not jf.OST(window=window, low_points=0).low(points).any()
+
+
+def test_low_points_of_a_strip_narrower_than_the_window_are_counted_once(rng):
+    xyz = np.column_stack([rng.uniform(0, 8, 600), rng.uniform(0, 200, 600), rng.normal(0, 0.2, 600)])
+    xyz[:40, 2] -= rng.uniform(3, 9, 40)
+    points = canonical_points(jf.PointCloud.from_arrays(xyz))
+    p = points.xyz.astype(np.float64)
+    around = ((p[:, None, :2] - p[:, :2]) ** 2).sum(axis=2) <= 25.0**2
+    below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
+    expected = (below <= 30) & (around.sum(axis=1) - 1 - below > 30)
+    assert expected.sum() > 30
+    np.testing.assert_array_equal(lowest_few(points, 25.0, 2.0, 30), expected)
 
 
 def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():

@@ -1,4 +1,4 @@
-"""How many points around each one lie below it; compiled."""
+"""Points that lie lower than others around them, pair by pair; compiled."""
 
 from __future__ import annotations
 
@@ -19,15 +19,9 @@ def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
         out: bool[n], written to; xyz: f32[n, 3], metres.
         at: i32[n], the cell that each point is in. No cell is empty.
         key: i64[c], ascending: row x ``wide`` + column of the cells, whose side is ``radius`` / ``reach``; ``reach``: 3 or more.
+            No row has cells in its last ``reach`` columns.
     """
-    start, order = np.zeros(len(key) + 2, np.int64), np.empty(len(at), np.int32)
-    for point in range(len(at)):
-        start[at[point] + 2] += 1
-    for cell in range(len(key)):
-        start[cell + 2] += start[cell + 1]
-    for point in range(len(at)):  # each start moves to where its cell ends, and the next one begins
-        order[start[at[point] + 1]] = point
-        start[at[point] + 1] += 1
+    start, order = _by_cell(at, len(key))
     x, y, z = np.empty(len(at), np.float32), np.empty(len(at), np.float32), np.empty(len(at), np.float32)
     for place in range(len(at)):
         x[place], y[place], z[place] = xyz[order[place], 0], xyz[order[place], 1], xyz[order[place], 2]
@@ -60,6 +54,53 @@ def few_below(out, xyz, at, key, wide, reach, radius, depth, most):
                     above += inside & (z[near] >= top)
                 step += 1
             out[order[place]] = below <= most < above
+
+
+@compiled(allocates=True)
+def rising(out, xyz, at, key, wide, reach, points, place, radius, steepest, level, sides):
+    """Mark the points f32[k, 3] that lie more than ``level`` above a slope of ``steepest``, rise over run, from another within
+    ``radius``, in so many ``sides`` at least of the four quadrants around them.
+
+    Args:
+        out: bool[k], written to; place: i64[k], row x ``wide`` + column of their cells.
+        xyz: f32[j, 3], the others; at, key, wide, reach: as of :func:`few_below`.
+    """
+    start, order = _by_cell(at, len(key))
+    found, row = np.empty(4, np.bool_), np.empty(2, np.int64)
+    square = radius * radius
+    for point in range(len(points)):
+        x, y, z = np.float64(points[point, 0]), np.float64(points[point, 1]), np.float64(points[point, 2])
+        found[:] = False
+        step, count = 0, 0
+        while step <= 2 * reach and count < sides:
+            lag = (step + 1) // 2 if step % 2 else -(step // 2)
+            _places(row, start, key, place[point] + lag * wide, reach)
+            for near in range(row[0], row[1]):
+                other = order[near]
+                dx, dy = x - np.float64(xyz[other, 0]), y - np.float64(xyz[other, 1])
+                away = dx * dx + dy * dy
+                quadrant = 2 * (dx < 0) + (dy < 0)
+                if found[quadrant] or away > square:
+                    continue
+                if z > np.float64(xyz[other, 2]) + steepest * np.sqrt(away) + level:
+                    found[quadrant] = True
+                    count += 1
+            step += 1
+        out[point] = count >= sides
+
+
+@compiled(allocates=True)
+def _by_cell(at, cells):
+    """i64[cells + 2], where the points of each cell begin among i32[n], the points in the order of the cells ``at``, i32[n]."""
+    start, order = np.zeros(cells + 2, np.int64), np.empty(len(at), np.int32)
+    for point in range(len(at)):
+        start[at[point] + 2] += 1
+    for cell in range(cells):
+        start[cell + 2] += start[cell + 1]
+    for point in range(len(at)):  # each start moves to where its cell ends, and the next one begins
+        order[start[at[point] + 1]] = point
+        start[at[point] + 1] += 1
+    return start, order
 
 
 @compiled

@@ -336,7 +336,8 @@ def lowest_few(points: Points, radius: float, depth: float, most: int) -> np.nda
     if most > 0 and len(points) > 0:
         side = radius / _STEPS
         grid = lattice_over(points.xyz, side)
-        cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), grid.shape)
+        shape = grid.ny, grid.nx + _STEPS  # what lies beyond a row is not in the next one
+        cells, at = CellSet.of(lambda part: grid.places(points.xyz[part]), len(points), shape)
         few_below(low, points.xyz, at, cells.key, cells.wide, _STEPS, radius, depth, most)
     return low
 

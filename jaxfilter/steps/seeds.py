@@ -8,10 +8,11 @@ import numpy as np
 import scipy
 
 from ..core.errors import InputError
-from ..core.grid import Grid, most_cells
+from ..core.grid import Grid, lattice_over, most_cells
 from ..core.points import Points
 from ..engines.grid.cells import padded_shape
 from ..engines.grid.minima import lowest_points, places_in
+from ..engines.grid.sparse import CellSet
 from ..engines.grid.windows import window_layout, window_minima
 from .surfaces import Cells, look_up
 
@@ -20,7 +21,7 @@ VEILED, ABOVE = 0.5, 0.5
 the lowest ones, also above those beside them uphill."""
 _UPHILL = 3  # of 3 x 3 cells on a face
 _LEVEL = 0.3  # metres above a slope that count as on it
-_AT_ONCE = 5_000  # points whose pairs are in memory
+_STEPS = 3  # cells to each side of a point that hold those within the radius of :func:`rising`
 
 
 def lowest_per_window(points: Points, window: float, stride: float, barred: np.ndarray) -> np.ndarray:
@@ -147,12 +148,14 @@ def rising(
     """bool[k]: which of the points ``rows``, i64[k], lie more than 0.3 m above a slope of ``steepest``, rise over run, from one
     of the points ``others``, i64[j], within ``beside`` metres; in ``sides`` at least of the four quadrants around them. ``xyz``:
     f32[m, 3], metres."""
-    xyz, most = xyz.astype(np.float64), np.full((len(rows), 4), np.inf)
-    tree = scipy.spatial.KDTree(xyz[others, :2])
-    for start in range(0, len(rows), _AT_ONCE):
-        near = scipy.spatial.KDTree(xyz[rows[start : start + _AT_ONCE], :2])
-        pairs = near.sparse_distance_matrix(tree, beside, output_type="ndarray")
-        (x, y, z), i = xyz[others[pairs["j"]]].T, start + pairs["i"]
-        quadrant = 2 * (x > xyz[rows[i], 0]) + (y > xyz[rows[i], 1])
-        np.minimum.at(most, (i, quadrant), z + steepest * pairs["v"] + _LEVEL)
-    return np.asarray((xyz[rows, 2, None] > most).sum(axis=1) >= sides)
+    from ..engines.below import rising as mark  # imports Numba
+
+    found = np.zeros(len(rows), bool)
+    if len(rows) > 0 and len(others) > 0:
+        grid = lattice_over(xyz[np.concatenate([rows, others])], 1.001 * beside / _STEPS)  # rounding counts
+        shape = grid.ny, grid.nx + _STEPS  # what lies beyond a row is not in the next one
+        cells, at = CellSet.of(lambda part: grid.places(xyz[others[part]]), len(others), shape)
+        row, column = grid.places(xyz[rows])
+        place = (row.astype(np.int64) + 1) * cells.wide + column + 1
+        mark(found, xyz[others], at, cells.key, cells.wide, _STEPS, xyz[rows], place, beside, steepest, _LEVEL, sides)
+    return found
