@@ -1,4 +1,4 @@
-"""Points that lie lower than others around them, pair by pair; compiled."""
+"""Points that lie lower or higher than others around them, pair by pair; compiled."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def rising(out, xyz, at, key, wide, reach, points, place, radius, steepest, leve
 
     Args:
         out: bool[k], written to; place: i64[k], row x ``wide`` + column of their cells.
-        xyz: f32[j, 3], the others; at, key, wide, reach: as of :func:`few_below`.
+        xyz: f32[j, 3], the others; at, key, wide, reach: as of :func:`few_below`, but any column may have cells: a point that is
+            met twice changes nothing.
     """
     start, order = _by_cell(at, len(key))
     found, row = np.empty(4, np.bool_), np.empty(2, np.int64)

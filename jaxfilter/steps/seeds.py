@@ -153,8 +153,7 @@ def rising(
     found = np.zeros(len(rows), bool)
     if len(rows) > 0 and len(others) > 0:
         grid = lattice_over(xyz[np.concatenate([rows, others])], 1.001 * beside / _STEPS)  # rounding counts
-        shape = grid.ny, grid.nx + _STEPS  # what lies beyond a row is not in the next one
-        cells, at = CellSet.of(lambda part: grid.places(xyz[others[part]]), len(others), shape)
+        cells, at = CellSet.of(lambda part: grid.places(xyz[others[part]]), len(others), grid.shape)
         row, column = grid.places(xyz[rows])
         place = (row.astype(np.int64) + 1) * cells.wide + column + 1
         mark(found, xyz[others], at, cells.key, cells.wide, _STEPS, xyz[rows], place, beside, steepest, _LEVEL, sides)
