@@ -200,7 +200,8 @@ def main(arguments: list[str] | None = None) -> None:
     keep_compilations()
     warnings.simplefilter("ignore", jf.JaxfilterWarning)
     warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
-    options.work.mkdir(parents=True, exist_ok=True)
+    for target in (options.out, options.work):
+        target.mkdir(parents=True, exist_ok=True)
     folder = samples.data_folder(options.data)
     names = [n for n in cloud_names(folder) if not options.clouds or any(n.startswith(c) for c in options.clouds)]
     names = [n for n in names if not any(n.startswith(c) for c in options.without)]
