@@ -187,7 +187,12 @@ _KINDS = {
 
 @contextlib.contextmanager
 def new_file(
-    path: Place, *, overwrite: bool = False, in_place: bool = False, source: Place | None = None
+    path: Place,
+    *,
+    overwrite: bool = False,
+    in_place: bool = False,
+    source: Place | None = None,
+    into: Path | None = None,
 ) -> Iterator[Path]:
     """A name to write to; the file gets the name ``path`` when the block ends, and vanishes if it fails.
 
@@ -197,19 +202,22 @@ def new_file(
     Without ``overwrite``, of two writers of one name the second fails. A remote file is written to a local disk first and
     then sent.
 
+    ``into``: a local file that is written in place of ``path``, and whose content is to take that name later. Errors name
+    ``path``, the permissions are its own, and an older file ``into`` is replaced.
+
     Raises: OutputError if ``path`` is the ``source`` and not ``in_place``, if it exists and not ``overwrite``, if it is
     not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
     """
     one = OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-    if isinstance(path, Remote):
+    if isinstance(path, Remote) and into is None:
         if path == source and not in_place:
             raise one
         with new_object(path, overwrite or path == source) as part:
             yield part
         return
-    final = Path(os.path.realpath(path)) if os.path.islink(path) else path
+    final = into or (Path(os.path.realpath(path)) if os.path.islink(path) else path)
     with output_errors(path):
-        status = existing(path)
+        status = None if into else existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
             raise one
@@ -219,19 +227,19 @@ def new_file(
         with workplace(final.parent) as folder:
             part = folder / "part"
             yield part
-            _sync(part)
-            if mine or overwrite:
-                if existing(final) is not None:
-                    shutil.copymode(final, part)
+            sync(part)
+            if mine or overwrite or into:
+                if isinstance(path, Path) and existing(path) is not None:
+                    shutil.copymode(path, part)
                 os.replace(part, final)
             else:
                 _name_exclusively(part, final)
             with contextlib.suppress(OSError):  # not every system can
-                _sync(final.parent)
+                sync(final.parent)
 
 
 @contextlib.contextmanager
-def output_errors(path: Path) -> Iterator[None]:
+def output_errors(path: Place) -> Iterator[None]:
     """A block that writes ``path``. Raises: OutputError that names it, when the operating system refuses."""
     try:
         yield
@@ -263,7 +271,7 @@ def _name_exclusively(part: Path, final: Path) -> None:
         raise OutputError(f"{final}: another program made this file meanwhile; {hint}") from error
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
     """Wait until a file or folder has reached the disk."""
     descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     try:

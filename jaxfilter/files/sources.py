@@ -72,6 +72,13 @@ def _crs_of(wkt: str) -> pyproj.CRS:
     return pyproj.CRS.from_wkt(wkt)
 
 
+def fingerprint(place: Place) -> str:
+    """What :attr:`Source.identity` of this file is now. Raises: InputError."""
+    return (
+        kept_text(cast(Path, place)).fingerprint if is_text(place) else open_las(place, tables=False).header.fingerprint
+    )
+
+
 def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
     """What can be known of a file before its points are read, from its header or, of text, from all of its lines. Raises:
     InputError if it cannot be read, if its coordinates cannot be lengths, unless units are ``stated``, or if it states

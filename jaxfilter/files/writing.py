@@ -149,8 +149,9 @@ def write_cloud(
     *,
     overwrite: bool = False,
     in_place: bool = False,
+    into: Path | None = None,
 ) -> Place:
-    """:func:`write`, with what it takes as values."""
+    """:func:`write`, with what it takes as values; ``into``: a file for the content, as of ``new_file``."""
     kind = path.suffix.lower()
     if kind not in LAS_SUFFIXES + text.SUFFIXES:
         known = ", ".join((*LAS_SUFFIXES, copc.SUFFIX, *text.SUFFIXES))
@@ -171,7 +172,7 @@ def write_cloud(
         copc.check_format(path, source.header().point_format)
     origin = None if source is None else source.path
     again = contextlib.nullcontext(Tally()) if source is None else source.again()
-    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin) as temporary, again as tally:
+    with new_file(path, overwrite=overwrite, in_place=in_place, source=origin, into=into) as temporary, again as tally:
         if kind in text.SUFFIXES:
             _write_text(path, temporary, cloud, labels, tally)
         else:

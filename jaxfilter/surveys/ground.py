@@ -102,7 +102,12 @@ class GroundProduct(Product):
         """Write a file with the labels of its tiles. Raises: InputError, OutputError."""
         cloud, found, columns = self.collected(task, dict.fromkeys(self.extra, np.float32))
         additions = Additions(columns=columns)
-        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, in_place=task.in_place)
+        write_cloud(task.target, cloud, found, self.classes, additions, overwrite=True, into=task.into)
+
+    @property
+    def added(self) -> int:
+        """The quantities, f32."""
+        return 4 * len(self.extra)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at and the water, and write them. Raises: InputError, OutputError."""

@@ -76,7 +76,12 @@ class HeightProduct(GroundNeeded):
         cloud, found, quantities = self.collected(task, {HEIGHT: np.float64})
         result = found if self.classes_of_ground is None else None
         additions = Additions.of_heights(quantities[HEIGHT], self.replace_z)
-        write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, in_place=task.in_place)
+        write_cloud(task.target, cloud, result, Classes(), additions, overwrite=True, into=task.into)
+
+    @property
+    def added(self) -> int:
+        """A height, f32."""
+        return 0 if self.replace_z else 4
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """List the places to look at. Raises: InputError."""

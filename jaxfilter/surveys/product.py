@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,13 +33,24 @@ CANDIDATE, GROUND, _STORED, _CODE = 1, 2, 0x80, 2
 
 @dataclasses.dataclass(frozen=True)
 class FileTask:
-    """A file to be written: its number, the tiles that label it, and where it goes."""
+    """A file to be written: its number, the tiles that label it, where it goes, and what is written first if it takes the place
+    of an input."""
 
     number: int
     source: Source
     tiles: tuple[int, ...]
     target: Place
-    in_place: bool
+    into: Path | None
+
+    @property
+    def seal(self) -> Seal:
+        """Of what was written, or of the input where nothing had to be."""
+        return Seal.of(written(self.target, self.into))
+
+
+def written(target: Place, into: Path | None) -> Place:
+    """Where the content of an output lies now."""
+    return target if into is None or not into.exists() else into
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +95,11 @@ class Product:
     def file(self, task: FileTask) -> None:
         """Write a file whose tiles are done. Raises: InputError, OutputError."""
         raise NotImplementedError
+
+    @property
+    def added(self) -> int:
+        """Bytes that a point of an output has more than the input."""
+        return 0
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Make the one output of all tiles, and complete the report of the run. Raises: InputError, OutputError."""
@@ -146,7 +163,7 @@ def write_file(product: Product, task: FileTask) -> dict[str, Any]:
     start = time.perf_counter()
     with collected_warnings() as remarks:
         product.file(task)
-    seal = dataclasses.asdict(Seal.of(task.target))
+    seal = dataclasses.asdict(task.seal)
     seconds = time.perf_counter() - start
     return {"seal": seal, "remarks": list(remarks), "seconds": seconds}
 

@@ -128,6 +128,8 @@ class RunReport(Summary):
             read, so that tiles beside them had no halo there; again: those written by an earlier run, but missing or changed
             when this one went on, which made them again, with what was wrong.
         elapsed: seconds of this process.
+        was_complete: an earlier run had done all, and this one did nothing; then nothing else here is known but ``files`` and
+            ``failed``.
         places: where the terrain may be wrong, largest expected error volume first: a dict each of ``x``, ``y``, ``area``,
             ``volume``, ``chance`` and ``reason``, see :func:`jaxfilter.review`. review: the file of the list, if one was written.
         water: the bodies of water, where they were asked for. breaklines: the file of their outlines, if one was written.
@@ -145,6 +147,7 @@ class RunReport(Summary):
     left_out: list[dict[str, str]] = dataclasses.field(default_factory=list)
     again: list[dict[str, str]] = dataclasses.field(default_factory=list)
     elapsed: float = 0.0
+    was_complete: bool = False
     places: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     review: str | None = None
     water: WaterRuns | None = None

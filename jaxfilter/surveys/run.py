@@ -21,13 +21,14 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import Whole
-from ..core.errors import InputError, OutputError, ParameterError, warn
+from ..core.errors import InputError, ParameterError, warn
 from ..core.filter import Filter, lowest_among
 from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Seal
+from ..files.disk import Identity, Seal
+from ..files.sources import fingerprint
 from ..methods import FILTERS
 from .area import area_of, meeting
 from .collection import Collection
@@ -36,7 +37,7 @@ from .executors import RETRIES, Executor, Outcome, Task, carried_out, check_main
 from .measures import Recipe, Sampler, middle
 from .options import RunOptions, executor_for, need, workers_for
 from .plan import WHOLE, Plan, plan_boxes, plan_tiles
-from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, write_file
+from .product import Cut, FileTask, Product, do_tile, lowest_in_tile, write_file, written
 from .report import Forecast, RunReport, Standing, Summary, collected_warnings
 from .store import Store
 from .targets import MAP, REPORT, Targets, check_out, targets_of
@@ -111,18 +112,34 @@ class Survey:
         if self.options.dry_run:
             return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store
+        files = [str(place) for place in targets.places]
         with targets.claimed(self.options):
+            if targets.complete(self.options):
+                return kind.REPORT(files=files, was_complete=True)
+            if targets.in_place and self.options.resume and store.done:
+                bare = kind(self.reading, None, store, None, self.options.halo, **settings)
+                return kind.REPORT(files=files, failed=targets.finish(self._asked(bare)), was_complete=True)
             product, plan = self._planned(kind, settings)
-            run = Run(product, plan, self.collection, targets, self.options)
             self._record(product, plan)
+            targets.name_parts()
+            run = Run(product, plan, self.collection, targets, self.options)
             try:
                 run()
+                if targets.in_place:
+                    self._check_inputs()
             except BaseException as error:
-                if len(plan) == 1:  # there is nothing to go on with
-                    store.discard()
+                if len(plan) == 1 and (targets.in_place or not run.report.files):  # there is nothing to go on with
+                    targets.discard()
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")
                 raise
+            if targets.in_place:
+                try:
+                    targets.replace(self._asked(product), run.report.failed)
+                except KeyboardInterrupt as error:
+                    error.add_note("pass resume=True to go on")
+                    raise
+                return run.report
             if targets.folder is not None:
                 run.report.write(targets.folder / REPORT)
                 run.report.draw(targets.folder / MAP)
@@ -212,30 +229,39 @@ class Survey:
 
     def _record(self, product: Product, plan: Plan) -> None:
         """Begin the run, or go on with it. Raises: InputError if another one was begun; OutputError."""
-        store, files = self.targets.store, self.collection
-        area = self.reading.aoi and self.reading.aoi.wkt
-        reading = dataclasses.asdict(self.reading) | {"units": [files.units.xy, files.units.z], "aoi": area}
+        store = self.targets.store
         tiles = {name: getattr(plan, name) for name in ("width", "height", "halo")}
         tiles |= {"number": len(plan), "digest": plan.digest()}
-        facts = {"version": __version__, "inputs": self._digest(), "units": reading.pop("units")}
-        facts |= {"filter": facts_of(self.recipe), "reading": reading, "tiles": tiles}
-        store.begin(facts | product.facts())
+        store.begin({"version": __version__, "inputs": self._digest(), **self._asked(product), "tiles": tiles})
         if "parameters" not in store.facts and product.filter is not None:
             fields = {field.name: getattr(product.filter, field.name) for field in declared(product.filter)}
             store.note(parameters={"method": type(product.filter).__name__.lower(), "fields": fields})
         if "measures" not in store.facts and product.whole is not None:
             store.note(measures=dataclasses.asdict(product.whole))
 
+    def _asked(self, product: Product) -> dict[str, Any]:
+        """What the command says, besides the files: it is the same before they are replaced and after."""
+        files, area = self.collection, self.reading.aoi and self.reading.aoi.wkt
+        reading = dataclasses.asdict(self.reading) | {"aoi": area}
+        del reading["units"]
+        units = [files.units.xy, files.units.z]
+        return {"units": units, "filter": facts_of(self.recipe), "reading": reading, **product.facts()}
+
     def _digest(self) -> str:
-        """Tells the files, by name and content, from others; of those that were replaced in place, by what they were."""
-        found, store = hashlib.sha256(), self.targets.store
-        for number, source in enumerate(self.collection):
-            identity = source.identity
-            kept = store.seal(number) if self.options.in_place else None
-            if kept is not None and ("seal" not in kept or Seal(**kept["seal"]).broken(source.place) is None):
-                identity = kept["identity"]
-            found.update(json.dumps([source.uri, source.count, identity]).encode())
+        """Tells the files, by name and content, from others."""
+        found = hashlib.sha256()
+        for source in self.collection:
+            found.update(json.dumps([source.uri, source.count, source.identity]).encode())
         return found.hexdigest()
+
+    def _check_inputs(self) -> None:
+        """Raises: InputError if an input, which is to be replaced, was changed while the run was at work."""
+        for source in self.collection:
+            if source.identity and fingerprint(source.place) != source.identity:
+                raise InputError(
+                    f"{source.uri}: was changed while the run was at work, and no input was replaced: pass overwrite=True to "
+                    "begin anew"
+                )
 
 
 def survey_of_points(
@@ -308,7 +334,7 @@ class Run:
             for file in np.flatnonzero(~meeting(aoi, self.collection.footprints)).tolist():
                 self._is_written[file] = True
                 self._need_no_more(file)
-        if options.in_place:  # what no tile labels stays as it is
+        if self.targets.in_place:  # what no tile labels stays as it is
             self._is_written |= self._missing == 0
         files, times = int((~self._is_written).sum()), plan.times_read(self.collection.count)
         files *= product.writes_files
@@ -317,6 +343,8 @@ class Run:
 
     def __call__(self) -> None:
         """Do what is not done yet. Raises: OutputError if a disk is full; of a single file what its tiles raise."""
+        if self.targets.in_place:
+            self.targets.check_room(dict(self._sizes()))
         executor = executor_for(self.options, self.plan, self._show_step)
         try:
             self._find_lowest(executor)
@@ -341,23 +369,26 @@ class Run:
         whole = dataclasses.replace(whole, lowest=self.store.facts["lowest"])
         self.product = dataclasses.replace(self.product, whole=whole)
 
+    def _sizes(self) -> Iterator[tuple[int, int]]:
+        """Number and bytes of each output that will take the place of an input, about."""
+        for number in np.flatnonzero(~self._is_written).tolist():
+            source = self.collection[number]
+            size = Identity.of(source.place).size
+            yield number, size + self.product.added * source.count
+
     def _carry_out(self, executor: Executor) -> None:
         done = self._look()
         complete = (self._missing == 0) & ~self._is_written & self.product.writes_files
         tiles = (Task(do_tile, n, self._tile(n)) for n in np.flatnonzero(~done).tolist())
         files = collections.deque(self._writing(file) for file in np.flatnonzero(complete).tolist())
-        if self.options.in_place:  # no input is replaced before all are read
-            self._work(executor, tiles, collections.deque(), files)
-        self._work(executor, tiles, files, files)
+        self._work(executor, tiles, files)
 
-    def _work(
-        self, executor: Executor, tiles: Iterator[Task], now: collections.deque[Task], files: collections.deque[Task]
-    ) -> None:
-        """Do ``tiles``, and before them what is in ``now``; files that are complete are added to ``files``."""
+    def _work(self, executor: Executor, tiles: Iterator[Task], files: collections.deque[Task]) -> None:
+        """Do ``tiles``, and before them ``files``, to which those are added that are complete."""
         plan, standing = self.plan, self._standing
         before = standing.tiles_done
         alone = len(self.collection) == len(plan) == 1
-        for task, outcome in carried_out(executor, tiles, now, lambda: self._show(standing), 0 if alone else RETRIES):
+        for task, outcome in carried_out(executor, tiles, files, lambda: self._show(standing), 0 if alone else RETRIES):
             if alone and outcome.error is not None:
                 raise outcome.error
             if task.function is write_file:
@@ -384,9 +415,9 @@ class Run:
                     store.drop_seal(file)
         for file, target in enumerate(self.targets.places):
             kept = store.seal(file)
-            if kept is None or "seal" not in kept:
+            if kept is None:
                 continue
-            wrong = Seal(**kept["seal"]).broken(target)
+            wrong = Seal(**kept["seal"]).broken(written(target, self.targets.part(file)))
             if wrong is not None or not set(plan.tiles_of[file].tolist()) <= known.keys():
                 self.report.again += [] if wrong is None else [{"file": str(target), "reason": wrong}]
                 store.drop_seal(file)
@@ -403,10 +434,6 @@ class Run:
                 self._missing[plan.home[number]] -= 1
                 self._add(number, found)
         self._standing.tiles_done, self._standing.files_done = int(done.sum()), int(self._is_written.sum())
-        if self.options.in_place and self.report.files and not done.all():
-            raise OutputError(
-                f"{store.path}: labels are gone or damaged, and inputs were replaced already: pass overwrite=True to begin anew"
-            )
         return done
 
     def _tile(self, number: int) -> Callable[[bool], tuple[Product, Tile]]:
@@ -416,10 +443,7 @@ class Run:
     def _writing(self, number: int) -> Task:
         def arguments(last: bool) -> tuple[Product, FileTask]:
             tiles, target = tuple(self.plan.tiles_of[number].tolist()), self.targets.places[number]
-            source, in_place = self.collection[number], self.options.in_place
-            if in_place and self.store.seal(number) is None:  # what the input was, should nobody learn how this ended
-                self.store.put_seal(number, {"identity": source.identity})
-            return self.product, FileTask(number, source, tiles, target, in_place)
+            return self.product, FileTask(number, self.collection[number], tiles, target, self.targets.part(number))
 
         return Task(write_file, number, arguments)
 
@@ -457,7 +481,7 @@ class Run:
             self._fail(number, outcome.reason)
             return
         self._standing.files_done += 1
-        self.store.put_seal(number, (self.store.seal(number) or {}) | outcome.value)  # before the labels go
+        self.store.put_seal(number, outcome.value)  # before the labels go
         self.report.files.append(str(self.targets.places[number]))
         self.report.remarks.update(outcome.value["remarks"])
         self.report.seconds["write"] += outcome.value["seconds"]

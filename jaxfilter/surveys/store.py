@@ -3,6 +3,9 @@
 A tile is done when its file lies here: what was found of its points, and a summary. A file is done when its output lies
 where it belongs, and its seal (length and checksum) here. ``run.json`` holds what decides on the outcome. Every file
 appears whole or not at all, and holds checksums, so that a kill, a full disk or a damage repeats work and mixes nothing.
+
+In place, ``done.json`` says that all outputs are written, and which of them take the places of inputs. It stays, so that
+``resume`` never does a second time what is done.
 """
 
 from __future__ import annotations
@@ -21,10 +24,12 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, OutputError
-from ..files.disk import output_errors, remove, try_lock
+from ..files.disk import output_errors, remove, sync, try_lock
 
-RUN, LOCK = "run.json", "lock"
+RUN, DONE, LOCK = "run.json", "done.json", "lock"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
+NEW = ".jaxfilter-new-"
+"""Begins the names of files that are to take the places of inputs."""
 KEPT = "kept_"
 """What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
@@ -63,7 +68,7 @@ class Store:
             try:
                 yield
             finally:
-                if not (self.path / RUN).exists():
+                if not self.begun and not self.done:
                     self.discard()
         finally:
             os.close(lock)
@@ -73,6 +78,11 @@ class Store:
         """Whether a run was begun here."""
         return (self.path / RUN).exists()
 
+    @property
+    def done(self) -> bool:
+        """Whether a run in place has written all its outputs."""
+        return (self.path / DONE).exists()
+
     def unfinished(self) -> bool:
         """Whether there are finished tiles of a run of several."""
         try:
@@ -80,10 +90,10 @@ class Store:
         except (InputError, KeyError, TypeError):
             return True
 
-    def clear(self) -> None:
-        """Remove all but the lock. Raises: OutputError."""
+    def clear(self, but: str = LOCK) -> None:
+        """Remove all but the lock, and one more file. Raises: OutputError."""
         for entry in self.path.iterdir():
-            if entry.name != LOCK:
+            if entry.name not in (LOCK, but):
                 remove(entry)
         self.facts = {}
 
@@ -111,16 +121,20 @@ class Store:
 
     def begin(self, facts: dict[str, Any]) -> None:
         """Start, or go on with, the run that the facts describe. Raises: InputError if another one is recorded; OutputError."""
-        new = json.loads(json.dumps(facts))
-        for name, value in new.items():
-            if self.facts and self.facts.get(name) != value:
-                before, now = (_cut(json.dumps(one, sort_keys=True)) for one in (self.facts.get(name), value))
+        if self.facts:
+            self.check_facts(self.facts, facts)
+        else:
+            self.note(**json.loads(json.dumps(facts)))
+
+    def check_facts(self, begun: dict[str, Any], facts: dict[str, Any]) -> None:
+        """Raises: InputError if the run that was begun is another one."""
+        for name, value in json.loads(json.dumps(facts)).items():
+            if begun.get(name) != value:
+                before, now = (_cut(json.dumps(one, sort_keys=True)) for one in (begun.get(name), value))
                 raise InputError(
                     f"{self.path}: the run was begun with other {name} ({before}, now {now}), and results are not mixed: repeat "
                     "the first command, or pass overwrite=True to begin anew"
                 )
-        if not self.facts:
-            self.note(**new)
 
     def note(self, **facts: Any) -> None:
         """Record facts. Raises: OutputError."""
@@ -171,7 +185,7 @@ class Store:
     # files
 
     def seal(self, number: int) -> dict[str, Any] | None:
-        """What is known of a file that is finished, or, without ``"seal"``, is being replaced in place; else None."""
+        """What is known of a file that is finished; else None."""
         try:
             return _checked(self._file(number).read_text())
         except (OSError, ValueError):
@@ -187,6 +201,26 @@ class Store:
 
     def _file(self, number: int) -> Path:
         return self.path / "files" / str(number // _PER_FOLDER) / f"{number}.json"
+
+    # all files of a run in place
+
+    def put_done(self, facts: dict[str, Any]) -> None:
+        """Say that all outputs are written. This has reached the disk when it returns. Raises: OutputError."""
+        self._write_json(self.path / DONE, facts)
+        with output_errors(self.path):
+            sync(self.path / DONE)
+        with contextlib.suppress(OSError):  # not every system can
+            sync(self.path)
+
+    def load_done(self) -> dict[str, Any]:
+        """What :meth:`put_done` has kept. Raises: InputError."""
+        try:
+            return _checked((self.path / DONE).read_text())
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{self.path / DONE}: is damaged ({error}): look whether files {NEW}* lie beside the inputs, which were to take "
+                "their places, and remove this folder"
+            ) from error
 
     # bytes
 

@@ -7,18 +7,22 @@ import dataclasses
 import hashlib
 import os
 import re
+import secrets
+import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import JaxfilterError, OutputError, ParameterError
-from ..files.disk import existing, is_there, output_errors, remove, remove_dead
+from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
+from ..files.copc import SUFFIX as COPC
+from ..files.copc import is_copc
+from ..files.disk import Identity, Seal, existing, is_there, output_errors, remove, remove_dead, sync
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 from .options import RunOptions
-from .store import Store
+from .store import DONE, NEW, Store
 
 POINTS = (*LAS_SUFFIXES, *TEXT)
 """Suffixes of files of points."""
@@ -35,11 +39,14 @@ class Targets:
         places: where each output is written to.
         folder: in which they lie, if that is the run's; its report and a map are put there. None for a file, and in place.
         store: what the run keeps.
+        in_place: the places are those of the inputs. What is written lies beside them until all is written, and then takes their
+            places: before that no input is touched, and after it nothing is left to do but to rename.
     """
 
     places: list[Place]
     folder: Place | None
     store: Store
+    in_place: bool = False
 
     @contextlib.contextmanager
     def claimed(self, options: RunOptions) -> Iterator[None]:
@@ -48,8 +55,8 @@ class Targets:
         Raises: OutputError if there is something that would be lost, or another run is at it; InputError if what is left of
         a run to go on with is damaged.
         """
-        folder, store = self.folder, self.store
-        goes_on, overwrite = options.resume and store.begun, options.overwrite
+        folder, store, overwrite = self.folder, self.store, options.overwrite
+        goes_on = options.resume and (store.begun or store.done)
         made = isinstance(folder, Path) and not folder.exists()
         if isinstance(folder, Path):
             with output_errors(folder):
@@ -63,6 +70,7 @@ class Targets:
                 if goes_on:
                     store.load()
                 else:
+                    self._drop_parts()
                     store.clear()
                     self._remove_old(overwrite)
                 yield
@@ -81,7 +89,7 @@ class Targets:
         if (options.resume and self.store.begun) or (isinstance(folder, Path) and not folder.exists()):
             return
         for place in self.places if folder is None else ():
-            if is_there(place) and not (options.overwrite or options.in_place):
+            if is_there(place) and not (options.overwrite or self.in_place or self.complete(options)):
                 raise OutputError(f"{place}: the file exists; pass overwrite=True to replace it")
             if isinstance(place, Remote):
                 check_writable(place)
@@ -117,6 +125,117 @@ class Targets:
         for place in ours:
             remove(place) if isinstance(place, Path) else place.remove()
 
+    def complete(self, options: RunOptions) -> bool:
+        """Whether there is nothing to go on with: no run is under way, and the outputs, which appear whole, are there."""
+        asked = options.resume and not options.overwrite and not self.store.begun
+        return asked and self.folder is None and not self.in_place and all(map(is_there, self.places))
+
+    def discard(self) -> None:
+        """Remove all that the run has kept. Raises: OutputError."""
+        self._drop_parts()
+        self.store.discard()
+
+    # in place
+
+    def part(self, number: int) -> Path | None:
+        """The file that is to take the place of an input, None unless ``in_place``. Nobody can guess its name."""
+        if not self.in_place:
+            return None
+        place, token = self.places[number], self.store.facts["parts"]["token"]
+        folder = self.store.path if isinstance(place, Remote) else _beside(place)
+        return folder / f"{NEW}{token}-{number}{COPC if is_copc(place) else place.suffix}"
+
+    def name_parts(self) -> None:
+        """Give these files their names, once in a run. Raises: OutputError."""
+        if self.in_place and "parts" not in self.store.facts:
+            folders = sorted({str(_beside(place)) for place in self.places if isinstance(place, Path)})
+            self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
+
+    def _drop_parts(self) -> None:
+        """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
+        if self.store.done and (left := [place for _, place, part in self._entries() if part.exists()]):
+            raise OutputError(
+                f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
+                "pass resume=True, which ends that, before anything else is done with them"
+            )
+        with contextlib.suppress(InputError):  # nothing is known of a run whose record is damaged
+            parts = self.store.load().get("parts", {"token": "", "folders": ()})
+            for folder in parts["folders"]:
+                for part in Path(folder).glob(f"{NEW}{parts['token']}-*"):
+                    remove(part)
+
+    def check_room(self, sizes: Mapping[int, int]) -> None:
+        """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
+        disks: dict[int, tuple[Path, int]] = {}
+        for number, size in sizes.items():
+            part = self.part(number)
+            assert part is not None
+            with output_errors(part.parent):
+                disk, there = os.stat(part.parent).st_dev, part.stat().st_size if part.exists() else 0
+            disks[disk] = part.parent, disks.get(disk, (part, 0))[1] + size - there
+        for folder, needed in disks.values():
+            if needed > (free := shutil.disk_usage(folder).free):
+                need, have, lack = (f"{one / 1e9:.3g} GB" for one in (needed, free, needed - free))
+                raise OutputError(
+                    f"{folder}: in place, all outputs are written before the first input is replaced: they need about {need}, "
+                    f"{have} are free, {lack} are missing: make room, or name a folder on another disk as the output"
+                )
+
+    def replace(self, facts: dict[str, Any], failed: list[dict[str, str]]) -> None:
+        """All outputs are written: they take the places of the inputs.
+
+        ``facts``: that tell the command; ``failed``: what the run could not do. Raises: as :meth:`finish`.
+        """
+        files = []
+        for number, place in enumerate(self.places):
+            if (part := self.part(number)) is not None and part.exists():
+                seal = (self.store.seal(number) or {"seal": dataclasses.asdict(Seal.of(part))})["seal"]
+                before = dataclasses.asdict(Identity.of(place)) if is_there(place) else None
+                files.append({"file": str(place), "part": str(part), "before": before} | seal)
+        self.store.put_done({"facts": facts, "failed": failed, "files": files})
+        self.finish(facts)
+
+    def finish(self, facts: dict[str, Any] | None = None) -> list[dict[str, str]]:
+        """Rename what is written and has not its place yet. ``facts``: that tell the command. Returns: what the run could not do.
+
+        Raises: InputError if another run was begun, or a file was changed after this one; OutputError.
+        """
+        store, done, entries = self.store, self.store.load_done(), self._entries()
+        if facts is not None:
+            store.check_facts(done["facts"], facts)
+        left = [(place, part) for _, place, part in entries if part.exists()]
+        for entry, place, part in entries:
+            if isinstance(place, Remote):  # it appears whole, and may be sent twice
+                continue
+            if part.exists() and entry["before"] != (
+                dataclasses.asdict(Identity.of(place)) if is_there(place) else None
+            ):
+                raise InputError(
+                    f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or the "
+                    "other, and pass resume=True"
+                )
+            wrong = None if part.exists() else Seal(entry["size"], entry["checksum"], ()).broken(place)
+            if wrong is not None:
+                raise InputError(
+                    f"{place}: {wrong} since the run in place was complete: leave out resume= to begin a new one"
+                )
+        for place, part in left:
+            with output_errors(place):
+                if isinstance(place, Remote):
+                    place.put(part)
+                    part.unlink()
+                else:
+                    os.replace(part, os.path.realpath(place))
+        for folder in {part.parent for _, part in left}:
+            with contextlib.suppress(OSError):  # not every system can
+                sync(folder)
+        store.clear(but=DONE)
+        return list(done["failed"])
+
+    def _entries(self) -> list[tuple[dict[str, Any], Place, Path]]:
+        """What the record of a run in place says of each output, its place, and the file that was written. Raises: InputError."""
+        return [(entry, place_of(entry["file"]), Path(entry["part"])) for entry in self.store.load_done()["files"]]
+
 
 def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> None:
     """Refuse an output of one file that cannot be written, before anything is read.
@@ -150,7 +269,7 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
     sources = [place_of(uri) for uri in uris]
     alone = len(sources) == 1
     if out is None:
-        return beside(sources, options, alone)
+        return beside(sources, options, alone, in_place=True)
     place = place_of(out)
     one = place.suffix.lower() in POINTS and not (isinstance(place, Path) and os.path.isdir(place))
     if one and not alone:
@@ -167,7 +286,7 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
     return Targets(places, place, Store(_local(options.work, place, place) / _HIDDEN))
 
 
-def beside(places: list[Place], options: RunOptions, alone: bool, called: str = "") -> Targets:
+def beside(places: list[Place], options: RunOptions, alone: bool, called: str = "", in_place: bool = False) -> Targets:
     """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
     all of them; of one input (``alone``) into a URL, in the folder for what is temporary.
 
@@ -190,7 +309,12 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
             f"{first}: a run for it was begun and is not complete: pass resume=True to go on with it, or pass overwrite=True to "
             "begin anew"
         )
-    return Targets(places, None, store)
+    return Targets(places, None, store, in_place)
+
+
+def _beside(place: Path) -> Path:
+    """The folder of a file, or of what its link leads to."""
+    return Path(os.path.realpath(place)).parent
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:

@@ -167,7 +167,7 @@ class VerdictProduct(Product):
         label, _, _ = gathered(self.store, task, {})
         if label.any():
             cloud = file_cloud(task.source, (label & CANDIDATE) > 0, self.store.index)
-            write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, in_place=True)
+            write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, into=task.into)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
         """Say which files have changed."""
