@@ -13,6 +13,7 @@ import secrets
 import shutil
 import stat
 import sys
+import tempfile
 import time
 import zlib
 from collections.abc import Iterator, Sequence
@@ -20,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import InputError, OutputError
+from ..core.errors import InputError, OutputError, warn
 from ..core.reading import Bounds as Bounds
 from ..core.reading import check_bounds as check_bounds
 from .storage import Place, Remote, new_object
@@ -292,10 +293,92 @@ def remove(path: Path) -> None:
             path.unlink(missing_ok=True)
 
 
+# Folders of this package's own are made by it, for the user alone. What else has their name is not used, followed or removed.
+
+LOCK, LINK = "lock", "is a link, which is not followed"
+"""Name of the file, in a folder of our own, whose lock says that a process has the folder; and what is said of links."""
+
+
+def own(folder: Path, make: bool = False) -> bool:
+    """Whether there is such a folder of our own; with ``make`` it is made if there is nothing of this name.
+
+    Raises: OutputError, which says what to do, if the name is that of a link, of a file, of a folder of another user, or of one
+    that others may write to; or if the operating system refuses.
+    """
+    with output_errors(folder):
+        try:
+            if make:
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(folder, 0o700)
+            _check_own(folder, os.lstat(folder))
+        except (FileNotFoundError, NotADirectoryError):
+            if make:
+                raise
+            return False
+    return True
+
+
+def _check_own(folder: Path, facts: os.stat_result) -> None:
+    reason, open_to = "", stat.S_IWGRP | stat.S_IWOTH
+    if stat.S_ISLNK(facts.st_mode) or getattr(os.path, "isjunction", os.path.islink)(folder):
+        reason = LINK
+    elif not stat.S_ISDIR(facts.st_mode):
+        reason = "is no folder"
+    elif hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & open_to):
+        made = tempfile.mkdtemp(prefix=_PREFIX, dir=folder.parent)  # some disks know one owner, or no permissions
+        known = os.lstat(made)
+        os.rmdir(made)
+        if facts.st_uid != known.st_uid:
+            reason = f"belongs to another user (number {facts.st_uid})"
+        elif facts.st_mode & ~known.st_mode & open_to:
+            reason = "others may write to it"
+    if reason:
+        raise OutputError(
+            f"{folder}: {reason}; a run keeps its files in a folder that only its user may write to: remove this one if "
+            "nobody needs it, or name another output, or pass work=..."
+        )
+
+
+@contextlib.contextmanager
+def _entered(folder: Path) -> Iterator[int | None]:
+    """A descriptor of a folder of our own, which stays that of this folder whatever gets its name; None on Windows."""
+    if sys.platform == "win32":
+        _check_own(folder, os.lstat(folder))
+        yield None
+        return
+    at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        _check_own(folder, os.fstat(at))
+        yield at
+    finally:
+        os.close(at)
+
+
+def open_lock(folder: Path, flags: int = 0) -> int:
+    """A descriptor of the lock file in a folder of our own. Raises: OSError, OutputError if it is a link."""
+    with _entered(folder) as at:
+        path = folder / LOCK if at is None else LOCK
+        try:
+            return os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | flags, 0o600, dir_fd=at)
+        except OSError as error:
+            if error.errno == errno.ELOOP:
+                raise OutputError(f"{folder / LOCK}: {LINK}: remove it") from error
+            raise
+
+
+def empty(folder: Path, lock: bool = False, but: str = "") -> None:
+    """Remove what is in a folder of our own, the ``lock`` last or not at all, and all ``but`` one file. Links go, and what they
+    lead to stays. Raises: OSError, OutputError."""
+    with _entered(folder) as at, os.scandir(folder if at is None else at) as entries:
+        for entry in sorted(entries, key=lambda entry: entry.name == LOCK):
+            if entry.name != but and (lock or entry.name != LOCK):
+                (shutil.rmtree if entry.is_dir(follow_symlinks=False) else os.unlink)(entry.path, dir_fd=at)
+
+
 # Unfinished files lie in a folder of their own, because some libraries remove and recreate what they write: a lock on
 # the file itself would be lost. The lock file is made first and removed last, so a folder without one is empty.
 
-_PREFIX, _LOCK = ".jaxfilter-", "lock"
+_PREFIX = ".jaxfilter-"
 _NAME = re.compile(r"\.jaxfilter-[0-9a-f]{8}-[0-9a-f]{8}")
 _FOREIGN_AGE = 86_400.0  # seconds
 """Locks may not be seen across machines; what another one left is removed when it has not been written to for a day."""
@@ -310,7 +393,7 @@ def workplace(parent: Path) -> Iterator[Path]:
         while lock < 0:
             with contextlib.suppress(FileNotFoundError):  # another process took the empty folder for a dead one
                 folder.mkdir(mode=0o700)
-                lock = os.open(folder / _LOCK, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+                lock = open_lock(folder, os.O_CREAT | os.O_EXCL)
                 if try_lock(lock) is False or not os.fstat(lock).st_nlink:
                     os.close(lock)
                     lock = -1
@@ -324,16 +407,21 @@ def workplace(parent: Path) -> Iterator[Path]:
 
 
 def remove_dead(parent: Path) -> None:
-    """Remove the folders of writers that live no more."""
+    """Remove the folders of writers that live no more. Warns: of links of such a name, which are not followed."""
     with os.scandir(parent) as entries:
         found = [Path(entry.path) for entry in entries if _NAME.fullmatch(entry.name)]
     for folder in found:
+        for place in (folder, folder / LOCK):
+            if place.is_symlink():
+                warn(f"{place}: {LINK}: remove it")
         with contextlib.suppress(OSError):  # removed by another, or not ours to remove
-            age = time.time() - max(place.stat().st_mtime for place in (folder, *folder.iterdir()))
+            if not own(folder):
+                continue
+            age = time.time() - max(os.lstat(place).st_mtime for place in (folder, *folder.iterdir()))
             if not folder.name.startswith(f"{_PREFIX}{_host()}-") and age < _FOREIGN_AGE:
                 continue
             try:
-                lock = os.open(folder / _LOCK, os.O_RDWR)
+                lock = open_lock(folder)
             except FileNotFoundError:
                 folder.rmdir()
                 continue
@@ -346,13 +434,11 @@ def remove_dead(parent: Path) -> None:
 def _remove(folder: Path, lock: int) -> None:
     """Remove a folder whose lock is held, and let go of the lock."""
     try:
-        for entry in os.scandir(folder):
-            if entry.name != _LOCK:
-                shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
+        empty(folder)
         if sys.platform == "win32":  # where nothing that is open can be removed
             os.close(lock)
             lock = -1
-        os.unlink(folder / _LOCK)
+        empty(folder, lock=True)
         os.rmdir(folder)
     except OSError:  # the next writer tries again
         pass

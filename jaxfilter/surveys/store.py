@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, OutputError
-from ..files.disk import output_errors, remove, sync, try_lock
+from ..files.disk import LINK, empty, open_lock, output_errors, own, sync, try_lock
 
-RUN, DONE, LOCK = "run.json", "done.json", "lock"
+RUN, DONE = "run.json", "done.json"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
 NEW = ".jaxfilter-new-"
 """Begins the names of files that are to take the places of inputs."""
@@ -43,8 +43,11 @@ class Store:
     """
 
     def __init__(self, path: Path) -> None:
+        """Raises: OutputError if there is something of this name that no run of this user has made."""
         self.path = path
         self.facts: dict[str, Any] = {}
+        self._held = False
+        own(path)
 
     @property
     def index(self) -> Path:
@@ -53,21 +56,26 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """A block that has the folder, which is made if missing; it goes if nothing was recorded in the block.
+        """A block that has the folder, which is made if missing; it goes if nothing was recorded in the block. It may hold
+        further such blocks.
 
-        Raises: OutputError if another run has it, or it cannot be made.
+        Raises: OutputError if another run has it, it cannot be made, or is not of this user's own.
         """
+        if self._held:
+            yield
+            return
         with output_errors(self.path):
-            if self.path.exists() and not self.path.is_dir():
-                remove(self.path)
-            self.path.mkdir(parents=True, exist_ok=True)
-            lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            own(self.path, make=True)
+            lock = open_lock(self.path, os.O_CREAT)
         try:
-            if try_lock(lock) is False:
+            if try_lock(lock) is False or not os.fstat(lock).st_nlink:  # the other has removed it with the folder
                 raise OutputError(f"{self.path}: another run is writing into this folder")
+            self._held = True
             try:
                 yield
             finally:
+                self._held = False
                 if not self.begun and not self.done:
                     self.discard()
         finally:
@@ -90,11 +98,10 @@ class Store:
         except (InputError, KeyError, TypeError):
             return True
 
-    def clear(self, but: str = LOCK) -> None:
-        """Remove all but the lock, and one more file. Raises: OutputError."""
-        for entry in self.path.iterdir():
-            if entry.name not in (LOCK, but):
-                remove(entry)
+    def clear(self, but: str = "") -> None:
+        """Remove all but the lock, and a file. Raises: OutputError."""
+        with output_errors(self.path):
+            empty(self.path, but=but)
         self.facts = {}
 
     def drop_index(self) -> None:
@@ -102,11 +109,22 @@ class Store:
         shutil.rmtree(self.index, ignore_errors=True)
 
     def discard(self) -> None:
-        """Remove the folder."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        """Remove the folder; within :meth:`locked`, what it holds, and the rest at the end. Raises: OutputError if it is not of
+        this user's own."""
+        if not own(self.path):
+            return
+        if not self._held:
+            shutil.rmtree(self.path, ignore_errors=True)
+            return
+        with contextlib.suppress(OSError):
+            empty(self.path)
 
     def load(self) -> dict[str, Any]:
-        """Read the facts again. Raises: InputError if they are damaged."""
+        """Read the facts again. Raises: InputError if they are damaged; OutputError if the folder holds links."""
+        for folder, folders, files in os.walk(self.path):
+            for place in (os.path.join(folder, name) for name in (*folders, *files)):
+                if os.path.islink(place):
+                    raise OutputError(f"{place}: {LINK}: remove it, or pass overwrite=True to begin the run anew")
         path = self.path / RUN
         try:
             self.facts = _checked(path.read_text())
@@ -230,10 +248,12 @@ class Store:
 
     def _write(self, path: Path, content: bytes | memoryview) -> None:
         with output_errors(path):
+            own(self.path, make=True)
             path.parent.mkdir(parents=True, exist_ok=True)
             part = path.with_name(f"{uuid.uuid4().hex}.part")
             try:
-                part.write_bytes(content)
+                with open(part, "xb") as file:
+                    file.write(content)
                 os.replace(part, path)
             finally:
                 part.unlink(missing_ok=True)

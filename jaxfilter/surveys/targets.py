@@ -9,7 +9,6 @@ import os
 import re
 import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, existing, is_there, output_errors, remove, remove_dead, sync
+from ..files.disk import Identity, Seal, existing, is_there, output_errors, own, remove, remove_dead, sync
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -288,9 +287,10 @@ def targets_of(out: str | Path | None, uris: Sequence[str], options: RunOptions)
 
 def beside(places: list[Place], options: RunOptions, alone: bool, called: str = "", in_place: bool = False) -> Targets:
     """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
-    all of them; of one input (``alone``) into a URL, in the folder for what is temporary.
+    all of them; of one input (``alone``) into a URL, in the user's folder for what programs keep.
 
-    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it.
+    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or if the folder is
+    not of this user's own.
     """
     first = places[0].absolute()
     near: Place = first if isinstance(first, Remote) else first.parent
@@ -300,7 +300,7 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     elif len(places) > 1:
         near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        near, name = Path(tempfile.gettempdir()), short
+        near, name = _of_user(), short
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
@@ -315,6 +315,18 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
 def _beside(place: Path) -> Path:
     """The folder of a file, or of what its link leads to."""
     return Path(os.path.realpath(place)).parent
+
+
+def _of_user() -> Path:
+    """The folder for runs whose output is not on a disk. Raises: OutputError if it is not of this user's own."""
+    import platformdirs
+
+    place = platformdirs.user_state_path("jaxfilter")
+    with output_errors(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        own(place, make=True)
+        own(place / "runs", make=True)
+    return place / "runs"
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:

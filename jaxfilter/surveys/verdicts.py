@@ -222,23 +222,24 @@ def apply_survey(
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
     targets = beside(files, run, len(files) == 1, "verdicts")
-    log = _Log(targets.store.path.parent / LOG, collection)
-    new = [one for one in verdicts if not log.holds(one)]
-    keys = {one.key for one in new if one.word != FINE}
-    every = sites(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
-    acting = (site for site in every if any(one.key in keys for one in site.verdicts))
-    found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
-    report = VerdictReport()
-    if found:
-        if run.workers is None and run.client is None and len(found) <= _FEW:
-            run = dataclasses.replace(run, workers=1)
-        unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-        survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
-        report = survey.run(VerdictProduct, sites=found, classes=classes)
-    else:
-        targets.store.discard()
-    if not (report.set_aside or report.failed or report.left_out):
-        log.add(new)
+    with targets.store.locked():  # so that no other run notes verdicts meanwhile
+        log = _Log(targets.store.path.parent / LOG, collection)
+        new = [one for one in verdicts if not log.holds(one)]
+        keys = {one.key for one in new if one.word != FINE}
+        every = sites(verdicts, collection.metre)  # verdicts of before that meet a new one are kept to
+        acting = (site for site in every if any(one.key in keys for one in site.verdicts))
+        found = tuple(sorted(acting, key=lambda site: collection.within(site.window).tolist()))  # file by file
+        report = VerdictReport()
+        if found:
+            if run.workers is None and run.client is None and len(found) <= _FEW:
+                run = dataclasses.replace(run, workers=1)
+            unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
+            survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
+            report = survey.run(VerdictProduct, sites=found, classes=classes)
+        elif not run.dry_run:
+            targets.store.discard()
+        if not (run.dry_run or report.set_aside or report.failed or report.left_out):
+            log.add(new)
     report.problems, report.before = problems, len(verdicts) - len(new)
     report.applied = {word: n for word in WORDS if (n := sum(one.word == word for one in new))}
     return report
