@@ -210,15 +210,18 @@ def new_file(
     not a regular file, or if the operating system refuses (folder missing, disk full, no permission, name too long).
     """
     one = OutputError(f"{path}: output and input are one file; pass in_place=True to replace it")
-    if isinstance(path, Remote) and into is None:
+    if into is not None:
+        final = into
+    elif isinstance(path, Remote):
         if path == source and not in_place:
             raise one
         with new_object(path, overwrite or path == source) as part:
             yield part
         return
-    final = into or (Path(os.path.realpath(path)) if os.path.islink(path) else path)
+    else:
+        final = Path(os.path.realpath(path)) if os.path.islink(path) else path
     with output_errors(path):
-        status = None if into else existing(path)
+        status = None if isinstance(path, Remote) or into else existing(path)
         mine = status is not None and isinstance(source, Path) and os.path.samestat(status, os.stat(source))
         if mine and not in_place:
             raise one
@@ -366,12 +369,12 @@ def open_lock(folder: Path, flags: int = 0) -> int:
             raise
 
 
-def empty(folder: Path, lock: bool = False, but: str = "") -> None:
-    """Remove what is in a folder of our own, the ``lock`` last or not at all, and all ``but`` one file. Links go, and what they
-    lead to stays. Raises: OSError, OutputError."""
+def empty(folder: Path, lock: bool = False) -> None:
+    """Remove what is in a folder of our own, the ``lock`` last or not at all. Links go, and what they lead to stays. Raises:
+    OSError, OutputError."""
     with _entered(folder) as at, os.scandir(folder if at is None else at) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name == LOCK):
-            if entry.name != but and (lock or entry.name != LOCK):
+            if lock or entry.name != LOCK:
                 (shutil.rmtree if entry.is_dir(follow_symlinks=False) else os.unlink)(entry.path, dir_fd=at)
 
 

@@ -116,12 +116,14 @@ class Survey:
         with targets.claimed(self.options):
             if targets.complete(self.options):
                 return kind.REPORT(files=files, was_complete=True)
-            if targets.in_place and self.options.resume and store.done:
-                bare = kind(self.reading, None, store, None, self.options.halo, **settings)
-                return kind.REPORT(files=files, failed=targets.finish(self._asked(bare)), was_complete=True)
+            if targets.in_place and self.options.resume and (store.done or not store.begun):
+                asked = self._asked(kind(self.reading, None, store, None, self.options.halo, **settings))
+                failed = targets.finish(asked) if store.done else targets.ended(asked)
+                if failed is not None:
+                    return kind.REPORT(files=files, failed=failed, was_complete=True)
             product, plan = self._planned(kind, settings)
             self._record(product, plan)
-            targets.name_parts()
+            targets.make_parts()
             run = Run(product, plan, self.collection, targets, self.options)
             try:
                 run()

@@ -4,8 +4,7 @@ A tile is done when its file lies here: what was found of its points, and a summ
 where it belongs, and its seal (length and checksum) here. ``run.json`` holds what decides on the outcome. Every file
 appears whole or not at all, and holds checksums, so that a kill, a full disk or a damage repeats work and mixes nothing.
 
-In place, ``done.json`` says that all outputs are written, and which of them take the places of inputs. It stays, so that
-``resume`` never does a second time what is done.
+In place, ``done.json`` says that all outputs are written, and which files take the places of inputs.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from ..files.disk import LINK, empty, open_lock, output_errors, own, sync, try_l
 RUN, DONE = "run.json", "done.json"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
 NEW = ".jaxfilter-new-"
-"""Begins the names of files that are to take the places of inputs."""
+"""Begins the names of folders of files that are to take the places of inputs."""
 KEPT = "kept_"
 """What arrays begin with that are kept until the run is complete; others go when the files that need them are written."""
 
@@ -98,10 +97,10 @@ class Store:
         except (InputError, KeyError, TypeError):
             return True
 
-    def clear(self, but: str = "") -> None:
-        """Remove all but the lock, and a file. Raises: OutputError."""
+    def clear(self) -> None:
+        """Remove all but the lock. Raises: OutputError."""
         with output_errors(self.path):
-            empty(self.path, but=but)
+            empty(self.path)
         self.facts = {}
 
     def drop_index(self) -> None:
@@ -230,14 +229,20 @@ class Store:
         with contextlib.suppress(OSError):  # not every system can
             sync(self.path)
 
+    def end(self) -> None:
+        """Remove what a run in place has kept, ``done.json`` after ``run.json``: a stop between them is known as its end."""
+        with output_errors(self.path):
+            (self.path / RUN).unlink(missing_ok=True)
+        self.discard()
+
     def load_done(self) -> dict[str, Any]:
         """What :meth:`put_done` has kept. Raises: InputError."""
         try:
             return _checked((self.path / DONE).read_text())
         except (OSError, ValueError) as error:
             raise InputError(
-                f"{self.path / DONE}: is damaged ({error}): look whether files {NEW}* lie beside the inputs, which were to take "
-                "their places, and remove this folder"
+                f"{self.path / DONE}: is damaged ({error}): look whether folders {NEW}* lie beside the inputs, whose files were "
+                "to take their places, and remove this folder"
             ) from error
 
     # bytes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -16,12 +17,12 @@ from typing import Any
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, existing, is_there, output_errors, own, remove, remove_dead, sync
+from ..files.disk import Identity, Seal, existing, is_there, new_file, output_errors, own, remove, remove_dead, sync
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
 from .options import RunOptions
-from .store import DONE, NEW, Store
+from .store import NEW, Store
 
 POINTS = (*LAS_SUFFIXES, *TEXT)
 """Suffixes of files of points."""
@@ -140,15 +141,26 @@ class Targets:
         """The file that is to take the place of an input, None unless ``in_place``. Nobody can guess its name."""
         if not self.in_place:
             return None
-        place, token = self.places[number], self.store.facts["parts"]["token"]
-        folder = self.store.path if isinstance(place, Remote) else _beside(place)
-        return folder / f"{NEW}{token}-{number}{COPC if is_copc(place) else place.suffix}"
+        place = self.places[number]
+        folder = f"{NEW}{self.store.facts['parts']['token']}"
+        return self._beside(place) / folder / f"{number}{COPC if is_copc(place) else place.suffix}"
 
-    def name_parts(self) -> None:
-        """Give these files their names, once in a run. Raises: OutputError."""
-        if self.in_place and "parts" not in self.store.facts:
-            folders = sorted({str(_beside(place)) for place in self.places if isinstance(place, Path)})
-            self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
+    def _beside(self, place: Place) -> Path:
+        """The folder of an input, or of what its link leads to; that of the run for one in a store."""
+        return self.store.path if isinstance(place, Remote) else Path(os.path.realpath(place)).parent
+
+    def make_parts(self) -> None:
+        """Make the folders in which those files lie, beside the inputs. Raises: OutputError."""
+        if self.in_place:
+            if "parts" not in self.store.facts:
+                folders = sorted({str(self._beside(place)) for place in self.places})
+                self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
+            for folder in self._folders():
+                own(folder, make=True)
+
+    def _folders(self) -> list[Path]:
+        parts = self.store.facts.get("parts", {"token": "", "folders": []})
+        return [Path(folder) / f"{NEW}{parts['token']}" for folder in parts["folders"]]
 
     def _drop_parts(self) -> None:
         """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
@@ -158,10 +170,10 @@ class Targets:
                 "pass resume=True, which ends that, before anything else is done with them"
             )
         with contextlib.suppress(InputError):  # nothing is known of a run whose record is damaged
-            parts = self.store.load().get("parts", {"token": "", "folders": ()})
-            for folder in parts["folders"]:
-                for part in Path(folder).glob(f"{NEW}{parts['token']}-*"):
-                    remove(part)
+            self.store.load()
+        for folder in self._folders():
+            if own(folder):
+                remove(folder)
 
     def check_room(self, sizes: Mapping[int, int]) -> None:
         """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
@@ -216,7 +228,7 @@ class Targets:
             wrong = None if part.exists() else Seal(entry["size"], entry["checksum"], ()).broken(place)
             if wrong is not None:
                 raise InputError(
-                    f"{place}: {wrong} since the run in place was complete: leave out resume= to begin a new one"
+                    f"{place}: {wrong} since the run in place has written it: put it back, and pass resume=True"
                 )
         for place, part in left:
             with output_errors(place):
@@ -225,11 +237,39 @@ class Targets:
                     part.unlink()
                 else:
                     os.replace(part, os.path.realpath(place))
-        for folder in {part.parent for _, part in left}:
+        for folder in {part.parent for _, _, part in entries}:
             with contextlib.suppress(OSError):  # not every system can
-                sync(folder)
-        store.clear(but=DONE)
+                sync(folder.parent)
+        with contextlib.suppress(OutputError), new_file(self._record(), overwrite=True) as kept:
+            kept.write_text(json.dumps(done))
+        self._drop_parts()
+        store.end()
         return list(done["failed"])
+
+    def ended(self, facts: dict[str, Any]) -> list[dict[str, str]] | None:
+        """What the last run in place on these files could not do, if it was that of this command and is complete; else None.
+
+        Without this, a complete run would be begun anew by ``resume``, on what it has written. Raises: InputError if some of the
+        files were changed since.
+        """
+        try:
+            done = json.loads(self._record().read_text())
+            broken = [Seal(one["size"], one["checksum"], ()).broken(place_of(one["file"])) for one in done["files"]]
+        except (OSError, ValueError, KeyError, TypeError, OutputError):
+            return None
+        if json.loads(json.dumps(facts)) != done["facts"] or None not in broken:
+            return None
+        for one, wrong in zip(done["files"], broken, strict=True):
+            if wrong is not None:
+                raise InputError(
+                    f"{one['file']}: {wrong} since the run in place was complete, and other files are as it left them: name only "
+                    "what is new, and leave out resume="
+                )
+        return list(done["failed"])
+
+    def _record(self) -> Path:
+        """Where it is kept what the last run in place has done. Raises: OutputError."""
+        return _of_user() / f"{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:32]}.json"
 
     def _entries(self) -> list[tuple[dict[str, Any], Place, Path]]:
         """What the record of a run in place says of each output, its place, and the file that was written. Raises: InputError."""
@@ -310,11 +350,6 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
             "begin anew"
         )
     return Targets(places, None, store, in_place)
-
-
-def _beside(place: Path) -> Path:
-    """The folder of a file, or of what its link leads to."""
-    return Path(os.path.realpath(place)).parent
 
 
 def _of_user() -> Path:

@@ -7,7 +7,7 @@ import datetime
 import json
 import os
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from ..reports.places import SIDE
 from ..reports.verdicts import FINE, HALO, RIM, WORDS, PlaceVerdict, Repair, read_verdicts, repaired, sites
 from ..terrain.layer import extent_of
 from .collection import Collection
+from .collection import open as open_collection
 from .kept import list_places, suspects_in
 from .measures import Recipe
 from .options import RunOptions
@@ -170,12 +171,17 @@ class VerdictProduct(Product):
             write_cloud(task.target, cloud, found_in(label), self.classes, overwrite=True, into=task.into)
 
     def finish(self, report: RunReport, collection: Collection, targets: Targets, options: RunOptions) -> None:
-        """Say which files have changed."""
-        assert isinstance(report, VerdictReport)
+        """Say which files have changed, and write the log, which takes its place together with them."""
+        assert isinstance(report, VerdictReport) and isinstance(targets, _Targets)
         changed = [arrays[_CHANGED] for arrays in self.kept(report, (_CHANGED,))]
         files, counts = np.concatenate([np.zeros((2, 0), int), *changed], axis=1)
         written = {str(targets.places[number]) for number in files}
         report.files, report.changed = [name for name in report.files if name in written], int(counts.sum())
+        if not (report.set_aside or report.failed or report.left_out):
+            *files, last = map(targets.part, range(len(targets.places)))
+            named = zip(collection.uris, files, strict=True)
+            parts = {targets.log.name_of(uri): part for uri, part in named if part is not None and part.exists()}
+            targets.log.add(targets.new, parts, last)
 
     def facts(self) -> dict[str, Any]:
         """Classes and verdicts."""
@@ -221,8 +227,11 @@ def apply_survey(
     if wrong := [file for file in files if isinstance(file, Remote) or file.suffix.lower() not in LAS_SUFFIXES]:
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
-    targets = beside(files, run, len(files) == 1, "verdicts")
+    targets = beside(files, run, len(files) == 1, "verdicts", in_place=True)
     with targets.store.locked():  # so that no other run notes verdicts meanwhile
+        if run.resume and targets.store.done:  # what was renamed is listed in the log
+            targets.finish()
+            collection = open_collection(collection.uris, units=reading.units, crs=reading.crs)
         log = _Log(targets.store.path.parent / LOG, collection)
         new = [one for one in verdicts if not log.holds(one)]
         keys = {one.key for one in new if one.word != FINE}
@@ -234,10 +243,11 @@ def apply_survey(
             if run.workers is None and run.client is None and len(found) <= _FEW:
                 run = dataclasses.replace(run, workers=1)
             unmeasured = dataclasses.replace(run, tile=HALO, measures={})  # nothing but what the filter needs
-            survey = Survey(collection, targets, _recipe_of(collection), reading, unmeasured)
+            logged = _Targets([*files, log.path], None, targets.store, True, log=log, new=new)
+            survey = Survey(collection, logged, _recipe_of(collection), reading, unmeasured)
             report = survey.run(VerdictProduct, sites=found, classes=classes)
-        elif not run.dry_run:
-            targets.store.discard()
+        if not run.dry_run:
+            targets.discard()  # the log tells what is done
         if not (run.dry_run or report.set_aside or report.failed or report.left_out):
             log.add(new)
     report.problems, report.before = problems, len(verdicts) - len(new)
@@ -280,16 +290,22 @@ class _Log:
     def files_of(self, one: PlaceVerdict) -> list[str]:
         """Names of the files whose points a verdict may change."""
         near = self.collection.within(one.shape.buffer(RIM / self.collection.metre).bounds)
-        return [os.path.relpath(self.collection.uris[n], self.path.parent) for n in near]
+        return [self.name_of(self.collection.uris[n]) for n in near]
+
+    def name_of(self, uri: str) -> str:
+        """Of a file, as the log has it."""
+        return os.path.relpath(uri, self.path.parent)
 
     def holds(self, one: PlaceVerdict) -> bool:
         """Whether a verdict was carried out on all its files, and these are as they were left."""
         files = set(self.files_of(one))
         return one.key in self._known and files <= set(self._known[one.key]) and not files & self._broken
 
-    def add(self, verdicts: Sequence[PlaceVerdict]) -> None:
+    def add(self, verdicts: Sequence[PlaceVerdict], parts: Mapping[str, Path] = {}, into: Path | None = None) -> None:
         """Write down verdicts, and how their files are now. Others are known no more on files that have changed since, and none
         is in whose place something else is said now.
+
+        ``parts``: files that will take the places of those of such names; ``into``: as of ``new_file``.
 
         Raises: OutputError.
         """
@@ -308,8 +324,8 @@ class _Log:
             facts = {"verdict": one.word, "place": one.name, "x": inner.x, "y": inner.y, "area": area}
             entries.append(facts | {"date": today, "version": __version__, "files": files, "key": one.key})
         names = sorted({name for one in entries for name in one["files"]})
-        seals = {name: dataclasses.asdict(Seal.of(self.path.parent / name)) for name in names}
-        with new_file(self.path, overwrite=True) as part:
+        seals = {name: dataclasses.asdict(Seal.of(parts.get(name, self.path.parent / name))) for name in names}
+        with new_file(self.path, overwrite=True, into=into) as part:
             part.write_text(json.dumps({"verdicts": entries, "files": seals}, indent=1) + "\n")
 
     @staticmethod
@@ -317,6 +333,14 @@ class _Log:
         """Whether a place of before, known by a point inside, has another verdict now."""
         inner = shapely.Point(entry["x"], entry["y"])
         return any(one.word != entry["verdict"] and one.shape.intersects(inner) for one in verdicts)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Targets(Targets):
+    """Files, and behind them the log of their verdicts, which lists ``new`` ones when they are replaced."""
+
+    log: _Log
+    new: Sequence[PlaceVerdict]
 
 
 @dataclasses.dataclass(frozen=True)
