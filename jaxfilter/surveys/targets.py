@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import JaxfilterError, OutputError, ParameterError
-from ..files.disk import existing, is_there, output_errors, own, remove, remove_dead
+from ..files.disk import existing, is_there, output_errors, own, remove_dead
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -110,11 +110,11 @@ class Targets:
             return
         held = set(_held(self.folder))
         ours = [place for place in (*self.places, self.folder / REPORT, self.folder / MAP) if place.name in held]
+        for path in (place for place in ours if isinstance(place, Path)):
+            existing(path)
         for place in ours:
-            if isinstance(place, Path):
-                existing(place)
-        for place in ours:
-            remove(place) if isinstance(place, Path) else place.remove()
+            with output_errors(place):
+                place.unlink(missing_ok=True) if isinstance(place, Path) else place.remove()
 
 
 def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> None:
@@ -170,8 +170,7 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
     all of them; of one input (``alone``) into a URL, in the user's folder for what programs keep.
 
-    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or if the folder is
-    not of this user's own.
+    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or by another user.
     """
     first = places[0].absolute()
     near: Place = first if isinstance(first, Remote) else first.parent
@@ -181,7 +180,10 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     elif len(places) > 1:
         near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        near, name = _of_user(), short
+        import platformdirs
+
+        near, name = platformdirs.user_state_path("jaxfilter"), short
+        own(near, make=True)
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
@@ -191,18 +193,6 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
             "begin anew"
         )
     return Targets(places, None, store)
-
-
-def _of_user() -> Path:
-    """The folder for runs whose output is not on a disk. Raises: OutputError if it is not of this user's own."""
-    import platformdirs
-
-    place = platformdirs.user_state_path("jaxfilter")
-    with output_errors(place):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        own(place, make=True)
-        own(place / "runs", make=True)
-    return place / "runs"
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
