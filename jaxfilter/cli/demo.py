@@ -56,7 +56,7 @@ def demo(session: Session, directory: Path, method: str | None, overwrite: bool,
 
     if directory.is_dir():
         remove_dead(directory)
-    others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES)
+    others = sorted(p.name for p in directory.glob("*") if p.name not in DEMO_FILES or p.is_symlink())
     if others and not overwrite:
         raise BadUsage(f"{directory} holds other files ({others[0]}): name another folder, or pass --overwrite")
     recipe = Recipe() if method is None else Recipe(method_of(method), preset="recommended")

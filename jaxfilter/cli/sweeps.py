@@ -66,6 +66,8 @@ def sweep(session: Session, sources: tuple[Path, ...], directory: Path, resume: 
     ranges = {name: axis(type(filter_), name, text, drawn) for name, text in axes.items()}
     plan = make_design(filter_, ranges, *design.values())
     checkpoint = directory / CHECKPOINT
+    if links := [name for name in (CHECKPOINT, DATASET, TABLE) if (directory / name).is_symlink()]:
+        raise BadUsage(f"{directory / links[0]} is a link, which is not followed: remove it, or name another folder")
     if resume and (directory / DATASET).exists() and not checkpoint.exists():
         raise BadUsage(f"{directory} holds {DATASET} of another sweep: name another folder, or pass --fresh")
     with session.reading(*sources):
@@ -254,7 +256,7 @@ def _read_all(sources: tuple[Path, ...], reading: Reading) -> dict[str, PointClo
 def _write(
     directory: Path, dataset: xarray.Dataset, table: pandas.DataFrame, clouds: dict[str, PointCloud], score: str
 ) -> list[str]:
-    """All files of a sweep; their names. Pictures of a sweep that was replaced are removed."""
+    """All files of a sweep; their names. Pictures of a sweep that was replaced, and links, are removed."""
     from .. import plots
     from ..files.disk import new_file
     from ..sweeps.best import axes_of, word
@@ -280,7 +282,7 @@ def _write(
             figures[f"votes{end}.png"] = plots.votes_map(clouds[name], votes, title=name if end else "").figure
     writers |= {name: functools.partial(figure.savefig, format="png") for name, figure in figures.items()}
     for name in ("curves.png", "maps.png", "votes.png", *(f"votes_{one}.png" for one in clouds)):
-        if name not in figures:
+        if name not in figures or (directory / name).is_symlink():
             (directory / name).unlink(missing_ok=True)
     for name, write in writers.items():
         with new_file(directory / name, overwrite=True) as path:

@@ -175,8 +175,9 @@ def is_there(place: Place) -> bool:
         raise OutputError(str(error)) from error
 
 
-_FULL = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
-    errno.EFBIG: "the disk is full, or the file too large for it"
+_REASONS = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "the disk is full") | {
+    errno.EFBIG: "the disk is full, or the file too large for it",
+    errno.ELOOP: "a link in it is not followed: remove it",
 }
 _KINDS = {
     "folder": stat.S_ISDIR,
@@ -251,8 +252,8 @@ def output_errors(path: Place) -> Iterator[None]:
         if isinstance(error, OutputError):
             raise
         reason = error.strerror or str(error)
-        if full := _FULL.get(error.errno or 0):
-            reason = f"{full} ({reason})"
+        if known := _REASONS.get(error.errno or 0):
+            reason = f"{known} ({reason})"
         raise OutputError(f"{path}: cannot be written: {reason}") from error
 
 
@@ -287,91 +288,59 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def remove(path: Path) -> None:
-    """Remove whatever has this name, if anything has. Raises: OutputError."""
-    with output_errors(path):
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-
-
 # Folders of this package's own are made by it, for the user alone. What else has their name is not used, followed or removed.
-
-LOCK, LINK = "lock", "is a link, which is not followed"
-"""Name of the file, in a folder of our own, whose lock says that a process has the folder; and what is said of links."""
 
 
 def own(folder: Path, make: bool = False) -> bool:
-    """Whether there is such a folder of our own; with ``make`` it is made if there is nothing of this name.
-
-    Raises: OutputError, which says what to do, if the name is that of a link, of a file, of a folder of another user, or of one
-    that others may write to; or if the operating system refuses.
-    """
+    """Whether there is such a folder of our own; with ``make`` it is made if nothing has its name. Raises: OutputError if that is
+    a link, a file, or what another user owns or may write to; or if it cannot be made."""
     with output_errors(folder):
-        try:
-            if make:
-                with contextlib.suppress(FileExistsError):
-                    os.mkdir(folder, 0o700)
-            _check_own(folder, os.lstat(folder))
-        except (FileNotFoundError, NotADirectoryError):
-            if make:
-                raise
+        if make:
+            folder.mkdir(0o700, parents=True, exist_ok=True)
+        elif not os.path.lexists(folder):
             return False
+        _check_own(folder, os.lstat(folder))
     return True
 
 
 def _check_own(folder: Path, facts: os.stat_result) -> None:
-    reason, open_to = "", stat.S_IWGRP | stat.S_IWOTH
-    if stat.S_ISLNK(facts.st_mode) or getattr(os.path, "isjunction", os.path.islink)(folder):
-        reason = LINK
-    elif not stat.S_ISDIR(facts.st_mode):
-        reason = "is no folder"
-    elif hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & open_to):
+    mode, writers, known = facts.st_mode, stat.S_IWGRP | stat.S_IWOTH, facts
+    if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or mode & writers):
         made = tempfile.mkdtemp(prefix=_PREFIX, dir=folder.parent)  # some disks know one owner, or no permissions
         known = os.lstat(made)
         os.rmdir(made)
-        if facts.st_uid != known.st_uid:
-            reason = f"belongs to another user (number {facts.st_uid})"
-        elif facts.st_mode & ~known.st_mode & open_to:
-            reason = "others may write to it"
-    if reason:
-        raise OutputError(
-            f"{folder}: {reason}; a run keeps its files in a folder that only its user may write to: remove this one if "
-            "nobody needs it, or name another output, or pass work=..."
-        )
+    link = stat.S_ISLNK(mode) or getattr(os.path, "isjunction", os.path.islink)(folder)
+    for wrong, what in (
+        (link, "is a link, which is not followed"),
+        (not stat.S_ISDIR(mode), "is no folder"),
+        (facts.st_uid != known.st_uid, f"belongs to another user (number {facts.st_uid})"),
+        (mode & ~known.st_mode & writers, "may be written to by others"),
+    ):
+        if wrong:
+            raise OutputError(f"{folder}: {what}: remove it if nobody needs it, name another output, or pass work=...")
 
 
 @contextlib.contextmanager
 def _entered(folder: Path) -> Iterator[int | None]:
     """A descriptor of a folder of our own, which stays that of this folder whatever gets its name; None on Windows."""
-    if sys.platform == "win32":
-        _check_own(folder, os.lstat(folder))
-        yield None
-        return
-    at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    at = None if sys.platform == "win32" else os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        _check_own(folder, os.fstat(at))
+        _check_own(folder, os.lstat(folder) if at is None else os.fstat(at))
         yield at
     finally:
-        os.close(at)
+        if at is not None:
+            os.close(at)
 
 
 def open_lock(folder: Path, flags: int = 0) -> int:
-    """A descriptor of the lock file in a folder of our own. Raises: OSError, OutputError if it is a link."""
+    """A descriptor of the lock file, no link, in a folder of our own. Raises: OSError, OutputError."""
+    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
     with _entered(folder) as at:
-        path = folder / LOCK if at is None else LOCK
-        try:
-            return os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | flags, 0o600, dir_fd=at)
-        except OSError as error:
-            if error.errno == errno.ELOOP:
-                raise OutputError(f"{folder / LOCK}: {LINK}: remove it") from error
-            raise
+        return os.open(folder / LOCK if at is None else LOCK, flags, 0o600, dir_fd=at)
 
 
 def empty(folder: Path, lock: bool = False) -> None:
-    """Remove what is in a folder of our own, the ``lock`` last or not at all. Links go, and what they lead to stays. Raises:
-    OSError, OutputError."""
+    """Remove what a folder of our own holds, links but not what they lead to; the ``lock`` last, or not. Raises: OSError."""
     with _entered(folder) as at, os.scandir(folder if at is None else at) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name == LOCK):
             if lock or entry.name != LOCK:
@@ -381,7 +350,7 @@ def empty(folder: Path, lock: bool = False) -> None:
 # Unfinished files lie in a folder of their own, because some libraries remove and recreate what they write: a lock on
 # the file itself would be lost. The lock file is made first and removed last, so a folder without one is empty.
 
-_PREFIX = ".jaxfilter-"
+_PREFIX, LOCK = ".jaxfilter-", "lock"
 _NAME = re.compile(r"\.jaxfilter-[0-9a-f]{8}-[0-9a-f]{8}")
 _FOREIGN_AGE = 86_400.0  # seconds
 """Locks may not be seen across machines; what another one left is removed when it has not been written to for a day."""
@@ -414,12 +383,10 @@ def remove_dead(parent: Path) -> None:
     with os.scandir(parent) as entries:
         found = [Path(entry.path) for entry in entries if _NAME.fullmatch(entry.name)]
     for folder in found:
-        for place in (folder, folder / LOCK):
-            if place.is_symlink():
-                warn(f"{place}: {LINK}: remove it")
+        if folder.is_symlink():
+            warn(f"{folder}: is a link in place of a folder of unfinished files, and is not followed: remove it")
         with contextlib.suppress(OSError):  # removed by another, or not ours to remove
-            if not own(folder):
-                continue
+            own(folder)
             age = time.time() - max(os.lstat(place).st_mtime for place in (folder, *folder.iterdir()))
             if not folder.name.startswith(f"{_PREFIX}{_host()}-") and age < _FOREIGN_AGE:
                 continue
@@ -437,7 +404,6 @@ def remove_dead(parent: Path) -> None:
 def _remove(folder: Path, lock: int) -> None:
     """Remove a folder whose lock is held, and let go of the lock."""
     try:
-        empty(folder)
         if sys.platform == "win32":  # where nothing that is open can be removed
             os.close(lock)
             lock = -1

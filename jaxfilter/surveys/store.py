@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, OutputError
-from ..files.disk import LINK, empty, open_lock, output_errors, own, sync, try_lock
+from ..files.disk import empty, open_lock, output_errors, own, sync, try_lock
 
 RUN, DONE = "run.json", "done.json"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
@@ -37,15 +37,13 @@ class Store:
     """The folder of a run. One process at a time has it; others may add files of tiles.
 
     Attributes:
-        path: of the folder.
+        path: of the folder. Raises: OutputError for one that no run of this user has made.
         facts: what decides on the outcome, and what was found out on the way.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises: OutputError if there is something of this name that no run of this user has made."""
         self.path = path
         self.facts: dict[str, Any] = {}
-        self._held = False
         own(path)
 
     @property
@@ -55,26 +53,19 @@ class Store:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """A block that has the folder, which is made if missing; it goes if nothing was recorded in the block. It may hold
-        further such blocks.
+        """A block that has the folder, which is made if missing; it goes if nothing was recorded in the block.
 
         Raises: OutputError if another run has it, it cannot be made, or is not of this user's own.
         """
-        if self._held:
-            yield
-            return
         with output_errors(self.path):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
             own(self.path, make=True)
             lock = open_lock(self.path, os.O_CREAT)
         try:
             if try_lock(lock) is False or not os.fstat(lock).st_nlink:  # the other has removed it with the folder
                 raise OutputError(f"{self.path}: another run is writing into this folder")
-            self._held = True
             try:
                 yield
             finally:
-                self._held = False
                 if not self.begun and not self.done:
                     self.discard()
         finally:
@@ -108,22 +99,15 @@ class Store:
         shutil.rmtree(self.index, ignore_errors=True)
 
     def discard(self) -> None:
-        """Remove the folder; within :meth:`locked`, what it holds, and the rest at the end. Raises: OutputError if it is not of
-        this user's own."""
-        if not own(self.path):
-            return
-        if not self._held:
+        """Remove the folder. Raises: OutputError if it is not of this user's own."""
+        if own(self.path):
             shutil.rmtree(self.path, ignore_errors=True)
-            return
-        with contextlib.suppress(OSError):
-            empty(self.path)
 
     def load(self) -> dict[str, Any]:
         """Read the facts again. Raises: InputError if they are damaged; OutputError if the folder holds links."""
         for folder, folders, files in os.walk(self.path):
-            for place in (os.path.join(folder, name) for name in (*folders, *files)):
-                if os.path.islink(place):
-                    raise OutputError(f"{place}: {LINK}: remove it, or pass overwrite=True to begin the run anew")
+            if links := [name for name in (*folders, *files) if os.path.islink(os.path.join(folder, name))]:
+                raise OutputError(f"{folder}: holds a link ({links[0]}), which is not followed: remove it")
         path = self.path / RUN
         try:
             self.facts = _checked(path.read_text())
@@ -257,8 +241,7 @@ class Store:
             path.parent.mkdir(parents=True, exist_ok=True)
             part = path.with_name(f"{uuid.uuid4().hex}.part")
             try:
-                with open(part, "xb") as file:
-                    file.write(content)
+                part.write_bytes(content)
                 os.replace(part, path)
             finally:
                 part.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ from typing import Any
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, existing, is_there, new_file, output_errors, own, remove, remove_dead, sync
+from ..files.disk import Identity, Seal, existing, is_there, new_file, output_errors, own, remove_dead, sync
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -119,11 +119,11 @@ class Targets:
             return
         held = set(_held(self.folder))
         ours = [place for place in (*self.places, self.folder / REPORT, self.folder / MAP) if place.name in held]
+        for path in (place for place in ours if isinstance(place, Path)):
+            existing(path)
         for place in ours:
-            if isinstance(place, Path):
-                existing(place)
-        for place in ours:
-            remove(place) if isinstance(place, Path) else place.remove()
+            with output_errors(place):
+                place.unlink(missing_ok=True) if isinstance(place, Path) else place.remove()
 
     def complete(self, options: RunOptions) -> bool:
         """Whether there is nothing to go on with: no run is under way, and the outputs, which appear whole, are there."""
@@ -173,7 +173,7 @@ class Targets:
             self.store.load()
         for folder in self._folders():
             if own(folder):
-                remove(folder)
+                shutil.rmtree(folder, ignore_errors=True)
 
     def check_room(self, sizes: Mapping[int, int]) -> None:
         """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
@@ -329,8 +329,7 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     """Outputs with the folder of the run beside the first one, ``called`` so, by default like this output, or in the folder above
     all of them; of one input (``alone``) into a URL, in the user's folder for what programs keep.
 
-    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or if the folder is
-    not of this user's own.
+    Raises: ParameterError; OutputError if another run was begun there, and it is not said what to do with it, or by another user.
     """
     first = places[0].absolute()
     near: Place = first if isinstance(first, Remote) else first.parent
@@ -340,7 +339,10 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     elif len(places) > 1:
         near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        near, name = _of_user(), short
+        import platformdirs
+
+        near, name = platformdirs.user_state_path("jaxfilter"), short
+        own(near, make=True)
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
@@ -350,18 +352,6 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
             "begin anew"
         )
     return Targets(places, None, store, in_place)
-
-
-def _of_user() -> Path:
-    """The folder for runs whose output is not on a disk. Raises: OutputError if it is not of this user's own."""
-    import platformdirs
-
-    place = platformdirs.user_state_path("jaxfilter")
-    with output_errors(place):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        own(place, make=True)
-        own(place / "runs", make=True)
-    return place / "runs"
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:

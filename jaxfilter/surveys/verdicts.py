@@ -39,7 +39,7 @@ from .options import RunOptions
 from .product import CANDIDATE, Cut, FileTask, Product, found_in, gathered, packed
 from .report import RunReport, Summary
 from .run import Survey, check_in_place, open_files
-from .store import KEPT
+from .store import KEPT, Store
 from .surroundings import ground_by_class
 from .targets import REPORT, Targets, beside
 from .tiles import Tile, inside, part_of
@@ -228,9 +228,10 @@ def apply_survey(
         raise ParameterError(f"{wrong[0]}: verdicts change .las and .laz files on a disk; pass such")
     verdicts, problems = read_verdicts(places, collection.crs, collection.bounds)
     targets = beside(files, run, len(files) == 1, "verdicts", in_place=True)
-    with targets.store.locked():  # so that no other run notes verdicts meanwhile
+    with Store(targets.store.path.with_name(f".{LOG}.jaxfilter-run")).locked():  # nobody else notes verdicts meanwhile
         if run.resume and targets.store.done:  # what was renamed is listed in the log
-            targets.finish()
+            with targets.store.locked():
+                targets.finish()
             collection = open_collection(collection.uris, units=reading.units, crs=reading.crs)
         log = _Log(targets.store.path.parent / LOG, collection)
         new = [one for one in verdicts if not log.holds(one)]
