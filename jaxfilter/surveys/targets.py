@@ -339,10 +339,7 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
     elif len(places) > 1:
         near, name = place_of(os.path.commonpath([str(place) for place in places])), _HIDDEN
     elif isinstance(first, Remote) and alone and options.work is None and options.client is None:
-        import platformdirs
-
-        near, name = platformdirs.user_state_path("jaxfilter"), short
-        own(near, make=True)
+        near, name = _of_user(), short
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
@@ -352,6 +349,15 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
             "begin anew"
         )
     return Targets(places, None, store, in_place)
+
+
+def _of_user() -> Path:
+    """The user's folder for what programs keep. Raises: OutputError if it cannot be made, or is that of another user."""
+    import platformdirs
+
+    folder = platformdirs.user_state_path("jaxfilter")
+    own(folder, make=True)
+    return folder
 
 
 def _local(work: str | Path | None, target: Place, beside: Place) -> Path:
