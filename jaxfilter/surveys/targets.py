@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import JaxfilterError, OutputError, ParameterError
-from ..files.disk import existing, is_there, output_errors, own, remove_dead
+from ..files.disk import check_own, existing, is_there, output_errors, remove_dead
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -183,7 +183,7 @@ def beside(places: list[Place], options: RunOptions, alone: bool, called: str = 
         import platformdirs
 
         near, name = platformdirs.user_state_path("jaxfilter"), short
-        own(near, make=True)
+        check_own(near, make=True)
     elif len(os.fsencode(name)) > _LONGEST:
         name = short
     store = Store(_local(options.work, first, near) / name)
