@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 
 import laspy
@@ -402,3 +403,201 @@ def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_p
     )
     assert result.exit_code == 0 and "tiles of 80 m with" in result.stdout and "nothing was written" in result.stdout
     assert sorted(tmp_path.rglob("*")) == before
+
+
+# folders of a run's own
+
+
+@pytest.fixture
+def elsewhere(tmp_path):
+    """Somebody's folder, in which a lock has not been written to for years, and what it holds, each time it is asked."""
+    folder = tmp_path / "elsewhere"
+    (folder / "deep").mkdir(parents=True)
+    for name in ("lock", "precious.txt", "run.json", "deep/1.tile"):
+        (folder / name).write_text(f"this is {name}")
+        os.utime(folder / name, (1e9, 1e9))
+    for each in (folder / "deep", folder):
+        os.utime(each, (1e9, 1e9))
+    return folder, lambda: held(folder)
+
+
+def held(folder):
+    """What there is in a folder, with bytes, owners, permissions and times of change."""
+    found = {}
+    for path in (folder, *sorted(folder.rglob("*"))):
+        facts = path.lstat()
+        content = path.read_bytes() if path.is_file() else None
+        found[str(path.relative_to(folder))] = content, facts.st_uid, facts.st_mode, facts.st_mtime_ns
+    return found
+
+
+def one_file(survey, d):
+    return ["ground", "pmf", survey / "west.las", d / "out.laz"]
+
+
+def folder_of_files(survey, d):
+    return ["ground", "pmf", survey, f"{d}/"]
+
+
+def file_in_place(survey, d):
+    return ["ground", "pmf", shutil.copy(survey / "west.las", d), "--in-place"]
+
+
+def folder_in_place(survey, d):
+    for name in ("west.las", "east.las"):
+        shutil.copy(survey / name, d)
+    return ["ground", "pmf", d, "--in-place"]
+
+
+def points(survey, d):
+    return ["info", survey, "--vpc", d / "all.vpc"]
+
+
+RUNS = [
+    pytest.param(".out.laz.jaxfilter-run", one_file, id="one"),
+    pytest.param(".jaxfilter-run", folder_of_files, id="folder"),
+    pytest.param(".west.las.jaxfilter-run", file_in_place, id="one in place"),
+    pytest.param(".jaxfilter-run", folder_in_place, id="folder in place"),
+]
+
+
+def link(place, folder):
+    place.symlink_to(folder)
+
+
+def link_to_nothing(place, folder):
+    place.symlink_to(folder / "missing")
+
+
+def plain_file(place, folder):
+    place.write_text("mine")
+
+
+def of_another(place, folder):
+    if not hasattr(os, "getuid") or os.getuid():
+        pytest.skip("only root can give a folder to another user")
+    shutil.copytree(folder, place)
+    for each in (place, *place.rglob("*")):
+        os.chown(each, 12345, 12345)
+
+
+def open_to_others(place, folder):
+    of_another(place, folder)
+    place.chmod(0o777)
+
+
+def own_open_to_others(place, folder):
+    shutil.copytree(folder, place)
+    place.chmod(0o775)
+
+
+KINDS = [link, link_to_nothing, plain_file, of_another, open_to_others, own_open_to_others]
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
+@pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
+@pytest.mark.parametrize("plant", KINDS)
+@pytest.mark.parametrize("name, words", RUNS)
+def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(
+    survey, tmp_path, elsewhere, name, words, plant, how
+):
+    """Whatever it is, it stays, and so does what it leads to."""
+    d, (folder, content) = tmp_path / "d", elsewhere
+    d.mkdir()
+    plant(d / name, folder)
+    command = words(survey, d)
+    before, beside = content(), held(d)
+    done = run(*command, *filter(None, [how]))
+    assert done.exit_code in (1, 2) and f"{d / name}: " in done.stderr and "remove it" in done.stderr, done.output
+    assert content() == before and {k: v for k, v in held(d).items() if k != "."} == {
+        k: v for k, v in beside.items() if k != "."
+    }
+
+
+@pytest.mark.parametrize("words", [one_file, file_in_place, points])
+def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp_path, elsewhere, words):
+    d, (folder, content) = tmp_path / "d", elsewhere
+    d.mkdir()
+    (d / ".jaxfilter-00000000-00000000").symlink_to(folder)
+    before = content()
+    done = run(*words(survey, d))
+    assert done.exit_code == 0 and content() == before, done.output
+    assert f"{d / '.jaxfilter-00000000-00000000'}: is a link" in " ".join(done.stderr.split())
+    assert (d / ".jaxfilter-00000000-00000000").is_symlink()
+
+
+@pytest.mark.parametrize("name", ["tiles", "tiles/0", "files", "index", "lock", "run.json", "tiles/0/planted.tile"])
+def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhere, name):
+    """To go on with such a run is refused; to begin anew leaves what they lead to as it is."""
+    out, (folder, content) = tmp_path / "out", elsewhere
+    how = {"tile": 60.0, "wide_halos": True}
+    with pytest.raises(KeyboardInterrupt):
+        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(stop_after=2), **how))
+    place = out / ".jaxfilter-run" / name
+    if place.is_dir():
+        shutil.rmtree(place)
+    place.unlink(missing_ok=True)
+    place.symlink_to(folder / (place.name if place.name in ("lock", "run.json") else ""))
+    before = content()
+    with pytest.raises(jf.OutputError, match=r"link.* is not followed: remove it") as caught:
+        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(), resume=True, **how))
+    assert str(out / ".jaxfilter-run") in str(caught.value) and content() == before and place.is_symlink()
+    if name == "lock":
+        place.unlink()
+    assert jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(), overwrite=True, **how)).complete
+    assert content() == before
+
+
+def test_nothing_elsewhere_is_lost_whenever_a_link_takes_the_place_of_the_folder(
+    survey, tmp_path, elsewhere, monkeypatch
+):
+    """It is put there before the first call that names the folder or what lies in it, before the second, and so on."""
+    folder, content = elsewhere
+    before, calls = content(), ("lstat", "mkdir", "open", "scandir", "unlink", "rmdir", "replace")
+    for last in range(400):
+        d = tmp_path / f"d{last}"
+        place, met = d / ".out.laz.jaxfilter-run", []
+        shutil.copytree(folder, place)
+        place.chmod(0o700)  # what a killed run has left
+
+        def swapped(call, place=place, met=met, last=last):
+            original = getattr(os, call)
+
+            def shim(*arguments, **options):
+                if arguments and not isinstance(arguments[0], int) and str(place) in os.fspath(arguments[0]):
+                    met.append(call)
+                    if len(met) == last + 1 and os.path.isdir(place):
+                        os.rename(place, place.with_name("aside"))
+                        os.symlink(folder, place)
+                return original(*arguments, **options)
+
+            monkeypatch.setattr(os, call, shim)
+
+        for call in calls:
+            swapped(call)
+        try:
+            jf.ground(survey / "west.las", d / "out.laz", PMF, run=jf.RunOptions(overwrite=True, workers=1))
+        except jf.OutputError as error:
+            assert str(place) in str(error)
+        finally:
+            monkeypatch.undo()
+        now = content()
+        assert {name: now.get(name, ())[:1] for name in before} == {name: before[name][:1] for name in before}, met[-1]
+        if len(met) <= last:
+            break
+        for name in now.keys() - before.keys():
+            assert not name.endswith(".laz")
+        shutil.rmtree(d)
+    assert 10 < last < 399
+
+
+def test_a_disk_that_knows_one_owner_only_is_no_reason_to_refuse(survey, tmp_path, monkeypatch):
+    """There everything that is made belongs to somebody else, also what this run makes."""
+    if not hasattr(os, "getuid"):
+        pytest.skip("needs owners of files")
+    another = os.getuid() + 1
+    monkeypatch.setattr(os, "getuid", lambda: another)
+    for how in ({}, {"overwrite": True}, {"resume": True}):
+        assert jf.ground(survey, tmp_path / "out", PMF, run=jf.RunOptions(workers=1, **how)).complete
+    assert (tmp_path / "out" / ".jaxfilter-run").stat().st_mode & 0o777 == 0o700
+    assert sorted(p.name for p in (tmp_path / "out").iterdir() if p.name.startswith(".")) == [".jaxfilter-run"]

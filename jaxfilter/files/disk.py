@@ -291,19 +291,18 @@ def sync(path: Path) -> None:
 # Folders of this package's own are made by it, for the user alone. What else has their name is not used, followed or removed.
 
 
-def own(folder: Path, make: bool = False) -> bool:
-    """Whether there is such a folder of our own; with ``make`` it is made if nothing has its name. Raises: OutputError if that is
-    a link, a file, or what another user owns or may write to; or if it cannot be made."""
+def check_own(folder: Path, make: bool = False) -> None:
+    """A folder is our own, or there is none; with ``make`` it is made. Raises: OutputError if something else has this name, a
+    link, a file, or what another user owns or may write to; or if it cannot be made."""
     with output_errors(folder):
         if make:
             folder.mkdir(0o700, parents=True, exist_ok=True)
         elif not os.path.lexists(folder):
-            return False
-        _check_own(folder, os.lstat(folder))
-    return True
+            return
+        _check(folder, os.lstat(folder))
 
 
-def _check_own(folder: Path, facts: os.stat_result) -> None:
+def _check(folder: Path, facts: os.stat_result) -> None:
     mode, writers, known = facts.st_mode, stat.S_IWGRP | stat.S_IWOTH, facts
     if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or mode & writers):
         made = tempfile.mkdtemp(prefix=_PREFIX, dir=folder.parent)  # some disks know one owner, or no permissions
@@ -321,11 +320,11 @@ def _check_own(folder: Path, facts: os.stat_result) -> None:
 
 
 @contextlib.contextmanager
-def _entered(folder: Path) -> Iterator[int | None]:
+def entered(folder: Path) -> Iterator[int | None]:
     """A descriptor of a folder of our own, which stays that of this folder whatever gets its name; None on Windows."""
     at = None if sys.platform == "win32" else os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        _check_own(folder, os.lstat(folder) if at is None else os.fstat(at))
+        _check(folder, os.lstat(folder) if at is None else os.fstat(at))
         yield at
     finally:
         if at is not None:
@@ -335,13 +334,13 @@ def _entered(folder: Path) -> Iterator[int | None]:
 def open_lock(folder: Path, flags: int = 0) -> int:
     """A descriptor of the lock file, no link, in a folder of our own. Raises: OSError, OutputError."""
     flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-    with _entered(folder) as at:
+    with entered(folder) as at:
         return os.open(folder / LOCK if at is None else LOCK, flags, 0o600, dir_fd=at)
 
 
 def empty(folder: Path, lock: bool = False) -> None:
     """Remove what a folder of our own holds, links but not what they lead to; the ``lock`` last, or not. Raises: OSError."""
-    with _entered(folder) as at, os.scandir(folder if at is None else at) as entries:
+    with entered(folder) as at, os.scandir(folder if at is None else at) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name == LOCK):
             if lock or entry.name != LOCK:
                 (shutil.rmtree if entry.is_dir(follow_symlinks=False) else os.unlink)(entry.path, dir_fd=at)
@@ -386,7 +385,6 @@ def remove_dead(parent: Path) -> None:
         if folder.is_symlink():
             warn(f"{folder}: is a link in place of a folder of unfinished files, and is not followed: remove it")
         with contextlib.suppress(OSError):  # removed by another, or not ours to remove
-            own(folder)
             age = time.time() - max(os.lstat(place).st_mtime for place in (folder, *folder.iterdir()))
             if not folder.name.startswith(f"{_PREFIX}{_host()}-") and age < _FOREIGN_AGE:
                 continue

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, OutputError
-from ..files.disk import empty, open_lock, output_errors, own, sync, try_lock
+from ..files.disk import check_own, empty, entered, open_lock, output_errors, sync, try_lock
 
 RUN, DONE = "run.json", "done.json"
 _SUMMARY, _CHECKSUM, _PER_FOLDER = "summary", 4, 1000
@@ -44,7 +44,7 @@ class Store:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.facts: dict[str, Any] = {}
-        own(path)
+        check_own(path)
 
     @property
     def index(self) -> Path:
@@ -58,7 +58,7 @@ class Store:
         Raises: OutputError if another run has it, it cannot be made, or is not of this user's own.
         """
         with output_errors(self.path):
-            own(self.path, make=True)
+            check_own(self.path, make=True)
             lock = open_lock(self.path, os.O_CREAT)
         try:
             if try_lock(lock) is False or not os.fstat(lock).st_nlink:  # the other has removed it with the folder
@@ -100,8 +100,8 @@ class Store:
 
     def discard(self) -> None:
         """Remove the folder. Raises: OutputError if it is not of this user's own."""
-        if own(self.path):
-            shutil.rmtree(self.path, ignore_errors=True)
+        check_own(self.path)
+        shutil.rmtree(self.path, ignore_errors=True)
 
     def load(self) -> dict[str, Any]:
         """Read the facts again. Raises: InputError if they are damaged; OutputError if the folder holds links."""
@@ -236,15 +236,17 @@ class Store:
         self._write(path, json.dumps({"checksum": zlib.crc32(text.encode()), "holds": value}, indent=1).encode())
 
     def _write(self, path: Path, content: bytes | memoryview) -> None:
-        with output_errors(path):
-            own(self.path, make=True)
+        with output_errors(path), entered(self.path) as at:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_name(f"{uuid.uuid4().hex}.part")
+            place = path if at is None else path.relative_to(self.path)
+            part = place.with_name(f"{uuid.uuid4().hex}.part")
             try:
-                part.write_bytes(content)
-                os.replace(part, path)
+                with open(part, "xb", opener=lambda name, flags: os.open(name, flags, 0o600, dir_fd=at)) as file:
+                    file.write(content)
+                os.replace(part, place, src_dir_fd=at, dst_dir_fd=at)
             finally:
-                part.unlink(missing_ok=True)
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(part, dir_fd=at)
 
 
 def _checked(text: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any
 from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
-from ..files.disk import Identity, Seal, existing, is_there, new_file, output_errors, own, remove_dead, sync
+from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, remove_dead, sync
 from ..files.storage import Place, Remote, check_writable, place_of
 from ..files.text import SUFFIXES as TEXT
 from ..files.writing import LAS_SUFFIXES
@@ -156,7 +156,7 @@ class Targets:
                 folders = sorted({str(self._beside(place)) for place in self.places})
                 self.store.note(parts={"token": secrets.token_hex(8), "folders": folders})
             for folder in self._folders():
-                own(folder, make=True)
+                check_own(folder, make=True)
 
     def _folders(self) -> list[Path]:
         parts = self.store.facts.get("parts", {"token": "", "folders": []})
@@ -172,8 +172,8 @@ class Targets:
         with contextlib.suppress(InputError):  # nothing is known of a run whose record is damaged
             self.store.load()
         for folder in self._folders():
-            if own(folder):
-                shutil.rmtree(folder, ignore_errors=True)
+            check_own(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
     def check_room(self, sizes: Mapping[int, int]) -> None:
         """``sizes``: bytes of outputs, by number. Raises: OutputError if a disk has no room for them beside the inputs."""
@@ -356,7 +356,7 @@ def _of_user() -> Path:
     import platformdirs
 
     folder = platformdirs.user_state_path("jaxfilter")
-    own(folder, make=True)
+    check_own(folder, make=True)
     return folder
 
 
