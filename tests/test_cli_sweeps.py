@@ -439,3 +439,16 @@ def test_labels_of_their_own_go_before_classes():
         1,
         1,
     ]
+
+
+@pytest.mark.parametrize("name", ["checkpoint.npz", "sweep.nc", "sets.csv", "curves.png"])
+def test_a_sweep_follows_no_link_that_bears_the_name_of_its_file(folder, name):
+    (folder / "precious.txt").write_text("precious")
+    (folder / "out").mkdir()
+    (folder / "out" / name).symlink_to(folder / "precious.txt")
+    done = sweep(folder, "--fresh", axes=("--axis", "slope=0.1,0.2"))
+    assert (folder / "precious.txt").read_text() == "precious"
+    if name == "curves.png":  # drawn anew
+        assert done.exit_code == 0 and not (folder / "out" / name).is_symlink(), done.output
+    else:
+        assert done.exit_code == 2 and f"{folder / 'out' / name} is a link" in done.stderr, done.output

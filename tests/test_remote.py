@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import os
+import tempfile
 
+import fsspec
 import numpy as np
 import pytest
 from las_files import OFFSETS, make_copc, make_deep_copc, make_las
@@ -267,6 +271,74 @@ def test_a_run_into_an_object_store(tmp_path, bucket, west_and_east):
     assert into(west_and_east, out, work=work, overwrite=True).complete
     with pytest.raises(jf.OutputError, match="s3://no-such-bucket"):
         into(west_and_east, "s3://no-such-bucket/run", work=tmp_path / "other")
+
+
+@pytest.fixture
+def state(tmp_path, monkeypatch):
+    """Where programs keep what they need to go on is a folder of the test; and so is where they put what is temporary."""
+    for name in ("state", "temporary"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr("platformdirs.user_state_path", lambda name: tmp_path / "state" / name)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    return tmp_path / "state"
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+def test_a_run_of_one_file_into_a_store_is_kept_in_a_folder_of_the_user(tmp_path, west_and_east, state, monkeypatch):
+    """What others have put where such runs were once kept is neither read nor removed; the run is found again from anywhere."""
+    target = "memory://runs/west.laz"
+    planted = tmp_path / "temporary" / f".{hashlib.sha256(target.encode()).hexdigest()[:16]}.jaxfilter-run"
+    planted.mkdir()
+    (planted / "run.json").write_text("not ours")
+    planted.parent.chmod(0o1777)
+    planted.chmod(0o777)
+    how = {"tile": 15.0, "wide_halos": True}
+    expected = jf.ground(
+        west_and_east / "west.laz", tmp_path / "west.laz", jf.PMF(**PMF), run=jf.RunOptions(workers=1, **how)
+    )
+    assert expected.tiles > 2
+
+    def into_store(executor, **more):
+        run = jf.RunOptions(executor=executor, **how, **more)
+        return jf.ground(west_and_east / "west.laz", target, jf.PMF(**PMF), run=run)
+
+    umask = os.umask(0)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            into_store(Here(stop_after=2))
+    finally:
+        os.umask(umask)
+    made = state / "jaxfilter"
+    (kept,) = made.iterdir()
+    assert [place.stat().st_mode & 0o777 for place in (made, kept)] == [0o700, 0o700]
+    assert (planted / "run.json").read_text() == "not ours" and len(list(planted.iterdir())) == 1
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    again = Here()
+    assert into_store(again, resume=True).complete
+    assert sum(name == "do_tile" for name, _ in again.calls) == expected.tiles - 2
+    assert fsspec.filesystem("memory").cat_file("/runs/west.laz") == (tmp_path / "west.laz").read_bytes()
+    assert list(made.iterdir()) == [] and (planted / "run.json").read_text() == "not ours"
+
+
+@pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")
+@pytest.mark.parametrize("plant", ["link", "another", "open"])
+def test_a_folder_of_the_user_that_somebody_else_has_made_is_refused(tmp_path, west_and_east, state, plant):
+    """In a place that all may write to."""
+    if not hasattr(os, "getuid") or (plant == "another" and os.getuid()):
+        pytest.skip("only root can give a folder to another user")
+    state.chmod(0o777)
+    made, other = state / "jaxfilter", tmp_path / "other"
+    other.mkdir()
+    (other / "precious.txt").write_text("precious")
+    if plant == "link":
+        made.symlink_to(other)
+    else:
+        other.rename(made)
+        os.chown(made, 12345, 12345) if plant == "another" else made.chmod(0o777)
+    with pytest.raises(jf.OutputError, match="remove it if nobody needs it") as caught:
+        jf.ground(west_and_east / "west.laz", "memory://runs/refused.laz", jf.PMF(**PMF))
+    assert str(caught.value).startswith(f"{made}: ") and os.listdir(made) == ["precious.txt"]
+    assert (made / "precious.txt").read_text() == "precious"
 
 
 @pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning")

@@ -548,6 +548,23 @@ def test_links_in_the_folder_of_a_run_are_not_followed(survey, tmp_path, elsewhe
     assert content() == before
 
 
+@pytest.mark.parametrize("how", ["resume", "overwrite"])
+def test_hard_links_in_the_folder_of_a_run_change_nothing_elsewhere(survey, tmp_path, elsewhere, how):
+    out, (folder, _) = tmp_path / "out", elsewhere
+    some = {"tile": 60.0, "wide_halos": True}
+    with pytest.raises(KeyboardInterrupt):
+        jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(stop_after=2), **some))
+    kept = out / ".jaxfilter-run"
+    for place in [path for path in kept.rglob("*") if path.is_file()]:
+        other = folder / place.name
+        shutil.copy(place, other)
+        place.unlink()
+        os.link(other, place)
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    assert jf.ground(survey, out, PMF, run=jf.RunOptions(executor=Here(), **some, **{how: True})).complete
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+
+
 def test_nothing_elsewhere_is_lost_whenever_a_link_takes_the_place_of_the_folder(
     survey, tmp_path, elsewhere, monkeypatch
 ):

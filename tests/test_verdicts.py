@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import shutil
 
 import geopandas
 import laspy
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 import shapely
@@ -19,6 +21,7 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.files.vectors import write_features
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
+from jaxfilter.surveys import verdicts
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = [
@@ -405,3 +408,60 @@ def test_review_lists_the_places_of_classified_files(survey, scene, wrong, tmp_p
     places = geopandas.read_file(tmp_path / "places.gpkg")
     assert len(places) == len(json.loads(done.stdout)["places"]) > 0
     assert places.verdict.fillna("").eq("").all() and places.geometry.intersects(box(*HILL)).any()
+
+
+@pytest.mark.parametrize(
+    "name", [".verdicts.jaxfilter-run", ".verdicts.json.jaxfilter-run", ".jaxfilter-00000000-00000000"]
+)
+def test_verdicts_follow_no_link_in_place_of_their_folders(survey, tmp_path, name):
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "deep").mkdir(parents=True)
+    for kept in ("lock", "precious.txt", "deep/more.txt"):
+        (elsewhere / kept).write_text(kept)
+        os.utime(elsewhere / kept, (1e9, 1e9))
+    for folder in (elsewhere / "deep", elsewhere):
+        os.utime(folder, (1e9, 1e9))
+    (survey / name).symlink_to(elsewhere)
+    table(house="object").to_file(tmp_path / "places.gpkg", layer="review")
+    before, passes = states(survey), "00000000" in name
+    done = command("apply", tmp_path / "places.gpkg", survey)
+    assert (done.exit_code == 0) == passes and f"{survey / name}: is a link" in " ".join(done.stderr.split()), (
+        done.output
+    )
+    assert (states(survey) == before) != passes and (survey / name).is_symlink()
+    assert {
+        path.relative_to(elsewhere).as_posix(): path.read_text() for path in elsewhere.rglob("*") if path.is_file()
+    } == {kept: kept for kept in ("lock", "precious.txt", "deep/more.txt")}
+    assert elsewhere.stat().st_mtime == 1e9
+
+
+@pytest.mark.parametrize("word", ["object", "fine"])
+def test_what_another_run_notes_meanwhile_stays_in_the_log(survey, monkeypatch, word):
+    """It comes when the first one has read the log, and is noted then, or is refused and noted when it comes again."""
+    others, noted = table(river="water"), []
+    read = verdicts._Log.holds
+
+    def holds(log, one):
+        monkeypatch.undo()
+        try:
+            noted.append(jf.apply_survey(others, survey, run=jf.RunOptions(workers=1)).applied)
+        except jf.OutputError as error:
+            assert "another run is writing into this folder" in str(error)
+        return read(log, one)
+
+    monkeypatch.setattr(verdicts._Log, "holds", holds)
+    assert jf.apply_survey(table(house=word), survey, run=jf.RunOptions(workers=1)).applied == {word: 1}
+    if not noted:
+        noted.append(jf.apply_survey(others, survey, run=jf.RunOptions(workers=1)).applied)
+    assert noted == [{"water": 1}]
+    log = json.loads((survey / "verdicts.json").read_text())
+    assert sorted(one["verdict"] for one in log["verdicts"]) == sorted([word, "water"])
+    again = jf.apply_survey(pd.concat([table(house=word), others]), survey, run=jf.RunOptions(workers=1))
+    assert again.before == 2 and again.files == [] and not list(survey.glob(".*"))
+
+
+def test_a_dry_run_notes_no_verdict(survey):
+    before, places = states(survey), table(house="object", hill="fine")
+    jf.apply_survey(places, survey, run=jf.RunOptions(dry_run=True))
+    assert states(survey) == before and sorted(p.name for p in survey.iterdir()) == sorted(before)
+    assert jf.apply_survey(places, survey).applied == {"object": 1, "fine": 1} and states(survey) != before

@@ -38,7 +38,7 @@ class RunOptions:
         client: a ``dask.distributed.Client``, or the address of a Dask scheduler, instead of processes of this machine.
         executor: any other way to have the tasks done, in place of ``workers`` and ``client``.
         work: local folder in which the run keeps what it needs to go on; all workers see it. By default beside the output,
-            or, of one file into a URL, in ``~/.local/state/jaxfilter``. For several files into a URL it must be given.
+            or, of one file into a URL, in the user's ``~/.local/state/jaxfilter``; it must be given for several into a URL.
         resume: go on with the run that was begun for the output.
         overwrite: begin anew; files that the run writes are replaced.
         in_place: write the inputs; there is no other output.
