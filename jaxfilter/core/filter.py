@@ -62,7 +62,7 @@ class Filter:
     note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
-    that has such registers how with :func:`passed`.
+    that has such registers how with :func:`passed`. A class with methods of its own has none that it does not name itself.
     ``DOUBTS`` methods state for every label how likely it is to be wrong.
     ``TRACED`` says what of the method can be traced by ``jax.jit``, ``vmap`` and ``grad``, which a call cannot.
 
@@ -78,6 +78,23 @@ class Filter:
     LAST: ClassVar[tuple[str, ...]] = ()
     DOUBTS: ClassVar[bool] = False
     TRACED: ClassVar[str] = "SMRF, PMF and MSF have a model and a test that can be traced"
+
+    def __new__(cls, *values: Any, **fields: Any) -> Self:
+        if values:
+            names = ", ".join(field.name for field in declared(cls))
+            raise ParameterError(f"{cls.__name__}({values[0]!r}): name the field that this is: {names}")
+        return super().__new__(cls)
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """What the classes above promise of their own methods does not hold for others."""
+        super().__init_subclass__(**options)
+        own = vars(cls)
+        if "classify" in own:
+            ground_each.register(cls, ground_each.dispatch(object))
+        if "LAST" not in own and any(
+            name[:2] != "__" and (callable(value) or isinstance(value, property)) for name, value in own.items()
+        ):
+            cls.LAST = ()
 
     def __post_init__(self) -> None:
         """Validate the fields; methods extend it by what holds of several fields together. Raises ParameterError."""
@@ -215,7 +232,7 @@ class Filter:
         """
         one = self.replace()  # checked, and with plain numbers, which trees may hold as arrays
         one._need_values(cloud)
-        check_resources(workers)
+        check_resources(workers, key=key)
         cloud, start = as_cloud(cloud), time.perf_counter()
         points = one.points_of(cloud)
         labels = degenerate(cloud, points)
@@ -251,39 +268,75 @@ class Filter:
 
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
+_Filter = TypeVar("_Filter", bound=Filter)
 
 
-def stage(*fields: str) -> Callable[[_Method], _Method]:
-    """A method of a filter, called with points, that reads static fields and of the others only these.
+@functools.cache
+def _watched(method: type[Filter]) -> type[Filter]:
+    """A class like the method's, whose instances note which of their fields are read."""
+    names = frozenset(field.name for field in declared(method))
 
-    Its result is kept where points keep such results, those of a sweep, until a set with other values asks for its own: sets
-    with equal values share it, and must not change it.
+    def get(self: Filter, name: str) -> Any:
+        if name == "__class__":
+            return method
+        if name in names or name == "__dict__":
+            object.__getattribute__(self, "_read").update({name} if name in names else names)
+        return object.__getattribute__(self, name)
+
+    def flatten(one: Filter) -> tuple[tuple[Filter], None]:
+        plain = object.__new__(method)
+        vars(plain).update((name, getattr(one, name)) for name in names)
+        return (plain,), None
+
+    watched: type[Filter] = type(method.__name__, (method,), {"__getattribute__": get, "_read": set()})
+    jax.tree_util.register_pytree_node(watched, flatten, lambda _, plain: plain[0])
+    return watched
+
+
+def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
+    """A copy of a filter, and the names of the fields that have been read of it so far.
+
+    What a step makes of the copy is what it makes of every set that agrees in these. A function under ``jax.jit`` that takes
+    the filter reads all of it.
+
+    >>> from jaxfilter.core.filter import watched
+    >>> one, read = watched(jf.SMRF(window=12.0))
+    >>> one.reach, sorted(read)
+    (12, ['cell', 'window'])
+    """
+    one, read = object.__new__(_watched(filter_.__class__)), set[str]()
+    of_one, of_other = (object.__getattribute__(filter, "__dict__") for filter in (one, filter_))
+    of_one.update(of_other, _read=read)
+    return one, read  # type: ignore[return-value]
+
+
+def stage(method: _Method) -> _Method:
+    """A method of a filter, called with points, whose result is kept where points keep such results, those of a sweep.
+
+    Sets that agree in all fields that it reads share the result, and must not change it, until a set with other values asks for
+    its own.
 
     >>> from jaxfilter.core.filter import stage
-    >>> count = stage("slope")(lambda filter_, points: [len(points)])
+    >>> steep = stage(lambda filter_, points: [filter_.slope])
     >>> points = dataclasses.replace(jf.SMRF().points_of(cloud), kept={})
-    >>> count(jf.SMRF(), points) is count(jf.SMRF(threshold=0.3), points)
+    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(threshold=0.3), points)
     True
-    >>> count(jf.SMRF(), points) is count(jf.SMRF(slope=0.3), points)
+    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(slope=0.3), points)
     False
     """
 
-    def decorated(method: _Method) -> _Method:
-        name = method.__qualname__
+    @functools.wraps(method)
+    def call(self: Filter, points: Points, *args: Any) -> Any:
+        if points.kept is None:
+            return method(self, points, *args)
+        known = points.kept.get(method.__qualname__)
+        if known is None or known[0] != {name: getattr(self, name) for name in known[0]}:
+            one, read = watched(self)
+            made = method(one, points, *args)
+            known = points.kept[method.__qualname__] = {name: getattr(self, name) for name in read}, made
+        return known[1]
 
-        @functools.wraps(method)
-        def call(self: Filter, points: Points, *args: Any) -> Any:
-            if points.kept is None:
-                return method(self, points, *args)
-            values = tuple(getattr(self, f.name) for f in declared(self) if f.metadata["static"] or f.name in fields)
-            known = points.kept.get(name)
-            if known is None or known[0] != values:
-                known = points.kept[name] = values, method(self, points, *args)
-            return known[1]
-
-        return call  # type: ignore[return-value]
-
-    return decorated
+    return call  # type: ignore[return-value]
 
 
 @functools.singledispatch
@@ -364,6 +417,12 @@ def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, 
     return [tuple(getattr(one, f.name) for f in declared(one) if f.name not in names) for one in sets]
 
 
+def values_of(names: Iterable[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
+    """The values of these fields of every set."""
+    order = sorted(names)
+    return [tuple(getattr(one, name) for name in order) for one in sets]
+
+
 def alike(keys: Iterable[Any]) -> list[list[int]]:
     """Numbers of equal keys together, in the order in which the keys appear."""
     found: dict[Any, list[int]] = {}
@@ -372,12 +431,17 @@ def alike(keys: Iterable[Any]) -> list[list[int]]:
     return list(found.values())
 
 
-def check_resources(workers: int | None, memory: float = 1.0) -> None:
-    """Raises: ParameterError for threads or bytes that are none."""
+def check_resources(workers: int | None, memory: float = 1.0, key: Any = None) -> None:
+    """Raises: ParameterError for threads or bytes that are none, or another random key than one of JAX."""
     if workers is not None:
         check_whole(workers=workers)
     if not 0 < memory < math.inf:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
+    try:
+        if key is not None:
+            jax.eval_shape(jax.random.bits, key)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"key={key!r}: must be one JAX random key, such as jax.random.key(0), or None") from error
 
 
 def degenerate(cloud: PointCloud, points: Points) -> Labels | None:

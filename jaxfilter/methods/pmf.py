@@ -177,6 +177,8 @@ class PMF(LowOutlierFilter):
 
     def _surfaces(self, prepared: tuple[Cells, jax.Array], sets: Sequence[Self]) -> list[Surface]:
         """:meth:`surface` of every set; they share the openings. Limits are sums, which no program rounds differently."""
+        if (type(self).surface, type(self)._open) != (PMF.surface, PMF._open):
+            return super()._surfaces(prepared, sets)
         padded = [*sets, *[sets[-1]] * (bucket(len(sets), 1) - len(sets))]
         opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
         return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023

@@ -143,8 +143,10 @@ class SMRF(GridFilter):
         )  # as in prepare(), so that it is compiled once
         return terrain._replace(counts={**counts, "object_cells": objects})
 
-    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
+    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[Any]:
         """How many cells are left: of slopes between which there is none the terrain is the same."""
+        if (type(self).surface, type(self)._terrain) != (SMRF.surface, SMRF._terrain):
+            return super()._deciding(prepared, sets)
         drops = np.sort(np.asarray(prepared.steepest)[np.asarray(prepared.bare)])
         limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
         return np.searchsorted(drops, limits, side="right").tolist()

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.compilation import bucket, in_turn, jit
 from ..core.errors import check_positive
-from ..core.filter import Filter, Labels, alike, ground_each, values_but
+from ..core.filter import Filter, Labels, alike, ground_each, values_but, values_of, watched
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -102,7 +102,7 @@ class GridFilter(Filter):
     cell: float = static("a grid cell is this wide", "c > 0 m", default=1.0)
 
     TESTED: ClassVar[tuple[str, ...]] = ()
-    """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
+    """Traced fields that ``test`` reads; sets that differ in these share the surface, unless ``surface`` reads one, too."""
     AT_ONCE: ClassVar[int] = 1
     """Surfaces that are made in one call."""
     CENTRED: ClassVar[bool] = False
@@ -221,24 +221,44 @@ class LowOutlierFilter(GridFilter):
 def _ground_each(
     filter_: GridFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """All sets share what ``prepare`` makes, and those that ``_deciding`` calls alike the surface; each is then held against it
-    by the program that ``classify`` runs, since another one would round differently."""
-    prepared = filter_.prepare(filter_.cells(points, filter_._barred(points, workers)))
+    """Sets that agree in what cells and ``prepare`` read share them, and those that ``_deciding`` calls alike the surface; each
+    is then held against it by the program that ``classify`` runs, since another one would round differently."""
+    left = list(range(len(sets)))
+    while left:
+        one, read = watched(sets[left[0]])
+        prepared = one.prepare(one.cells(points, one._barred(points, workers)))
+        same = alike(values_of(read, [sets[number] for number in left]))[0]
+        together = [left[place] for place in same]
+        for place, ground in _of_prepared(prepared, points, [sets[n] for n in together], workers, memory):
+            yield together[place], ground
+        left = [number for number in left if number not in together]
+
+
+def _of_prepared(
+    prepared: Any, points: Points, sets: Sequence[GridFilter], workers: int | None, memory: float
+) -> Iterator[tuple[int, np.ndarray]]:
+    """As :func:`_ground_each`, of sets that share what ``prepare`` has made."""
+    filter_, tested = sets[0], set(sets[0].TESTED)
     size = max(a.size for a in jax.tree.leaves(prepared))
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
     threads, most = workers or os.cpu_count() or 1, max(1, min(filter_.AT_ONCE, room))
     groups = alike(filter_._deciding(prepared, sets))
     batches = [groups[start : start + most] for start in range(0, len(groups), most)]
 
-    def made(batch: list[list[int]]) -> list[Surface]:
-        return filter_._surfaces(prepared, [sets[numbers[0]] for numbers in batch])
+    def made(batch: list[list[int]]) -> list[tuple[Surface, bool]]:
+        firsts = [sets[numbers[0]] for numbers in batch]
+        seen = [watched(one) if tested else (one, tested) for one in firsts]
+        surfaces = filter_._surfaces(prepared, [one for one, _ in seen])
+        return [(surface, bool(read & tested)) for surface, (_, read) in zip(surfaces, seen, strict=True)]
 
     for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
-        for numbers, surface in zip(batch, surfaces, strict=True):
-            passed = functools.partial(_passed, surface, points.xyz)
-            some = [sets[number] for number in numbers]
-            for number, (_, ground) in zip(numbers, in_turn(passed, some, threads), strict=True):
-                yield number, ground
+        for numbers, (surface, reads_tested) in zip(batch, surfaces, strict=True):
+
+            def passed(number: int) -> np.ndarray:
+                own = reads_tested and number != numbers[0]  # noqa: B023, used up in this turn
+                return _passed(sets[number].surface(prepared) if own else surface, points.xyz, sets[number])  # noqa: B023
+
+            yield from in_turn(passed, numbers, threads)
 
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:

@@ -7,13 +7,13 @@ import functools
 import math
 import os
 from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ..core.compilation import in_turn
 from ..core.errors import warn
-from ..core.filter import Labels, alike, ground_each, values_but
+from ..core.filter import Labels, alike, ground_each, values_of, watched
 from ..core.params import declared, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress, Status, silent
@@ -42,8 +42,8 @@ def facet_reach(cell: float) -> float:
 class TinFilter(OutlierFilter):
     """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.
 
-    A method gives ``start``, its seeds and network; ``growth`` says how its ground grows. Fields named in ``LIMITS`` may
-    decide its thresholds, and nothing else: sets of a sweep that differ in no others start from the same triangulation.
+    A method gives ``start``, its seeds and network; ``growth`` says how its ground grows. Sets of a sweep that agree in all
+    fields that ``start`` reads begin with the same network.
     """
 
     noise_floor: float = param(
@@ -51,7 +51,6 @@ class TinFilter(OutlierFilter):
     )
     max_rounds: int = static("the growth ends after this many rounds at the latest", ">= 1", default=100)
 
-    LIMITS: ClassVar[tuple[str, ...]] = Rule._fields
     WINDOW: ClassVar[str] = "seed_cell"
     """The field that is as large as the largest building."""
 
@@ -172,46 +171,81 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
     )
 
 
+class _Start(NamedTuple):
+    """What sets begin with: the network, how it grows in the first of them, and the triangulation of its seeds."""
+
+    network: Network
+    growth: Growth
+    tin: Tin
+
+
 @ground_each.register(TinFilter)
 def _ground_each(
     filter_: TinFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds. Several of them grow at a time, as sheets
-    of one network, that cost little more than one."""
-    threads, groups = workers or os.cpu_count() or 1, alike(values_but(filter_.LIMITS, sets))
+    """Sets that agree in what ``start`` reads share network and triangulation of the seeds. Several that differ in limits only
+    grow at a time, as sheets of one network, that cost little more than one."""
+    threads = workers or os.cpu_count() or 1
 
     @functools.lru_cache(threads)
-    def start(group: int) -> tuple[Network, Tin]:
-        one: TinFilter = sets[groups[group][0]]
+    def start(first: int) -> tuple[set[str], _Start]:
+        one, read = watched(sets[first])
         network = one.start(points, threads, silent)
-        with GroundTin.start(network, one.growth(network), workers=threads) as seeds:
-            return network, seeds.tin
+        growth = sets[first].growth(network)
+        with GroundTin.start(network, growth, workers=threads) as seeds:
+            return read, _Start(network, growth, seeds.tin)
 
     def grown(job: tuple[int, list[int]]) -> np.ndarray:
-        return _grown([sets[number] for number in job[1]], points, *start(job[0]), threads // at_once)
+        (read, begin), some = start(job[0]), [sets[number] for number in job[1]]
+        if len(alike(values_of(read, [sets[job[0]], *some]))) > 1:  # more was read than in the first set of all
+            return np.concatenate([grown((number, [number])) for number in job[1]])
+        return _grown(some, points, begin, threads // at_once)
 
-    network, _ = start(0)
-    nodes, growth = len(network.xyz), sets[0].growth(network)
+    read, begin = start(0)
+    groups, nodes = alike(values_of(read, sets)), len(begin.network.xyz)
     most = max(1, int(memory // (_BYTES * nodes)))
     at_once = min(threads, len(sets), most)
     size = max(1, min(_NODES // nodes, most // at_once, -(-len(sets) // at_once)))
-    if growth.adaptive is not None or growth.vertices.grids:  # what a round decides depends on the whole network
-        size = 1
-    jobs = [(number, group[i : i + size]) for number, group in enumerate(groups) for i in range(0, len(group), size)]
+    size = size if _joins(begin.growth, begin.growth) else 1
+    jobs = [(group[0], group[i : i + size]) for group in groups for i in range(0, len(group), size)]
     for (_, batch), found in in_turn(grown, jobs, at_once):
         yield from zip(batch, found, strict=True)
 
 
-def _grown(sets: Sequence[TinFilter], points: Points, network: Network, tin: Tin, workers: int) -> np.ndarray:
+def _joins(growth: Growth, other: Growth) -> bool:
+    """Whether sets that grow so can be sheets of one network: they differ in limits only, which :class:`Rule` compares with, and
+    no round depends on more than its own sheet. Other rules may calculate with limits, and a limit for each node would be
+    rounded differently from one for all."""
+    if type(growth.rule) is not Rule or type(other.rule) is not Rule or growth.adaptive or growth.beyond:
+        return False
+    stages = growth.vertices.grids or growth.vertices.stop_share or growth.vertices.rounds
+    return not stages and dataclasses.replace(growth, rule=other.rule) == other
+
+
+def _of_sheets(limits: Sequence[Any], nodes: int) -> Any:
+    """The limit of all sheets if they share one number, else that of each node, f32[sheets * nodes]."""
+    if not any(map(np.ndim, limits)) and len(set(map(float, limits))) == 1:
+        return limits[0]
+    return np.concatenate([np.broadcast_to(np.float32(limit), nodes) for limit in limits])
+
+
+def _grown(sets: Sequence[TinFilter], points: Points, begin: _Start, workers: int) -> np.ndarray:
     """bool[sets, m], ground, grown from one network and the triangulation of its seeds."""
-    many, nodes = Network.joined([network] * len(sets)), len(network.xyz)
-    limits = np.array([one.growth(many).rule for one in sets], np.float32).T
-    rule: Any = [np.repeat(v, nodes) if (v != v[0]).any() else v[0] for v in limits]
-    growth = dataclasses.replace(sets[0].growth(many), rule=Rule(*rule), kept=())
-    with GroundTin.start(many, growth, Tin.joined([tin] * len(sets)), workers) as out:
+    network, nodes = begin.network, len(begin.network.xyz)
+    growths = [one.growth(network) for one in sets]
+    if len(sets) > 1 and not all(_joins(growth, begin.growth) for growth in growths):
+        return np.concatenate([_grown([one], points, begin, workers) for one in sets])
+    growth, many, tin = growths[0], network, None
+    if (growth.vertices, growth.border_follows) == (begin.growth.vertices, begin.growth.border_follows):
+        tin = Tin.joined([begin.tin] * len(sets))
+    if len(sets) > 1:
+        many = Network.joined([network] * len(sets))
+        rule = Rule(*(_of_sheets(limits, nodes) for limits in zip(*(one.rule for one in growths), strict=True)))
+        growth = dataclasses.replace(growth, rule=rule)
+    with GroundTin.start(many, dataclasses.replace(growth, kept=()), tin, workers) as out:
         status = grow(out, sets[0].max_rounds)
     if status is not Status.CONVERGED and len(sets) > 1:  # together a set may need more rounds than alone
-        return np.concatenate([_grown([one], points, network, tin, workers) for one in sets])
+        return np.concatenate([_grown([one], points, begin, workers) for one in sets])
     ground = np.zeros((len(sets), len(points)), bool)
     node = np.flatnonzero(out.ground & many.real)
     ground[node // nodes, many.row[node]] = True

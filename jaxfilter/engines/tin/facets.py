@@ -166,7 +166,7 @@ def judge(
     Coordinates of one axis lie side by side: so they are read by vector instructions.
 
     Args:
-        rule: a named tuple of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
+        rule: a pytree of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
@@ -181,7 +181,7 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
+    each = jax.tree.map(lambda limit: 0 if jnp.ndim(limit) > 0 else None, rule)
     verdict = jax.vmap(judge_one, in_axes=(each, 0, 1, 2))(rule, two_sided, points, corners)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}

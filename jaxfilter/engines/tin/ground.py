@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Self
 
+import jax
 import numpy as np
 
 from ...core.compilation import on_processor
@@ -322,16 +323,18 @@ class GroundTin(GroundNodes):
 
         ``names``: of :data:`jaxfilter.engines.tin.facets.QUANTITIES`, those to return.
         """
-        own = {name: limit for name, limit in self.rule._asdict().items() if np.ndim(limit) > 0}
+        limits, tree = jax.tree.flatten(self.rule)
+        own = [number for number, limit in enumerate(limits) if np.ndim(limit) > 0]
 
         def given(rows: slice) -> tuple[np.ndarray, ...]:
             here = np.take(self.net.xyz, nodes[rows], axis=0) if xyz is None else xyz[rows]
-            limits = (limit[nodes[rows]] for limit in own.values())
+            of_nodes = (limits[number][nodes[rows]] for number in own)
             at = self.tin.planes(facet[rows]) if facet.ndim == 1 else np.moveaxis(self.tin.xyz[facet[rows]], 0, 2)
-            return *limits, self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
+            return *of_nodes, self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         def tested(*arrays: np.ndarray) -> dict[str, Any]:
-            rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
+            some = dict(zip(own, arrays, strict=False))
+            rule = tree.unflatten(some.get(number, limit) for number, limit in enumerate(limits))
             return judge(rule, *arrays[len(own) :], names=names)
 
         with on_processor():
@@ -361,4 +364,4 @@ def _together(some: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 def _single(rule: Any) -> Any:
     """The thresholds in single precision."""
-    return type(rule)(*map(np.float32, rule))
+    return jax.tree.map(np.float32, rule)
