@@ -22,7 +22,6 @@ from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = [
-    pytest.mark.usefixtures("compilation_cache"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 UTM = pyproj.CRS.from_epsg(25832)

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .cloud import PointCloud, as_cloud
-from .compilation import in_turn
+from .compilation import in_turn, keep_compilations
 from .errors import InputError, ParameterError, check_whole, warn
 from .markup import table
 from .params import Preset, check_fields, declared, is_number
@@ -170,6 +170,7 @@ class Filter:
         (dtype('float32'), 3)
         """
         need_threads()
+        keep_compilations()
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         check_extent(cloud, points.xyz)
         return points

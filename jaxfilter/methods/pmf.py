@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, jit
+from ..core.compilation import bucket
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, ground_each
 from ..core.params import Preset, filter_params, param, static
@@ -183,7 +183,7 @@ class PMF(LowOutlierFilter):
         opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
         return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
 
-    @jit
+    @jax.jit
     def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:
         """The last opening; its limits are the elevations between which points of a cell are ground, f32[rows, columns] each.
 

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..core.compilation import jit
 from ..core.errors import ParameterError
 from ..core.filter import check_resources, watched
 from ..core.points import Points
@@ -226,7 +225,7 @@ def _at_once(block: Block, sets: int, memory: float) -> int:
     return next(n for n in range(max(1, min(sets, room)), 0, -1) if sets % n == 0)
 
 
-@functools.partial(jit, static_argnames=("what", "at_once"))
+@functools.partial(jax.jit, static_argnames=("what", "at_once"))
 def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what: str, at_once: int) -> jax.Array:
     """Of every cloud of a block with every set: labels, soft labels or counts."""
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, in_turn, jit
+from ..core.compilation import bucket, in_turn
 from ..core.errors import check_positive
 from ..core.filter import Filter, Labels, alike, ground_each, values_but, values_of, watched
 from ..core.params import static
@@ -301,7 +301,7 @@ def fit_data(
     return prepared, jnp.asarray(xyz), jnp.asarray(np.pad(weight, ((0, 0), (0, rest))), jnp.float32)
 
 
-@jit
+@jax.jit
 def soft_errors(
     filter_: GridFilter, data: Any, held: jax.Array, fields: dict[str, jax.Array], width: jax.Array | float
 ) -> tuple[tuple[jax.Array, jax.Array], dict[str, jax.Array]]:
@@ -332,12 +332,12 @@ def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
     return np.maximum(above, below) <= 0
 
 
-@jit
+@jax.jit
 def _slopes(z: jax.Array, extent: jax.Array, frame: jax.Array) -> jax.Array:
     return steepness(z, extent, frame[2])
 
 
-@jit
+@jax.jit
 def _between(surface: Surface, xyz: jax.Array) -> Heights:
     """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ...core.compilation import jit
 from ...core.result import Decision
 
 _FLAT_AREA = (
@@ -152,7 +151,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
-@functools.partial(jit, static_argnames="names")
+@functools.partial(jax.jit, static_argnames="names")
 def judge(
     rule: Any,
     two_sided: jax.Array,
@@ -187,7 +186,7 @@ def judge(
     return {name: found[name] for name in names}
 
 
-@jit
+@jax.jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 
