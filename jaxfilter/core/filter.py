@@ -330,11 +330,13 @@ def stage(method: _Method) -> _Method:
     def call(self: Filter, points: Points, *args: Any) -> Any:
         if points.kept is None:
             return method(self, points, *args)
-        known = points.kept.get(method.__qualname__)
-        if known is None or known[0] != {name: getattr(self, name) for name in known[0]}:
+        have, known = object.__getattribute__(self, "__dict__"), points.kept.get(method.__qualname__)
+        if known is None or any(have[name] != value for name, value in known[0].items()):
             one, read = watched(self)
             made = method(one, points, *args)
-            known = points.kept[method.__qualname__] = {name: getattr(self, name) for name in read}, made
+            known = points.kept[method.__qualname__] = {name: have[name] for name in read}, made
+        for name in known[0]:
+            getattr(self, name)  # whoever watches the caller is to know
         return known[1]
 
     return call  # type: ignore[return-value]
