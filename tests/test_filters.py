@@ -6,12 +6,14 @@ import os
 import runpy
 import subprocess
 import sys
+import tempfile
 import warnings
 import weakref
 from pathlib import Path
 
 import jax
 import numpy as np
+import platformdirs
 import pytest
 
 import jaxfilter as jf
@@ -478,7 +480,9 @@ def test_sets_of_a_sweep_have_the_labels_of_single_calls(alone):
     np.testing.assert_array_equal(data["votes"], np.float32(alone.ground.sum(axis=0) / len(alone.sets)))
     wrong = (alone.ground != alone.cloud.reference).mean(axis=1)
     np.testing.assert_allclose(data["total"], 100 * wrong, rtol=1e-12)
-    for one, ground in zip(alone.sets[1:-1], alone.ground[1:-1], strict=True):  # what the others share may be wrong in none
+    for one, ground in zip(
+        alone.sets[1:-1], alone.ground[1:-1], strict=True
+    ):  # what the others share may be wrong in none
         (name,) = [name for name in alone.axes if getattr(one, name) != getattr(alone.sets[0], name)]
         pair = jf.sweep(alone.sets[0], alone.cloud, {name: [getattr(alone.sets[0], name), getattr(one, name)]})
         assert pair["ground"].values.tolist() == [alone.ground[0].sum(), ground.sum()]
@@ -561,11 +565,14 @@ for number, text in enumerate(sys.argv[5:]):
         return np.load(f"{path}{number}.npy")
 
     (tmp_path / "first.txt").write_text(source)
-    first, edit, cache, path = tmp_path / "first.txt", tmp_path / "edited.txt", tmp_path / "cache", tmp_path / "mine.py"
-    running = [started(path, cache, first, edit), started(tmp_path / "fresh/mine.py", "off", edit)]
-    assert [one.wait() for one in running] == [0, 0]
-    before, same_process, fresh = read(path), read(path, 1), read(tmp_path / "fresh/mine.py")
-    assert started(path, cache, edit).wait() == 0
+    first, edit, path = tmp_path / "first.txt", tmp_path / "edited.txt", tmp_path / "mine.py"
+    home = Path(platformdirs.user_cache_dir("jaxfilter"))
+    home.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=home) as cache:  # where others may not write, or nothing is kept
+        running = [started(path, cache, first, edit), started(tmp_path / "fresh/mine.py", "off", edit)]
+        assert [one.wait() for one in running] == [0, 0]
+        before, same_process, fresh = read(path), read(path, 1), read(tmp_path / "fresh/mine.py")
+        assert started(path, cache, edit).wait() == 0
     assert (before[0] != fresh[0]).any(), "the edit changes no label"
     np.testing.assert_array_equal(same_process, fresh)
     np.testing.assert_array_equal(read(path), fresh)

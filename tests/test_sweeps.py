@@ -16,7 +16,7 @@ from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_processor, on_same_device
 from jaxfilter.core.filter import ground_each, stage, watched
-from jaxfilter.core.params import FILTERS, filter_params, param
+from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
 from jaxfilter.engines.tin.facets import Rule, Verdict
@@ -656,7 +656,9 @@ def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills
 @pytest.mark.parametrize("user", ["cells by what is tested"], indirect=True)
 def test_a_batch_has_the_cells_of_its_filter_only(user, hills):
     made = jf.batch([hills], user)
-    np.testing.assert_array_equal(made.unstack(made.ground({"slope": [0.3]}))[0][0], user.replace(slope=0.3)(hills).ground)
+    np.testing.assert_array_equal(
+        made.unstack(made.ground({"slope": [0.3]}))[0][0], user.replace(slope=0.3)(hills).ground
+    )
     with pytest.raises(jf.ParameterError, match="'threshold' decided the cells"):
         made.ground({"threshold": [0.2, 0.5]})
 
@@ -688,6 +690,14 @@ def test_what_is_read_of_a_filter_is_known():
         assert read_by(one) == read_by(smrf) and names <= read
         assert names or not read
     assert watched(jf.PMF())[1] == set(), "no two share what was read"
+
+
+@pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])
+def test_no_limit_of_the_growth_decides_where_it_starts(method, hills):
+    one, read = watched(method())
+    one.start(canonical_points(hills), 1, lambda share, step: None)
+    limits = {"max_angle", "max_elevation", "max_distance", "stop_ratio"}
+    assert not read & limits and limits & {field.name for field in dataclasses.fields(method)}
 
 
 def test_a_stage_is_shared_by_sets_that_agree_in_what_it_and_what_it_calls_read(hills):

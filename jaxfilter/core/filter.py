@@ -305,7 +305,8 @@ def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
     >>> one.reach, sorted(read)
     (12, ['cell', 'window'])
     """
-    one, read = object.__new__(_watched(filter_.__class__)), set[str]()
+    method: Any = filter_.__class__
+    one, read = object.__new__(_watched(method)), set[str]()
     of_one, of_other = (object.__getattribute__(filter, "__dict__") for filter in (one, filter_))
     of_one.update(of_other, _read=read)
     return one, read  # type: ignore[return-value]

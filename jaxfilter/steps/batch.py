@@ -51,7 +51,9 @@ class Block:
 
 
 @functools.partial(
-    jax.tree_util.register_dataclass, data_fields=["filter", "blocks"], meta_fields=["points", "names", "order", "fixed"]
+    jax.tree_util.register_dataclass,
+    data_fields=["filter", "blocks"],
+    meta_fields=["points", "names", "order", "fixed"],
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
@@ -162,7 +164,12 @@ class Batch:
 
 
 def stacked(
-    filter_: Any, taken: list[Points], ready: list[Any], names: tuple[str, ...] | None, blocks: int, fixed: frozenset[str]
+    filter_: Any,
+    taken: list[Points],
+    ready: list[Any],
+    names: tuple[str, ...] | None,
+    blocks: int,
+    fixed: frozenset[str],
 ) -> Batch:
     """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
     groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)

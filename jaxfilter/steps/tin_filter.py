@@ -235,9 +235,11 @@ def _grown(sets: Sequence[TinFilter], points: Points, begin: _Start, workers: in
     growths = [one.growth(network) for one in sets]
     if len(sets) > 1 and not all(_joins(growth, begin.growth) for growth in growths):
         return np.concatenate([_grown([one], points, begin, workers) for one in sets])
-    growth, many, tin = growths[0], network, None
-    if (growth.vertices, growth.border_follows) == (begin.growth.vertices, begin.growth.border_follows):
-        tin = Tin.joined([begin.tin] * len(sets))
+    growth, many = growths[0], network
+    first, own = (
+        (g.border_follows, g.vertices.spacing, g.vertices.sinks, g.vertices.grids) for g in (begin.growth, growth)
+    )
+    tin = Tin.joined([begin.tin] * len(sets)) if own == first else None
     if len(sets) > 1:
         many = Network.joined([network] * len(sets))
         rule = Rule(*(_of_sheets(limits, nodes) for limits in zip(*(one.rule for one in growths), strict=True)))

@@ -334,7 +334,7 @@ class GroundTin(GroundNodes):
 
         def tested(*arrays: np.ndarray) -> dict[str, Any]:
             some = dict(zip(own, arrays, strict=False))
-            rule = tree.unflatten(some.get(number, limit) for number, limit in enumerate(limits))
+            rule = jax.tree.unflatten(tree, [some.get(number, limit) for number, limit in enumerate(limits)])
             return judge(rule, *arrays[len(own) :], names=names)
 
         with on_processor():
