@@ -8,7 +8,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import jax
 import numpy as np
@@ -81,7 +81,7 @@ class Filter:
 
     def __new__(cls, *values: Any, **fields: Any) -> Self:
         if values:
-            names = ", ".join(field.name for field in declared(cls))
+            names = ", ".join(f.name for f in declared(cls))
             raise ParameterError(f"{cls.__name__}({values[0]!r}): name the field that this is: {names}")
         return super().__new__(cls)
 
@@ -91,10 +91,15 @@ class Filter:
         own = vars(cls)
         if "classify" in own:
             ground_each.register(cls, ground_each.dispatch(object))
-        if "LAST" not in own and any(
-            name[:2] != "__" and (callable(value) or isinstance(value, property)) for name, value in own.items()
-        ):
+        if "LAST" not in own and any(callable(own[name]) for name in own if name[:2] != "__"):
             cls.LAST = ()
+
+    if not TYPE_CHECKING:
+
+        def __getattribute__(self, name):
+            if (read := _own(self).get("_read")) is not None:
+                read.update(_own(self) if name == "__dict__" else (name,))
+            return object.__getattribute__(self, name)
 
     def __post_init__(self) -> None:
         """Validate the fields; methods extend it by what holds of several fields together. Raises ParameterError."""
@@ -272,44 +277,26 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 _Filter = TypeVar("_Filter", bound=Filter)
 
 
-@functools.cache
-def _watched(method: type[Filter]) -> type[Filter]:
-    """A class like the method's, whose instances note which of their fields are read."""
-    names = frozenset(field.name for field in declared(method))
-
-    def get(self: Filter, name: str) -> Any:
-        if name == "__class__":
-            return method
-        if name in names or name == "__dict__":
-            object.__getattribute__(self, "_read").update({name} if name in names else names)
-        return object.__getattribute__(self, name)
-
-    def flatten(one: Filter) -> tuple[tuple[Filter], None]:
-        plain = object.__new__(method)
-        vars(plain).update((name, getattr(one, name)) for name in names)
-        return (plain,), None
-
-    watched: type[Filter] = type(method.__name__, (method,), {"__getattribute__": get, "_read": set()})
-    jax.tree_util.register_pytree_node(watched, flatten, lambda _, plain: plain[0])
-    return watched
-
-
 def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
-    """A copy of a filter, and the names of the fields that have been read of it so far.
-
-    What a step makes of the copy is what it makes of every set that agrees in these. A function under ``jax.jit`` that takes
-    the filter reads all of it.
+    """A copy of a filter, and the names of what has been read of it so far: what a step makes of the copy, it makes of every set
+    that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it.
 
     >>> from jaxfilter.core.filter import watched
     >>> one, read = watched(jf.SMRF(window=12.0))
     >>> one.reach, sorted(read)
-    (12, ['cell', 'window'])
+    (12, ['cell', 'reach', 'window'])
     """
-    method: Any = filter_.__class__
-    one, read = object.__new__(_watched(method)), set[str]()
-    of_one, of_other = (object.__getattribute__(filter, "__dict__") for filter in (one, filter_))
-    of_one.update(of_other, _read=read)
-    return one, read  # type: ignore[return-value]
+    one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
+    read = (
+        names if own.keys() - names - {"_read"} else set()
+    )  # what was made of the fields before has read who knows what
+    _own(one).update(own, _read=read)
+    return one, read
+
+
+def _own(filter_: Filter) -> dict[str, Any]:
+    """The fields of a filter, unwatched."""
+    return object.__getattribute__(filter_, "__dict__")  # type: ignore[no-any-return]
 
 
 def stage(method: _Method) -> _Method:
@@ -331,14 +318,13 @@ def stage(method: _Method) -> _Method:
     def call(self: Filter, points: Points, *args: Any) -> Any:
         if points.kept is None:
             return method(self, points, *args)
-        have, known = object.__getattribute__(self, "__dict__"), points.kept.get(method.__qualname__)
-        if known is None or any(have[name] != value for name, value in known[0].items()):
+        read, values, made = points.kept.get(method.__qualname__, (set(), None, None))
+        if values != values_of([self], read):
             one, read = watched(self)
             made = method(one, points, *args)
-            known = points.kept[method.__qualname__] = {name: have[name] for name in read}, made
-        for name in known[0]:
-            getattr(self, name)  # whoever watches the caller is to know
-        return known[1]
+            points.kept[method.__qualname__] = read, values_of([self], read), made
+        _own(self).get("_read", set()).update(read)  # whoever watches the caller is to know
+        return made
 
     return call  # type: ignore[return-value]
 
@@ -402,7 +388,7 @@ def ground_each(
     >>> bool((found[0] <= found[1]).all())
     True
     """
-    jobs = alike(values_but(filter_.LAST, sets))
+    jobs = alike(values_of(sets, but=filter_.LAST))
     points = points if points.kept is not None else dataclasses.replace(points, kept={})
     threads = workers or os.cpu_count() or 1
     at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
@@ -416,15 +402,10 @@ def ground_each(
         yield from ((number, passed(sets[number], labels)) for number in job[1:])
 
 
-def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
-    """The values of all fields of every set but these."""
-    return [tuple(getattr(one, f.name) for f in declared(one) if f.name not in names) for one in sets]
-
-
-def values_of(names: Iterable[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
-    """The values of these fields of every set."""
-    order = sorted(names)
-    return [tuple(getattr(one, name) for name in order) for one in sets]
+def values_of(sets: Sequence[Filter], read: set[str] | None = None, but: Sequence[str] = ()) -> list[tuple[Any, ...]]:
+    """The values of all fields of every set, or of those that :func:`watched` has seen read; but not of some."""
+    names = [f.name for f in declared(sets[0]) if (read is None or f.name in read) and f.name not in but]
+    return [tuple(map(_own(one).get, names)) for one in sets]
 
 
 def alike(keys: Iterable[Any]) -> list[list[int]]:

@@ -51,9 +51,7 @@ class Block:
 
 
 @functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["filter", "blocks"],
-    meta_fields=["points", "names", "order", "fixed"],
+    jax.tree_util.register_dataclass, data_fields=["filter", "blocks"], meta_fields=["points", "names", "order"]
 )
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
@@ -63,14 +61,13 @@ class Batch:
     filter counts alone. They are pure. One program for each block goes over clouds and sets. What no traced field decides, such
     as the openings of SMRF, is computed once a cloud. A surface is computed once for all sets that differ only in what ``test``
     reads: ``threshold`` and ``scaling`` of SMRF. ``memory``: bytes that sets computed at the same time may hold. Static fields
-    (``cell``, ``window``, ...) fix shapes, and others may decide cells: make a batch for each value. Raises: ParameterError for
-    such a field, or an unknown one, a value out of its limits, or sets of unlike length.
+    (``cell``, ``window``, ...) fix shapes: make a batch for each value. Raises: ParameterError for a field that is static or
+    unknown, a value out of its limits, or sets of unlike length.
 
     Attributes:
         filter: the method; its traced fields hold where ``sets`` has none.
         blocks: the clouds.
         points: of every cloud. names: of the clouds, or None. order: of every cloud its block, and its place there.
-        fixed: names of the fields that decided the cells.
 
     >>> batch = jf.batch([cloud, cloud.coordinates()[:2000]], jf.MSF(), blocks=1)
     >>> [labels.shape for labels in batch.unstack(batch.ground())] == [(len(cloud),), (2000,)]
@@ -82,7 +79,6 @@ class Batch:
     points: tuple[Points, ...]
     names: tuple[str, ...] | None
     order: tuple[tuple[int, int], ...]
-    fixed: frozenset[str]
 
     def __len__(self) -> int:
         return len(self.order)
@@ -149,8 +145,6 @@ class Batch:
         fields = None if sets is None else {name: jnp.asarray(values, jnp.float32) for name, values in sets.items()}
         if unknown := set(fields or ()) - {field.name for field in dataclasses.fields(self.filter)}:
             raise ParameterError(f"sets: {type(self.filter).__name__} has no field {min(unknown)!r}")
-        if fixed := self.fixed & set(fields or ()):
-            raise ParameterError(f"sets: {min(fixed)!r} decided the cells of this batch: make one for each value")
         shapes = {name: values.shape for name, values in (fields or {"": jnp.zeros(1)}).items()}
         count = max(map(math.prod, shapes.values()))
         if set(shapes.values()) != {(count,)}:
@@ -164,18 +158,13 @@ class Batch:
 
 
 def stacked(
-    filter_: Any,
-    taken: list[Points],
-    ready: list[Any],
-    names: tuple[str, ...] | None,
-    blocks: int,
-    fixed: frozenset[str],
+    filter_: Any, taken: list[Points], ready: list[tuple[Any, ...]], names: tuple[str, ...] | None, blocks: int
 ) -> Batch:
     """A batch of clouds: of each its points, and cells, coordinates, truth, counted and totals as in :class:`Block`."""
     groups = _grouped([(*np.asarray(cells.extent).tolist(), len(xyz)) for cells, xyz, *_ in ready], blocks)
     order = {c: (b, place) for b, group in enumerate(groups) for place, c in enumerate(group)}
     made = tuple(_block([ready[c] for c in group]) for group in groups)
-    return Batch(filter_, made, tuple(taken), names, tuple(order[c] for c in range(len(taken))), fixed)
+    return Batch(filter_, made, tuple(taken), names, tuple(order[c] for c in range(len(taken))))
 
 
 def _block(clouds: list[tuple[Any, ...]]) -> Block:
@@ -245,17 +234,16 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
     def of_cloud(cloud: Block) -> jax.Array:
         prepared = prepare(filter_, cloud.cells)
 
-        def ready(fields: Any) -> tuple[Any, Any]:
-            one = dataclasses.replace(filter_, **fields)
-            return one, prepare(one, cloud.cells) if early & set(fields) else prepared
+        def ready(one: Any, fields: Any) -> Any:
+            return prepare(one, cloud.cells) if early & set(fields) else prepared
 
         def surface(fields: Any) -> Any:
-            one, its = ready(fields)
-            return one.surface(its)._replace(counts={})
+            one = dataclasses.replace(filter_, **fields)
+            return one.surface(ready(one, fields))._replace(counts={})
 
         def soft(fields: Any) -> jax.Array:
-            one, its = ready(fields)
-            return jnp.where(cloud.real, one._soft(its, cloud.xyz, width), 0)
+            one = dataclasses.replace(filter_, **fields)
+            return jnp.where(cloud.real, one._soft(ready(one, fields), cloud.xyz, width), 0)
 
         def held(fields: Any, made: Any) -> jax.Array:
             # Those of the surface would be the same, but places in the grid would be found anew for each set.

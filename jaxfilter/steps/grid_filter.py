@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.compilation import bucket, in_turn
 from ..core.errors import check_positive
-from ..core.filter import Filter, Labels, alike, ground_each, values_but, values_of, watched
+from ..core.filter import Filter, Labels, alike, ground_each, values_of, watched
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -102,8 +102,6 @@ class GridFilter(Filter):
 
     TESTED: ClassVar[tuple[str, ...]] = ()
     """Traced fields that ``test`` reads; sets that differ in these share the surface, unless ``surface`` reads one, too."""
-    AT_ONCE: ClassVar[int] = 1
-    """Surfaces that are made in one call."""
     CENTRED: ClassVar[bool] = False
     """Whether cells are centred on the nodes of the lattice, instead of lying between them."""
     TRACED: ClassVar[str] = (
@@ -175,13 +173,9 @@ class GridFilter(Filter):
         """
         return _between(surface, xyz)
 
-    def _surfaces(self, prepared: Any, sets: Sequence[Self]) -> list[Surface]:
-        """:meth:`surface` of every set, to the bit; at most ``AT_ONCE``."""
-        return [one.surface(prepared) for one in sets]
-
     def _deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
         """For every set what decides its surface: those with equal values share it."""
-        return values_but(self.TESTED, sets)
+        return values_of(sets, but=self.TESTED)
 
     def _soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure."""
@@ -222,42 +216,30 @@ def _ground_each(
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Sets that agree in what cells and ``prepare`` read share them, and those that ``_deciding`` calls alike the surface; each
     is then held against it by the program that ``classify`` runs, since another one would round differently."""
-    left = list(range(len(sets)))
-    while left:
-        one, read = watched(sets[left[0]])
-        prepared = one.prepare(one.cells(points, one._barred(points, workers)))
-        same = alike(values_of(read, [sets[number] for number in left]))[0]
-        together = [left[place] for place in same]
-        for place, ground in _of_prepared(prepared, points, [sets[n] for n in together], workers, memory):
-            yield together[place], ground
-        left = [number for number in left if number not in together]
-
-
-def _of_prepared(
-    prepared: Any, points: Points, sets: Sequence[GridFilter], workers: int | None, memory: float
-) -> Iterator[tuple[int, np.ndarray]]:
-    """As :func:`_ground_each`, of sets that share what ``prepare`` has made."""
-    filter_, tested = sets[0], set(sets[0].TESTED)
+    one, read = watched(filter_)
+    prepared = one.prepare(one.cells(points, one._barred(points, workers)))
+    same, *others = alike(values_of(sets, read))
+    for rest in others:
+        again = [sets[number] for number in rest]
+        for number, ground in _ground_each(again[0], points, again, key=key, workers=workers, memory=memory):
+            yield rest[number], ground
+    some = [sets[number] for number in same]
     size = max(a.size for a in jax.tree.leaves(prepared))
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
-    threads, most = workers or os.cpu_count() or 1, max(1, min(filter_.AT_ONCE, room))
-    groups = alike(filter_._deciding(prepared, sets))
-    batches = [groups[start : start + most] for start in range(0, len(groups), most)]
+    threads = workers or os.cpu_count() or 1
 
-    def made(batch: list[list[int]]) -> list[tuple[Surface, bool]]:
-        firsts = [sets[numbers[0]] for numbers in batch]
-        seen = [watched(one) if tested else (one, tested) for one in firsts]
-        surfaces = filter_._surfaces(prepared, [one for one, _ in seen])
-        return [(surface, bool(read & tested)) for surface, (_, read) in zip(surfaces, seen, strict=True)]
+    def made(numbers: list[int]) -> tuple[Surface, set[str]]:
+        first, read = watched(some[numbers[0]])
+        return first.surface(prepared), read
 
-    for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
-        for numbers, (surface, reads_tested) in zip(batch, surfaces, strict=True):
+    def passed(job: tuple[Surface | None, int]) -> np.ndarray:
+        one = some[job[1]]
+        return _passed(job[0] or one.surface(prepared), points.xyz, one)
 
-            def passed(number: int) -> np.ndarray:
-                own = reads_tested and number != numbers[0]  # noqa: B023, used up in this turn
-                return _passed(sets[number].surface(prepared) if own else surface, points.xyz, sets[number])  # noqa: B023
-
-            yield from in_turn(passed, numbers, threads)
+    for numbers, (surface, read) in in_turn(made, alike(filter_._deciding(prepared, some)), max(1, min(threads, room))):
+        shared = surface if read.isdisjoint(filter_.TESTED) else None
+        for (_, number), ground in in_turn(passed, [(shared, number) for number in numbers], threads):
+            yield same[number], ground
 
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:

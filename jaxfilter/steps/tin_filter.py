@@ -7,7 +7,7 @@ import functools
 import math
 import os
 from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,8 +29,6 @@ _DENSE = 0.5
 """Metres between points: with less a cloud is dense."""
 _BYTES = 250
 """About so many of memory per point and growth."""
-_NODES = 524288
-"""Sets of a sweep grow together up to so many nodes."""
 
 
 def facet_reach(cell: float) -> float:
@@ -171,87 +169,40 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
     )
 
 
-class _Start(NamedTuple):
-    """What sets begin with: the network, how it grows in the first of them, and the triangulation of its seeds."""
-
-    network: Network
-    growth: Growth
-    tin: Tin
-
-
 @ground_each.register(TinFilter)
 def _ground_each(
     filter_: TinFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Sets that agree in what ``start`` reads share network and triangulation of the seeds. Several that differ in limits only
-    grow at a time, as sheets of one network, that cost little more than one."""
+    """Sets that agree in what ``start`` reads share the network, and if they have the same vertices the triangulation of its
+    seeds. Each grows by its own rule."""
     threads = workers or os.cpu_count() or 1
 
     @functools.lru_cache(threads)
-    def start(first: int) -> tuple[set[str], _Start]:
+    def start(first: int) -> tuple[set[str], Network, Growth, Tin]:
         one, read = watched(sets[first])
         network = one.start(points, threads, silent)
         growth = sets[first].growth(network)
         with GroundTin.start(network, growth, workers=threads) as seeds:
-            return read, _Start(network, growth, seeds.tin)
+            return read, network, growth, seeds.tin
 
-    def grown(job: tuple[int, list[int]]) -> np.ndarray:
-        (read, begin), some = start(job[0]), [sets[number] for number in job[1]]
-        if len(alike(values_of(read, [sets[job[0]], *some]))) > 1:  # more was read than in the first set of all
-            return np.concatenate([grown((number, [number])) for number in job[1]])
-        return _grown(some, points, begin, threads // at_once)
+    def grown(job: tuple[int, int]) -> np.ndarray:
+        first, number = job
+        read, network, other, tin = start(first)
+        if len(alike(values_of([sets[first], sets[number]], read))) > 1:  # more was read than in the first set of all
+            return grown((number, number))
+        growth = dataclasses.replace(sets[number].growth(network), kept=())
+        same = (growth.border_follows, growth.vertices) == (other.border_follows, other.vertices)
+        with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:
+            grow(out, sets[number].max_rounds)
+        ground = np.zeros(len(points), bool)
+        ground[network.row[np.flatnonzero(out.ground & network.real)]] = True
+        return ground
 
-    read, begin = start(0)
-    groups, nodes = alike(values_of(read, sets)), len(begin.network.xyz)
-    most = max(1, int(memory // (_BYTES * nodes)))
-    at_once = min(threads, len(sets), most)
-    size = max(1, min(_NODES // nodes, most // at_once, -(-len(sets) // at_once)))
-    size = size if _joins(begin.growth, begin.growth) else 1
-    jobs = [(group[0], group[i : i + size]) for group in groups for i in range(0, len(group), size)]
-    for (_, batch), found in in_turn(grown, jobs, at_once):
-        yield from zip(batch, found, strict=True)
-
-
-def _joins(growth: Growth, other: Growth) -> bool:
-    """Whether sets that grow so can be sheets of one network: they differ in limits only, which :class:`Rule` compares with, and
-    no round depends on more than its own sheet. Other rules may calculate with limits, and a limit for each node would be
-    rounded differently from one for all."""
-    if type(growth.rule) is not Rule or type(other.rule) is not Rule or growth.adaptive or growth.beyond:
-        return False
-    stages = growth.vertices.grids or growth.vertices.stop_share or growth.vertices.rounds
-    return not stages and dataclasses.replace(growth, rule=other.rule) == other
-
-
-def _of_sheets(limits: Sequence[Any], nodes: int) -> Any:
-    """The limit of all sheets if they share one number, else that of each node, f32[sheets * nodes]."""
-    if not any(map(np.ndim, limits)) and len(set(map(float, limits))) == 1:
-        return limits[0]
-    return np.concatenate([np.broadcast_to(np.float32(limit), nodes) for limit in limits])
-
-
-def _grown(sets: Sequence[TinFilter], points: Points, begin: _Start, workers: int) -> np.ndarray:
-    """bool[sets, m], ground, grown from one network and the triangulation of its seeds."""
-    network, nodes = begin.network, len(begin.network.xyz)
-    growths = [one.growth(network) for one in sets]
-    if len(sets) > 1 and not all(_joins(growth, begin.growth) for growth in growths):
-        return np.concatenate([_grown([one], points, begin, workers) for one in sets])
-    growth, many = growths[0], network
-    first, own = (
-        (g.border_follows, g.vertices.spacing, g.vertices.sinks, g.vertices.grids) for g in (begin.growth, growth)
-    )
-    tin = Tin.joined([begin.tin] * len(sets)) if own == first else None
-    if len(sets) > 1:
-        many = Network.joined([network] * len(sets))
-        rule = Rule(*(_of_sheets(limits, nodes) for limits in zip(*(one.rule for one in growths), strict=True)))
-        growth = dataclasses.replace(growth, rule=rule)
-    with GroundTin.start(many, dataclasses.replace(growth, kept=()), tin, workers) as out:
-        status = grow(out, sets[0].max_rounds)
-    if status is not Status.CONVERGED and len(sets) > 1:  # together a set may need more rounds than alone
-        return np.concatenate([_grown([one], points, begin, workers) for one in sets])
-    ground = np.zeros((len(sets), len(points)), bool)
-    node = np.flatnonzero(out.ground & many.real)
-    ground[node // nodes, many.row[node]] = True
-    return ground
+    read, network, *_ = start(0)
+    groups = alike(values_of(sets, read))
+    at_once = min(threads, len(sets), max(1, int(memory // (_BYTES * len(network.xyz)))))
+    for (_, number), ground in in_turn(grown, [(group[0], k) for group in groups for k in group], at_once):
+        yield number, ground
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..core.errors import InputError, ParameterError, check_whole
 from ..core.filter import degenerate, watched
+from ..core.params import declared
 from ..scoring import reference_labels
 from ..steps.batch import Batch, stacked
 from ..steps.grid_filter import GridFilter
@@ -54,4 +55,6 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
         totals = np.array([(counted & truth).sum(), (counted & ~truth).sum()], np.int32)
         taken.append(points)
         ready.append((one.cells(points), points.xyz, points.gather(truth), points.gather(counted), totals))
-    return stacked(filter_, taken, ready, names, blocks, frozenset(read))
+    if wrong := [field.name for field in declared(one) if field.name in read and not field.metadata["static"]]:
+        raise ParameterError(f"batch: the cells of {type(one).__name__} depend on {wrong[0]!r}: declare it as static")
+    return stacked(filter_, taken, ready, names, blocks)

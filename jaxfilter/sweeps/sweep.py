@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import inspect
 import json
 import os
 import time
@@ -96,9 +95,9 @@ def sweep(
     """Classify clouds with many sets of parameters, and score each.
 
     Every set gives the labels that the filter gives with it alone. What sets have in common is computed once: grids and
-    openings of SMRF, seeds and first triangulation of methods that densify a triangulation, whose sets then advance
-    together. Fields that fix array shapes or code paths (``cell``, ``window``, ...) may be swept too: the sets are grouped
-    by them, and each group compiles at most once; ``attrs["groups"]`` says how many there are.
+    openings of SMRF, seeds and first triangulation of methods that densify a triangulation. Fields that fix array shapes or
+    code paths (``cell``, ``window``, ...) may be swept too: the sets are grouped by them, and each group compiles at most
+    once; ``attrs["groups"]`` says how many there are.
 
     Args:
         filter_: its other fields are kept.
@@ -289,10 +288,9 @@ class _State:
 
 def _source(method: type[Filter]) -> str:
     """Of the files that the method's functions stand in; of code without a file its name, which a notebook makes anew."""
-    parts = (inspect.unwrap(part) for one in method.__mro__ for part in vars(one).values() if callable(part))
-    files = {part.__code__.co_filename for part in parts if hasattr(part, "__code__")}
-    contents = (Path(name).read_bytes() if Path(name).is_file() else name.encode() for name in sorted(files))
-    return hashlib.blake2b(b"|".join(contents), digest_size=16).hexdigest()
+    codes = (part.__code__ for one in method.__mro__ for part in vars(one).values() if hasattr(part, "__code__"))
+    files = map(Path, sorted({code.co_filename for code in codes}))
+    return hashlib.sha256(b"|".join(file.read_bytes() if file.is_file() else bytes(file) for file in files)).hexdigest()
 
 
 def _digest(cloud: PointCloud) -> str:

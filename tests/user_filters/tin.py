@@ -12,22 +12,15 @@ from jaxfilter.steps.seeds import lowest_per_cell
 from jaxfilter.steps.tin_filter import VertexSpacing, surrounded
 
 
-class Bend(NamedTuple):
-    """Degrees of angle that a degree of slope adds, up to so many degrees of slope."""
-
-    share: Any
-    most: Any
-
-
 class Bent(NamedTuple):
-    """Metres, degrees, and by how much the angle grows with the slope of the facet."""
+    """Metres, degrees, and degrees of angle that a degree of slope of the facet adds."""
 
     max_distance: Any
     max_angle: Any
-    bend: Bend
+    share: Any
 
     def verdict(self, s, two_sided):
-        limit = self.max_angle + self.bend.share * jnp.minimum(s.slope, self.bend.most)
+        limit = self.max_angle + self.share * jnp.minimum(s.slope, 40.0)
         angle, distance = jnp.abs(s.angle) - limit, 0.9 * jnp.abs(s.distance) - self.max_distance
         accepted = s.planar & (angle <= 0) & (distance <= 0)
         other = jnp.where(distance > 0, jf.Decision.ELEVATION, jf.Decision.ANGLE)
@@ -56,5 +49,5 @@ class Bender(VertexSpacing):
         return surrounded(self, points, seeds, outliers, self.seed_cell)
 
     def growth(self, network):
-        rule = Bent(self.max_distance, self.max_angle, Bend(self.share, 40.0))
+        rule = Bent(self.max_distance, self.max_angle, self.share)
         return dataclasses.replace(super().growth(network), rule=rule)

@@ -333,9 +333,8 @@ class GroundTin(GroundNodes):
             return *of_nodes, self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         def tested(*arrays: np.ndarray) -> dict[str, Any]:
-            some = dict(zip(own, arrays, strict=False))
-            rule = jax.tree.unflatten(tree, [some.get(number, limit) for number, limit in enumerate(limits)])
-            return judge(rule, *arrays[len(own) :], names=names)
+            some = dict(enumerate(limits)) | dict(zip(own, arrays, strict=False))
+            return judge(jax.tree.unflatten(tree, some.values()), *arrays[len(own) :], names=names)
 
         with on_processor():
             found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
