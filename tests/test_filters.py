@@ -2,8 +2,8 @@
 
 import ast
 import dataclasses
+import importlib.util
 import os
-import runpy
 import subprocess
 import sys
 import tempfile
@@ -512,7 +512,11 @@ def test_a_calibration_chooses_what_single_calls_choose(alone, monkeypatch):
 
 def labels_by_file(path, name, xyz):
     """bool[k, n]: labels of a filter as its file has it now: of a call, of a sweep, and of a batch."""
-    runpy.run_path(str(path), run_name="filter_file")
+    spec = importlib.util.spec_from_file_location("mine", path)
+    sys.modules["mine"] = module = importlib.util.module_from_spec(
+        spec
+    )  # as imported: what cannot be pickled was kept nowhere
+    spec.loader.exec_module(module)
     filter_, cloud = jf.FILTERS[name](), jf.PointCloud.from_arrays(xyz)
     field = next(field.name for field in declared(filter_) if not field.metadata["static"])
     other = moved(filter_, field)
@@ -562,8 +566,8 @@ for number, text in enumerate(sys.argv[5:]):
     def started(path, cache, *texts):
         path.parent.mkdir(exist_ok=True)
         call = [sys.executable, "-c", script, Path(__file__).parent, tmp_path, name, path, *texts]
-        quick = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAXFILTER_CACHE": str(cache)}
-        return subprocess.Popen(call, env={**os.environ, **quick})
+        own = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAXFILTER_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.Popen(call, env={**os.environ, **own})
 
     def read(path, number=0):
         return np.load(f"{path}{number}.npy")
