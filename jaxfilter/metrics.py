@@ -5,10 +5,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from .core.compilation import jit
 
-
-@jit
+@jax.jit
 def confusion_counts(ground: jax.Array, reference: jax.Array, counted: jax.Array) -> jax.Array:
     """Confusion matrix of one labelling.
 

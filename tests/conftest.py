@@ -77,14 +77,6 @@ def scene():
     return scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
 
 
-@pytest.fixture(scope="module")
-def compilation_cache(tmp_path_factory):
-    """Compilations go to a folder of their own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JAXFILTER_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture
 def rng():
     return np.random.default_rng(20210)

@@ -15,7 +15,6 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 
 pytestmark = [
-    pytest.mark.usefixtures("compilation_cache"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 SMRF = jf.SMRF(window=8.0)

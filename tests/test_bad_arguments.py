@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pandas
 import pytest
@@ -29,6 +30,15 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": np.array(0.3)}), jf.ParameterError, "slope"),
         (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": (0.1, 0.3)}, design="random", size=2, seed=-1),
          jf.ParameterError, "seed=-1"),
+        (lambda: jf.PPDF()(CLOUD, key=0), jf.ParameterError, r"key=0: .*jax\.random\.key\(0\)"),
+        (lambda: jf.SMRF()(CLOUD, key="0"), jf.ParameterError, "key='0'"),
+        (lambda: jf.PPDF()(CLOUD, key=np.zeros(3, np.uint32)), jf.ParameterError, "key=array"),
+        (lambda: jf.PPDF()(CLOUD, key=jax.random.split(jax.random.key(0))), jf.ParameterError, "one JAX random key"),
+        (lambda: jf.sweep(jf.PPDF(), CLOUD, {"slope": [0.3]}, key=0), jf.ParameterError, "key=0"),
+        (lambda: jf.calibrate(jf.PPDF(), CLOUD, TRUTH, key=0), jf.ParameterError, "key=0"),
+        (lambda: jf.SweepOptions(key=1.5), jf.ParameterError, "key=1.5"),
+        (lambda: jf.SMRF(0.2), jf.ParameterError, r"SMRF\(0.2\): name the field that this is: cell, slope, .*scaling"),
+        (lambda: jf.PTD(15.0, max_distance=1.0), jf.ParameterError, r"PTD\(15.0\): name the field.*max_angle"),
         (lambda: jf.hillshade(jf.dtm(CLOUD, TRUTH), z_factor=-1.0), jf.ParameterError, "z_factor=-1.0"),
         (lambda: jf.dtm(CLOUD, TRUTH, cell="1"), jf.ParameterError, "cell='1'"),
         (lambda: jf.dtm(CLOUD, TRUTH, workers=-3), jf.ParameterError, "workers=-3"),
@@ -41,6 +51,12 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
 def test_what_makes_no_sense_is_named(call, error, words):
     with pytest.raises(error, match=words):
         call()
+
+
+@pytest.mark.parametrize("key", [jax.random.key(7), jax.random.PRNGKey(7), np.array(jax.random.PRNGKey(7))])
+def test_any_form_of_one_random_key_draws_the_same(key):
+    rough = XYZ + np.random.default_rng(0).normal(0, [0, 0, 0.3], XYZ.shape)
+    assert (jf.PPDF()(rough, key=key).ground == jf.PPDF()(rough, key=jax.random.key(7)).ground).all()
 
 
 def test_labels_of_a_batch_go_by_name_or_by_cloud():

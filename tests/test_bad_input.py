@@ -16,8 +16,6 @@ from las_files import SCALES, make_las, patch
 
 from jaxfilter.cli import main
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
-
 QUIET = {"return_number": 1, "number_of_returns": 1, "classification": 1, "withheld": 0}
 """Fields of a file in which every point is judged."""
 

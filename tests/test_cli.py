@@ -26,7 +26,6 @@ from jaxfilter.core.filter import Filter
 from jaxfilter.files.reading import read, write
 from jaxfilter.methods import FILTERS
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
 SLOW = {"csf", "iptd", "ppdf"}  # they compile for seconds; how flags become parameters is the same for all
 METHODS = pytest.mark.parametrize(
     "method", [pytest.param(m, marks=pytest.mark.slow) if m in SLOW else m for m in FILTERS]

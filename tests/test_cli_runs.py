@@ -13,8 +13,6 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.values import Bytes
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
-
 
 def run(*arguments):
     return CliRunner().invoke(main, [str(a) for a in arguments])

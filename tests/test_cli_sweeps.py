@@ -23,7 +23,6 @@ from jaxfilter.files.reading import read, write
 from jaxfilter.sweeps.best import best_sets
 from jaxfilter.sweeps.labels import labels_from, point_labels, within
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
 SETS = {"slope": [0.1, 0.2], "threshold": [0.3, 0.5, 0.7]}
 AXES = ("--axis", "slope=0.1,0.2", "--axis", "threshold=0.3:0.7:0.2")
 

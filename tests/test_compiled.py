@@ -1,24 +1,22 @@
 """Compiled host loops: kept on disk where that can be, compiled all the same where not; interrupts come through."""
 
-import contextlib
 import ctypes
 import importlib
 import os
+import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import warnings
-from typing import NamedTuple
+from pathlib import Path
 
-import jax
 import numba
 import numpy as np
+import platformdirs
 import pytest
-from jax.experimental.compilation_cache import compilation_cache as jax_cache
 
-import jaxfilter as jf
 from jaxfilter import JaxfilterWarning
-from jaxfilter.cli.session import Session
 from jaxfilter.core import compilation
 from jaxfilter.engines import compiled as module
 from jaxfilter.engines.compiled import compiled
@@ -36,17 +34,25 @@ def collatz(n):
 def nothing_said(monkeypatch):
     """As in a new process."""
     monkeypatch.setattr(compilation, "_troubles", [])
-    compilation.private_folder.cache_clear()
+
+
+@pytest.fixture
+def tmp_path():
+    """A folder that only the user may write to or replace; those in the system's temporary folder are not so."""
+    home = platformdirs.user_cache_path("jaxfilter")
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=home) as folder:
+        yield Path(folder)
 
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """A cache folder in which machine code of ``collatz`` lies."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "way" / "kept"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert compiled(collatz)(27) == 111
-    return tmp_path / "kept"
+    return tmp_path / "way" / "kept"
 
 
 def hits():
@@ -67,6 +73,7 @@ def replace_by_folder(file):
     file.mkdir()
 
 
+owners_and_modes = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes here")
 DAMAGES = {
     "empty": lambda file: file.write_bytes(b""),
     "cut": lambda file: file.write_bytes(file.read_bytes()[:-100]),
@@ -100,25 +107,79 @@ def test_the_folder_is_private_and_what_other_versions_kept_is_no_matter(kept, m
     assert len(list(kept.iterdir())) == 1, "an older one is replaced"
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes here")
-@pytest.mark.parametrize(("place", "mode", "said"), [
-    ("kept", 0o777, "others may write"), ("kept", 0o720, "others may write"), ("kept", 0o1777, "others may write"),
-    ("", 0o770, "others may write"), ("", 0o1777, None), ("kept", 0o755, None), ("kept", None, "belongs to user"),
-])  # fmt: skip
-def test_a_folder_that_others_may_write_to_is_not_used(place, mode, said, kept, monkeypatch):
-    compilation.private_folder.cache_clear()
-    if mode is None:
-        owner = os.getuid()
-        monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-        os.chown(kept, owner or 4321, -1)  # what belongs to root is trusted
-    else:
-        (kept.parent / place).chmod(mode)
+def places(kept):
+    return {"folder": kept, "parent": kept.parent, "grandparent": kept.parent.parent}
+
+
+def check_use(kept, said):
+    """Code in the folder is used, or it is not and ``said`` is said, once."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        assert hits() == (said is None)
-        assert hits() == (said is None)
+        assert (hits(), hits()) == (said is None, said is None)
     assert len(caught) == (said is not None)
-    assert said is None or said in str(caught[0].message)
+    assert said is None or (said in str(caught[0].message) and str(kept) in str(caught[0].message))
+
+
+@owners_and_modes
+@pytest.mark.parametrize("place", ["folder", "parent", "grandparent"])
+@pytest.mark.parametrize("mode", [0o755, 0o720, 0o770, 0o702, 0o777, 0o1777, 0o1770])
+def test_a_folder_below_one_that_others_may_write_to_is_not_used(place, mode, kept):
+    assert hits() == 1
+    places(kept)[place].chmod(mode)  # also after it was found to be private
+    check_use(kept, f"others may write to {places(kept)[place]}," if mode & 0o022 else None)
+
+
+@owners_and_modes
+@pytest.mark.parametrize("place", ["folder", "parent", "grandparent"])
+def test_a_folder_of_another_user_or_below_one_is_not_used(place, kept, monkeypatch):
+    me = os.getuid()
+    if me == 0:
+        os.chown(places(kept)[place], 4321, -1)
+    else:
+        monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    check_use(kept, "belongs to user")
+
+
+@owners_and_modes
+@pytest.mark.parametrize("absolute", [True, False])
+@pytest.mark.parametrize("exposed", ["link", "target", "nothing"])
+def test_a_link_on_the_way_is_as_safe_as_where_it_lies_and_where_it_leads(absolute, exposed, kept, monkeypatch):
+    house = kept.parents[1]
+    (house / "links").mkdir()
+    leads = {"link": house / "links", "target": kept.parent, "nothing": house / "nothing"}
+    (house / "links" / "link").symlink_to(kept.parent if absolute else "../way")
+    if exposed != "nothing":
+        leads[exposed].chmod(0o1777)
+    given = house / "links" / "link" / "kept"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(given))
+    check_use(given, None if exposed == "nothing" else f"others may write to {leads[exposed]},")
+
+
+def test_a_link_to_itself_is_told_of(tmp_path, monkeypatch):
+    (tmp_path / "link").symlink_to("link")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "link"))
+    check_use(tmp_path / "link", "exists")
+
+
+class Planted:
+    """What makes a folder when it is unpickled."""
+
+    def __init__(self, trace):
+        self.trace = trace
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.trace),)
+
+
+@owners_and_modes
+def test_what_others_may_have_planted_is_not_executed(kept, tmp_path):
+    [file] = kept.iterdir()
+    compilation.write_kept(file, file.read_bytes()[32:64], pickle.dumps(Planted(tmp_path / "executed")))
+    kept.parent.chmod(0o1777)
+    check_use(kept, "others may write")
+    assert not (tmp_path / "executed").exists()
+    kept.parent.chmod(0o700)
+    assert hits() == 0 and (tmp_path / "executed").exists(), "what is planted would have worked"
 
 
 @pytest.mark.parametrize("full", [True, False])
@@ -174,176 +235,59 @@ def test_what_is_compiled_is_kept_where_the_user_says(tmp_path):
     assert "cache_hits=Counter()" in said[0] and "cache_hits=Counter({" in said[1]
 
 
-@pytest.fixture
-def kernels(tmp_path, monkeypatch):
-    """A folder of its own for what JAX compiles; nothing is known of it yet."""
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path))
-    monkeypatch.setattr(compilation, "_keeps", False)
-    monkeypatch.setattr(compilation, "_quiet", True)
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", None)
-    jax_cache.reset_cache()
-    compilation._kept_folder.cache_clear()
-    yield tmp_path / "jax"
-    compilation._kept_folder.cache_clear()
-    jax.config.update("jax_compilation_cache_dir", before)
-    jax_cache.reset_cache()
-
-
-@contextlib.contextmanager
-def keeping():
-    before = compilation.keep_compilations()
-    yield
-    compilation.keep_compilations(before)
-
-
-class Scaled(NamedTuple):
-    values: jax.Array
-
-
-traces = []
-
-
-def scaled(factor, given, power, *, label="none"):
-    """Notes each time that it is traced."""
-    traces.append(label)
-    return Scaled(given["x"] ** power * factor)
-
-
-def new_process():
-    """The function, as a new process has it, and what it returns."""
-    jax.clear_caches()
-    function = compilation.jit(scaled, static_argnames=("power", "label"))
-    with keeping():
-        found = function(2.0, {"x": np.arange(3.0, dtype=np.float32)}, 2, label="one")
-    return function, found.values.tolist()
-
-
-def test_what_jax_compiles_is_neither_traced_nor_compiled_by_the_next_process(kernels):
-    traces.clear()
-    compilation.watch_compilations()
-    assert new_process()[1] == [0.0, 2.0, 8.0] and traces == ["one"]
-    [file] = kernels.iterdir()
-    before = compilation.compilations()[0]
-    function, found = new_process()
-    assert found == [0.0, 2.0, 8.0] and traces == ["one"] and compilation.compilations()[0] == before
-    assert kernels.stat().st_mode & 0o777 == 0o700 and file.name.startswith("scaled-")
-    x = np.arange(3.0, dtype=np.float32)
-    with keeping():
-        assert function(2, {"x": x}, power=2, label="one").values.tolist() == [0.0, 2.0, 8.0]
-        assert function(2.0, {"x": x[:2]}, 3, label="two").values.tolist() == [0.0, 2.0]
-        assert function(2.0, {"x": x.astype(np.int32)}, 2, label="one").values.tolist() == [0.0, 2.0, 8.0]
-        assert jax.vmap(lambda k: function(k, {"x": x}, 2, label="many").values)(x).shape == (3, 3)
-    assert traces == ["one", "one", "two", "one", "many"] and len(list(kernels.iterdir())) == 4
-    assert function(3.0, {"x": x}, 2, label="outside").values.tolist() == [0.0, 3.0, 12.0]
-    assert traces[-1] == "outside" and len(list(kernels.iterdir())) == 4
-
-
-@pytest.mark.slow
-def test_a_method_is_kept_by_the_parameters_that_are_not_traced(kernels, rng):
-    filters = jf.PMF(max_window=9.25), jf.PMF(max_window=9.25, slope=0.4), jf.PMF(max_window=17.25)  # of no other test
-    cells = filters[0].cells(filters[0].points_of(jf.PointCloud.from_arrays(rng.random((500, 3)) * 20)))
-    expected = [one.model(cells).limits[0].tolist() for one in filters]
-    with keeping():
-        for one, limits in zip(filters, expected, strict=True):
-            assert one.model(cells).limits[0].tolist() == limits
-    assert len([file for file in kernels.iterdir() if file.name.startswith("PMF._open")]) == 2
-
-
-def test_other_sources_versions_and_processors_do_not_share(kernels, monkeypatch):
-    traces.clear()
-    new_process()
-    monkeypatch.setattr(compilation, "_stamp", lambda: bytes(32))
-    for _ in range(2):
-        assert new_process()[1] == [0.0, 2.0, 8.0]
-    assert traces == ["one", "one"]
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_damage_to_what_jax_compiled_is_told_of_once(damage, kernels):
-    new_process()
-    [file] = kernels.iterdir()
-    DAMAGES[damage](file)
-    with pytest.warns(JaxfilterWarning, match="cannot be read or kept here") as said:
-        assert new_process()[1] == [0.0, 2.0, 8.0]
-    assert len(said) == 1 and str(kernels) in str(said[0].message)
-    if damage != "folder":
-        traces.clear()
-        assert new_process()[1] == [0.0, 2.0, 8.0] and traces == [], "it was made anew"
-
-
-@pytest.mark.parametrize("way", ["folder", "file"])
-def test_the_command_says_once_that_it_keeps_nothing(way, kernels, monkeypatch):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    if way == "folder":
-        kernels.parent.chmod(0o777)
-    else:
-        kernels.parent.rmdir()
-        kernels.parent.write_text("no folder")
-    with Session(quiet=True, debug=False) as session:
-        assert hits() == 0 and new_process()[1] == [0.0, 2.0, 8.0]
-    assert len(session.warnings) == 1 and str(kernels.parent) in session.warnings[0]
-
-
 SCRIPT = """
-import sys, numpy as np, jax
-from jaxfilter.core import compilation
-from jaxfilter.engines.grid import morphology
-compilation.watch_compilations()
-out = morphology.erosion(np.eye(5, dtype=np.float32), 1, reach=3)
-print(float(np.asarray(out).sum()), compilation.compilations()[0], jax.config.jax_compilation_cache_dir)
+import collections, sys, warnings, jax, jax.monitoring, jax.numpy as jnp, numpy as np
+import jaxfilter as jf
+heard = collections.Counter()
+jax.monitoring.register_event_listener(lambda event, **_: heard.update([event.rpartition("/")[2]]))
+(jnp.ones(3) + 1).block_until_ready()  # JAX has compiled something of the user's own before
+if sys.argv[1:]:
+    jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    ground = jf.MSF(window=4.0)(np.random.default_rng(0).random((500, 3)) * 20).ground.sum()
+print(ground, heard["cache_hits"], heard["cache_misses"], jax.config.jax_compilation_cache_dir, *[one.message for one in said])
 """
 
 
-def in_script(**variables):
-    """Elevations, compilations and JAX's own cache of a script, and what it says."""
+def in_script(*arguments, **variables):
+    """Of a new process: ground points, programs read from the disk and written to it, JAX's own cache; and warnings."""
     own = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_COMPILATION", "JAXFILTER"))}
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=own | variables, check=True
+        [sys.executable, "-c", SCRIPT, *arguments], capture_output=True, text=True, env=own | variables, check=True
     )
-    return done.stdout.split(), done.stderr
+    ground, read, written, folder, *said = done.stdout.split(maxsplit=4)
+    return int(ground), int(read), int(written), folder, "".join(said)
 
 
-def test_a_script_keeps_what_it_compiles_and_says_so_once(tmp_path):
+def test_what_jax_compiles_is_not_compiled_by_the_next_process(tmp_path):
     first, second = (in_script(JAXFILTER_CACHE=str(tmp_path)) for _ in range(2))
-    assert first[0] == ["0.0", "1", "None"] and second[0] == ["0.0", "0", "None"]
-    assert f"{tmp_path / 'jax'}: compiled code is kept here" in first[1] and not second[1]
+    place = tmp_path / "jax"
+    assert first[1] == 0 and first[2] > 0 and first[3:] == (str(place), "")
+    assert second == (first[0], first[2], 0, str(place), "")
+    assert place.stat().st_mode & 0o777 == 0o700 and len(list(place.iterdir())) == first[2]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("variable", ["JAXFILTER_CACHE", "JAX_COMPILATION_CACHE_DIR"])
-def test_a_script_keeps_nothing_if_told_so_or_if_jax_does(variable, tmp_path):
-    own = "off" if variable == "JAXFILTER_CACHE" else str(tmp_path / "own")
-    for _ in range(2):
-        found, said = in_script(**{"XDG_CACHE_HOME": str(tmp_path), "HOME": str(tmp_path), variable: own})
-        assert found == ["0.0", "1", "None" if own == "off" else own] and "kept" not in said
-    assert not list(tmp_path.rglob("*.jax"))
+@pytest.mark.parametrize("way", ["off", "variable", "setting"])
+def test_jax_keeps_nothing_if_told_so_and_in_its_own_cache_if_it_has_one(way, tmp_path):
+    cache, own = tmp_path / "cache", str(tmp_path / "own")
+    variables = {
+        "JAXFILTER_CACHE": "off" if way == "off" else str(cache),
+        "XDG_CACHE_HOME": str(cache),
+        "HOME": str(cache),
+    }
+    if way == "variable":
+        variables["JAX_COMPILATION_CACHE_DIR"] = own
+    found = in_script(*[own] * (way == "setting"), **variables)
+    assert found[3:] == ("None" if way == "off" else own, "") and not (cache / "jax").exists()
 
 
-@pytest.mark.parametrize("block", [
-    lambda: jax.disable_jit(), lambda: jax.debug_nans(True), lambda: jax.default_device(jax.devices()[0]),
-])  # fmt: skip
-def test_kept_code_is_not_used_where_jax_shall_run_in_another_way(block, kernels):
-    with keeping(), block():
-        assert (
-            compilation.jit(scaled, static_argnames=("power", "label"))(2.0, {"x": jax.numpy.ones(2)}, 2).values.sum()
-            == 4
-        )
-    assert not kernels.exists() or not list(kernels.iterdir())
-
-
-def test_another_precision_is_another_program(kernels):
-    function = compilation.jit(scaled, static_argnames=("power", "label"))
-    for precision in ("float32", "bfloat16", "float32"):
-        with keeping(), jax.default_matmul_precision(precision):
-            function(2.0, {"x": np.ones(2)}, 2)
-    assert len(list(kernels.iterdir())) == 2
-
-
-def test_a_cache_that_jax_was_given_is_left_to_jax(kernels, tmp_path):
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "own"))
-    assert new_process()[1] == [0.0, 2.0, 8.0]
-    assert not kernels.exists()
+@owners_and_modes
+def test_a_script_says_once_that_it_keeps_nothing_where_others_may_write(tmp_path):
+    tmp_path.chmod(0o1777)
+    found = in_script(JAXFILTER_CACHE=str(tmp_path / "cache"), NUMBA_CACHE_DIR=str(tmp_path / "numba"))
+    assert found[1:4] == (0, 0, "None") and found[4].count("cannot be read or kept here") == 1
+    assert f"others may write to {tmp_path}," in found[4] and not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals within a process")

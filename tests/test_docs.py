@@ -75,20 +75,34 @@ def test_the_table_of_defaults_names_every_field_with_its_present_default():
             assert listed.count((name, f"`{field.name}`", default)) == 1, (name, field.name, default)
 
 
-@pytest.mark.slow
-def test_the_skeleton_of_a_filter_passes_the_suite_of_all_filters(tmp_path):
-    text = (PAGES.parent / "adding_a_filter.md").read_text()
-    skeleton = tmp_path / "skeleton.py"
-    skeleton.write_text(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1])
+SHARED = " and (sets_of or calibration or edited)"
+"""Those tests of the suite that hold what sets share, and what is compiled, against single calls."""
+
+
+@pytest.mark.parametrize(
+    "name, words, passes",
+    [
+        ("sieve", SHARED, 4),
+        ("bender", SHARED, 3),
+        *(pytest.param(name, "", 40, marks=pytest.mark.slow) for name in ("tophat", "sieve", "bender")),
+    ],
+)
+def test_filters_of_users_pass_the_suite_of_all_filters(name, words, passes, tmp_path):
+    """The skeleton on the page, and two in tests/user_filters: one on a grid, one with a rule of its own."""
+    own = Path(__file__).parent / "user_filters"
+    file = {"sieve": own / "grid.py", "bender": own / "tin.py"}.get(name, tmp_path / "skeleton.py")
+    if name == "tophat":
+        text = (PAGES.parent / "adding_a_filter.md").read_text()
+        file.write_text(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1])
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-v", "-x", "-p", "no:cacheprovider", "tests/test_filters.py"]
-        + ["--filter-file", str(skeleton), "-k", "tophat"],
+        [sys.executable, "-m", "pytest", "-v", "-x", "-n", "0", "-p", "no:cacheprovider", "tests/test_filters.py"]
+        + ["--filter-file", str(file), "-k", name + words],
         cwd=PAGES.parents[1],
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stdout[-3000:]
-    assert re.search(r"[3-9]\d passed", done.stdout), done.stdout[-300:]
+    assert int(re.search(r"(\d+) passed", done.stdout)[1]) >= passes, done.stdout[-300:]
 
 
 def test_code_blocks_name_a_language_that_is_run():

@@ -115,7 +115,7 @@ def test_the_scene_of_the_examples_is_that_of_the_docstring(scene):
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in PUBLIC])
-def test_a_public_name_has_an_example_that_is_right(name, names, folder, compilation_cache, tmp_path, monkeypatch):
+def test_a_public_name_has_an_example_that_is_right(name, names, folder, tmp_path, monkeypatch):
     text = text_of(PUBLIC[name])
     here = tmp_path / "here"
     shutil.copytree(folder, here)

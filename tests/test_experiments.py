@@ -297,7 +297,6 @@ def two_samples(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_run_on_generated_scenes_writes_every_table_and_goes_on_where_it_was(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "isprs" / "results"
     given = ["--data", str(two_samples), "--out", str(out), "--samples", "52", "53", "--methods", "ptd", "fptd", "smrf"]
     given += ["--budget", "3", "--processes", "1", "--repeats", "1", "--dpi", "40"]
@@ -335,8 +334,7 @@ def test_a_run_on_generated_scenes_writes_every_table_and_goes_on_where_it_was(t
 
 
 @pytest.mark.slow
-def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+def test_the_ablations_compare_each_choice_with_the_fixed_set(two_samples, tmp_path):
     every = ablations.variants()
     names = [(v.choice, v.name) for v in every]
     assert len(set(names)) == len(names)
@@ -486,7 +484,6 @@ def test_cuts_count_what_was_right_in_the_whole(monkeypatch):
 
 @pytest.mark.slow
 def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(failures, "SIZES", {2.0: (110.0, 80.0)})
     given = [
         "all",
@@ -520,7 +517,6 @@ def test_the_failures_of_methods_are_measured_once(two_samples, tmp_path, monkey
 
 @pytest.mark.slow
 def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(failures, "SIZES", {2.0: (150.0, 110.0)})
     monkeypatch.setattr(verdicts, "RATES", (100, 400))
     places = ["--data", str(two_samples), "--out", str(tmp_path), "--work", str(tmp_path / "work")]
@@ -544,8 +540,7 @@ def test_verdicts_are_measured_once_and_are_the_best_that_the_reference_can_say(
 
 
 @pytest.mark.slow
-def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
+def test_the_study_of_li_et_al_writes_its_tables(two_samples, tmp_path):
     li2021.main(["--data", str(two_samples), "--out", str(tmp_path / "out"), "--quick", "--samples", "53"])
     text = (tmp_path / "out" / "results.md").read_text()
     assert "39.99" in text  # printed kappa of FPTD on sample 53
@@ -1030,7 +1025,6 @@ def test_a_page_that_could_not_be_made_stays_stale(two_pages, monkeypatch, capsy
 
 @pytest.mark.slow
 def test_rows_of_other_labels_are_not_kept(tmp_path, two_samples, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     given = [
         "--data",
         str(two_samples),
@@ -1066,7 +1060,6 @@ def test_labels_are_counted_on_clouds_that_tell_methods_apart():
 
 @pytest.mark.slow
 def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     given = [str(two_samples / "isprs"), "--out", str(tmp_path), "--methods", "smrf", "pmf", "--repeats", "0"]
     with pytest.warns(jf.JaxfilterWarning, match="2 clouds cannot give p below"):
         benchmark.main(given)
@@ -1088,7 +1081,6 @@ def test_a_benchmark_of_a_folder_has_every_method_on_every_cloud(two_samples, tm
 
 @pytest.mark.slow
 def test_fits_leave_each_site_out_and_go_on_where_they_were(two_samples, tmp_path, monkeypatch):
-    monkeypatch.setenv("JAXFILTER_CACHE", str(tmp_path / "cache"))
     folder = tmp_path / "data" / "isprs"
     folder.mkdir(parents=True)
     for name, of in (("samp11", "samp52"), ("samp21", "samp53"), ("samp31", "samp53")):

@@ -595,7 +595,7 @@ TENTH = {"kill -9, writing without end": 6, "kill -9, the command": 2, "SIGTERM"
     "kind",
     [pytest.param(kind, marks=pytest.mark.slow) if "kill" in kind or kind == "SIGTERM" else kind for kind in TENTH],
 )
-def test_faults(tmp_path, compilation_cache, kind):
+def test_faults(tmp_path, kind):
     """Real processes, see experiments/faults."""
     rows = list(faults.run_all(tmp_path, {kind: TENTH[kind]}, seed=1))
     assert len(rows) == TENTH[kind]

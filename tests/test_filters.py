@@ -1,19 +1,32 @@
 """What every filter owes: the same suite for all of them."""
 
+import ast
 import dataclasses
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
 import warnings
 import weakref
+from pathlib import Path
 
 import jax
 import numpy as np
+import platformdirs
 import pytest
 
 import jaxfilter as jf
 from jaxfilter.core import compilation
 from jaxfilter.core.frame import QUANTUM
+from jaxfilter.core.params import declared
 from jaxfilter.core.points import canonical_points
+from jaxfilter.steps.grid_filter import GridFilter
+from jaxfilter.sweeps import sweep
 
 FILTERS = sorted(jf.FILTERS)
+OURS = {name for name in FILTERS if isinstance(jf.FILTERS.data[name], str)}
+"""The classes that nobody has asked for yet: those from files are here."""
 SHIFT = (500000.37, 4800000.81, 300.0)
 
 
@@ -416,3 +429,163 @@ def test_no_warnings_on_ordinary_input(method, small):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         method()(small[0])
+
+
+# Sweeps, batches, calibration, and edits
+
+
+@dataclasses.dataclass
+class Alone:
+    """Sets of a filter that each differ from the first in one traced field, and the last in all; with their single calls."""
+
+    cloud: jf.PointCloud
+    sets: list
+    ground: np.ndarray
+
+    @property
+    def axes(self):
+        names = [field.name for field in declared(self.sets[0]) if not field.metadata["static"]]
+        return {name: [getattr(one, name) for one in self.sets] for name in names}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(n, marks=[pytest.mark.slow] * (n in OURS - {"smrf", "fptd"})) for n in FILTERS],
+)
+def alone(request, small):
+    first = jf.FILTERS[request.param]()
+    others = {field.name: moved(first, field.name) for field in declared(first) if not field.metadata["static"]}
+    sets = [first, *(first.replace(**{name: value}) for name, value in others.items()), first.replace(**others)]
+    cloud = jf.PointCloud.from_arrays(rough(small[0]), reference=small[1])
+    found = Alone(cloud, sets, np.array([one(cloud).ground for one in sets]))
+    assert len(np.unique(found.ground, axis=0)) > 2, "sets with the same labels show nothing"
+    return found
+
+
+def rough(xyz):
+    """So that points lie near every limit."""
+    return xyz + np.random.default_rng(2).normal(0, [0, 0, 0.3], xyz.shape).round(2)
+
+
+def moved(filter_, name):
+    """Another value that a field may have."""
+    value = getattr(filter_, name)
+    for other in (0.6 * value, 0.3, 1.0):
+        try:
+            if np.isfinite(other) and other != value:
+                return getattr(filter_.replace(**{name: other}), name)
+        except jf.ParameterError:
+            continue
+    raise AssertionError(name)
+
+
+def test_sets_of_a_sweep_have_the_labels_of_single_calls(alone):
+    data = jf.sweep(alone.sets[0], alone.cloud, alone.axes, design="list", votes=True)
+    np.testing.assert_array_equal(data["ground"], alone.ground.sum(axis=1))
+    np.testing.assert_array_equal(data["votes"], np.float32(alone.ground.sum(axis=0) / len(alone.sets)))
+    wrong = (alone.ground != alone.cloud.reference).mean(axis=1)
+    np.testing.assert_allclose(data["total"], 100 * wrong, rtol=1e-12)
+    for one, ground in zip(
+        alone.sets[1:-1], alone.ground[1:-1], strict=True
+    ):  # what the others share may be wrong in none
+        (name,) = [name for name in alone.axes if getattr(one, name) != getattr(alone.sets[0], name)]
+        pair = jf.sweep(alone.sets[0], alone.cloud, {name: [getattr(alone.sets[0], name), getattr(one, name)]})
+        assert pair["ground"].values.tolist() == [alone.ground[0].sum(), ground.sum()]
+
+
+def test_sets_of_a_batch_have_the_labels_of_single_calls(alone):
+    if not isinstance(alone.sets[0], GridFilter):
+        pytest.skip("methods on a grid take batches")
+    made = jf.batch([alone.cloud], alone.sets[0])
+    np.testing.assert_array_equal(made.unstack(made.ground(alone.axes))[0], alone.ground)
+
+
+def test_a_calibration_chooses_what_single_calls_choose(alone, monkeypatch):
+    cloud, labels = alone.cloud, np.where(np.arange(len(alone.cloud)) % 7 == 0, alone.cloud.reference, -1)
+    axes = {name: (min(values), max(values)) for name, values in alone.axes.items()}
+    found = jf.calibrate(alone.sets[0], cloud, labels, axes=axes, size=4, rounds=1, folds=2)
+
+    def single(self, sets):
+        for number, one in enumerate(sets):
+            yield number, self.points.gather(one(cloud).ground)
+
+    monkeypatch.setattr(sweep.Subject, "ground_each", single)
+    expected = jf.calibrate(alone.sets[0], cloud, labels, axes=axes, size=4, rounds=1, folds=2)
+    assert found.filter == expected.filter and found.score == expected.score
+    assert found.trials.identical(expected.trials)
+
+
+def labels_by_file(path, name, xyz):
+    """bool[k, n]: labels of a filter as its file has it now: of a call, of a sweep, and of a batch."""
+    spec = importlib.util.spec_from_file_location("mine", path)
+    sys.modules["mine"] = module = importlib.util.module_from_spec(
+        spec
+    )  # as imported: what cannot be pickled was kept nowhere
+    spec.loader.exec_module(module)
+    filter_, cloud = jf.FILTERS[name](), jf.PointCloud.from_arrays(xyz)
+    field = next(field.name for field in declared(filter_) if not field.metadata["static"])
+    other = moved(filter_, field)
+    sets = {field: [getattr(filter_, field), other]}
+    found = [filter_(cloud).ground, filter_.replace(**{field: other})(cloud).ground]
+    found += [jf.sweep(filter_, cloud, sets, votes=True)["votes"].values == 1.0]
+    if isinstance(filter_, GridFilter):
+        made = jf.batch([cloud], filter_)
+        found += [*made.unstack(made.ground(sets))[0]]
+    return np.array(found)
+
+
+def edited(source):
+    """A file with every number that has a fraction a fifth smaller: limits in methods, in functions and of traced fields."""
+
+    class Smaller(ast.NodeTransformer):
+        def visit_Call(self, node):
+            static = isinstance(node.func, ast.Name) and node.func.id == "static"
+            return node if static else self.generic_visit(node)
+
+        def visit_Constant(self, node):
+            return ast.copy_location(ast.Constant(0.8 * node.value), node) if isinstance(node.value, float) else node
+
+    return ast.unparse(Smaller().visit(ast.parse(source)))
+
+
+@pytest.mark.parametrize("name", [name for name in FILTERS if name not in OURS])
+def test_an_edited_file_is_what_runs_from_then_on(name, small, request, tmp_path):
+    """In the same process, and in the next one: as where nothing was compiled before."""
+    files = {Path(path): Path(path).read_text() for path in request.config.getoption("--filter-file")}
+    code = {part.__code__.co_filename for part in vars(jf.FILTERS[name]).values() if hasattr(part, "__code__")}
+    (source,) = (text for path, text in files.items() if str(path) in code)
+    np.save(tmp_path / "rough.npy", rough(small[0][:2000]))
+    (tmp_path / "edited.txt").write_text(edited(source))
+    script = """
+import sys
+from pathlib import Path
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+import test_filters
+folder, name, path = Path(sys.argv[2]), sys.argv[3], Path(sys.argv[4])
+for number, text in enumerate(sys.argv[5:]):
+    path.write_text(Path(text).read_text())
+    np.save(f"{path}{number}.npy", test_filters.labels_by_file(path, name, np.load(folder / "rough.npy")))
+"""
+
+    def started(path, cache, *texts):
+        path.parent.mkdir(exist_ok=True)
+        call = [sys.executable, "-c", script, Path(__file__).parent, tmp_path, name, path, *texts]
+        own = {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAXFILTER_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.Popen(call, env={**os.environ, **own})
+
+    def read(path, number=0):
+        return np.load(f"{path}{number}.npy")
+
+    (tmp_path / "first.txt").write_text(source)
+    first, edit, path = tmp_path / "first.txt", tmp_path / "edited.txt", tmp_path / "mine.py"
+    home = Path(platformdirs.user_cache_dir("jaxfilter"))
+    home.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=home) as cache:  # where others may not write, or nothing is kept
+        running = [started(path, cache, first, edit), started(tmp_path / "fresh/mine.py", "off", edit)]
+        assert [one.wait() for one in running] == [0, 0]
+        before, same_process, fresh = read(path), read(path, 1), read(tmp_path / "fresh/mine.py")
+        assert started(path, cache, edit).wait() == 0
+    assert (before[0] != fresh[0]).any(), "the edit changes no label"
+    np.testing.assert_array_equal(same_process, fresh)
+    np.testing.assert_array_equal(read(path), fresh)

@@ -15,8 +15,6 @@ import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.core.cloud import QUANTUM
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
-
 
 def run(*arguments):
     return CliRunner().invoke(main, [str(a) for a in arguments])

@@ -20,8 +20,6 @@ from jaxfilter.reports.layers import doubt_per_point, layers_of, places
 from jaxfilter.reports.page import pack, script_json
 from jaxfilter.reports.steps import step_values, steps_of, swept_field
 
-pytestmark = pytest.mark.usefixtures("compilation_cache")
-
 
 @pytest.fixture(scope="module")
 def cloud(town):

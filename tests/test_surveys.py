@@ -17,7 +17,6 @@ from jaxfilter.cli import main
 from jaxfilter.surveys.tiles import read_tile
 
 pytestmark = [
-    pytest.mark.usefixtures("compilation_cache"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 PMF = jf.PMF(max_window=10.0, low_clusters=False)

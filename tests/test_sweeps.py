@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +15,13 @@ import jaxfilter as jf
 from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.compilation import on_processor, on_same_device
-from jaxfilter.core.filter import ground_each
+from jaxfilter.core.filter import ground_each, stage, watched
+from jaxfilter.core.params import FILTERS, filter_params
 from jaxfilter.core.points import canonical_points, plain_points
 from jaxfilter.engines.tin import ground as ground_tin
+from jaxfilter.engines.tin.facets import Rule, Verdict
 from jaxfilter.engines.tin.ground import GroundTin
+from jaxfilter.engines.tin.growth import Vertices
 from jaxfilter.sweeps.ranges import search_ranges
 
 
@@ -192,8 +196,8 @@ def test_sets_stop_at_the_limit_of_rounds(limit, hills):
         assert np.array_equal(one(hills).ground, ground)
 
 
-@pytest.mark.parametrize(("workers", "memory", "at_once", "count"), [(1, 2e9, 1, 1), (3, 2e9, 3, 3), (3, 1.0, 1, 6)])
-def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory, at_once, count, hills, monkeypatch):
+@pytest.mark.parametrize(("workers", "memory", "at_once"), [(1, 2e9, 1), (3, 2e9, 3), (3, 1.0, 1)])
+def test_sets_share_the_start_and_grow_at_a_time_as_memory_allows(workers, memory, at_once, hills, monkeypatch):
     sets = product(jf.FPTD(window=30.0), max_angle=(4.0, 15.0, 30.0), max_elevation=(0.4, 1.4))
     alone = [one(hills).ground for one in sets]
     starts, growths, start, begin = [], [], jf.FPTD.start, GroundTin.start
@@ -211,7 +215,7 @@ def test_sets_share_the_start_and_grow_together_as_memory_allows(workers, memory
     monkeypatch.setattr(GroundTin, "start", grown)
     points = canonical_points(hills)
     found = dict(ground_each(sets[0], points, sets, key=None, workers=workers, memory=memory))
-    assert len(starts) == 1 and growths == [workers // at_once] * count
+    assert len(starts) == 1 and growths == [workers // at_once] * len(sets)
     for number, ground in enumerate(alone):
         assert np.array_equal(found[number][points.member], ground[points.index])
 
@@ -493,3 +497,265 @@ def test_degenerate_clouds_have_the_labels_of_their_status():
     flat = jf.PointCloud.from_arrays(np.column_stack([np.random.default_rng(0).random((50, 2)) * 9, np.full(50, 3.0)]))
     data = jf.sweep(jf.SMRF(), flat, {"slope": [0.1, 0.2]}, votes=True)
     assert data.ground.values.tolist() == [50, 50] and (data.votes == 1).all()
+
+
+# Filters of users
+
+
+class Limits(NamedTuple):
+    far: Any
+    steep: Any
+
+
+class Nested(NamedTuple):
+    """Limits in another order than the package's, one below the other, that are calculated with."""
+
+    limits: Limits
+    share: Any = 0.5
+
+    def verdict(self, s, two_sided):
+        over = jnp.maximum(jnp.abs(s.distance) - self.limits.far * (1.0 + self.share * s.level), 0.0)
+        over += jnp.maximum(jnp.abs(s.angle) - self.limits.steep, 0.0)
+        decision = jnp.where(over > 0, jf.Decision.ANGLE, jf.Decision.ACCEPTED).astype(jnp.uint8)
+        return Verdict(s.planar & (over <= 0), decision, over, s)
+
+
+class Swapped(NamedTuple):
+    max_distance: Any
+    max_angle: Any
+
+    def verdict(self, s, two_sided):
+        return Rule(self.max_angle, jnp.inf, self.max_distance).verdict(s, two_sided)
+
+
+def closing(steep):
+    class Closing(NamedTuple):
+        far: Any
+
+        def verdict(self, s, two_sided):
+            return Rule(steep, jnp.inf, self.far).verdict(s, two_sided)
+
+    return Closing
+
+
+def by_node(self, network):
+    far = self.max_distance + 0.01 * np.arange(len(network.xyz), dtype=np.float32) / len(network.xyz)
+    return Rule(self.max_angle, max_distance=far)
+
+
+RULES = {
+    "nested": lambda self, network: Nested(Limits(self.max_distance, self.max_angle)),
+    "swapped": lambda self, network: Swapped(self.max_distance, self.max_angle),
+    "closing": lambda self, network: closing(self.max_angle)(self.max_distance),
+    "by node": by_node,
+    "some": lambda self, network: (Swapped if self.max_angle > 5 else Rule)(self.max_angle, self.max_distance),
+}
+
+
+def with_rule(rule):
+    def growth(self, network):
+        return dataclasses.replace(jf.PTD.growth(self, network), rule=rule(self, network))
+
+    return {"growth": growth}
+
+
+def with_vertices(**fields):
+    def growth(self, network):
+        return dataclasses.replace(jf.PTD.growth(self, network), vertices=Vertices(self.max_distance, **fields))
+
+    return {"growth": growth}
+
+
+def start_by(seed_cell):
+    def start(self, points, *others, **named):
+        return jf.PTD.start(self.replace(seed_cell=seed_cell(self)), points, *others, **named)
+
+    return {"start": start}
+
+
+def cut(self, points, **options):
+    labels = super(type(self), self).classify(points, **options)
+    labels.ground &= points.xyz[:, 0] > 30.0
+    return labels
+
+
+def with_threshold(method):
+    def call(self, *arguments):
+        return getattr(jf.SMRF, method)(self.replace(slope=0.1 + 0.2 * self.threshold), *arguments)
+
+    return {method: call}
+
+
+def cells_by_threshold(self, points, barred=None):
+    barred = np.zeros(len(points), bool) if barred is None else barred
+    return jf.SMRF.cells(self, points, barred | (points.xyz[:, 2] < np.quantile(points.xyz[:, 2], self.threshold / 9)))
+
+
+USERS = {
+    **{f"a rule, {name}": (jf.PTD(seed_cell=30.0), with_rule(rule)) for name, rule in RULES.items()},
+    "vertices by a limit": (jf.PTD(seed_cell=30.0), with_vertices()),
+    "an end by all sheets": (jf.PTD(seed_cell=30.0), with_vertices(stop_share=0.02)),
+    "seeds by a limit": (jf.PTD(), start_by(lambda one: 15.0 + 20.0 * one.max_distance)),
+    "seeds by a limit now and then": (jf.PTD(), start_by(lambda one: 50.0 * (one.max_angle > 5 and one.max_distance) + 9)),
+    "classify of a TIN": (jf.PTD(seed_cell=30.0), {"classify": cut}),
+    "classify of a grid": (jf.SMRF(window=6.0), {"classify": cut}),
+    "classify of windows": (jf.PMF(max_window=9.0), {"classify": cut}),
+    "classify of a cloth": (jf.CSF(), {"classify": cut}),
+    "a surface by what is tested": (jf.SMRF(window=6.0), with_threshold("surface")),
+    "openings by what is tested": (jf.SMRF(window=6.0), {
+        "prepare": lambda self, cells: jf.SMRF.prepare(
+            self, dataclasses.replace(cells, lowest=cells.lowest * self.threshold)
+        ),
+    }),
+    "cells by what is tested": (jf.SMRF(window=6.0), {"cells": cells_by_threshold}),
+    "another surface of windows": (jf.PMF(max_window=9.0), {
+        "surface": lambda self, prepared: jf.PMF.surface(self.replace(slope=0.5 * self.slope), prepared),
+    }),
+}  # fmt: skip
+"""A filter, and the methods that a user's subclass of it has."""
+
+
+@pytest.fixture
+def user(request, monkeypatch):
+    """A set of a user's filter; it is forgotten afterwards."""
+    monkeypatch.setattr(FILTERS, "data", dict(FILTERS.data))
+    first, methods = USERS[request.param]
+    mine = filter_params(type("Mine", (type(first),), dict(methods)))
+    return mine(**{field.name: getattr(first, field.name) for field in dataclasses.fields(first)})
+
+
+AXES = {
+    "PTD": {"max_angle": (4.0, 15.0, 30.0), "max_distance": (0.4, 1.4)},
+    "SMRF": {"slope": (0.1, 0.3), "threshold": (0.2, 0.5, 0.9)},
+    "PMF": {"slope": (0.1, 0.3), "initial_distance": (0.2, 0.6)},
+    "CSF": {"threshold": (0.2, 0.6)},
+}
+
+
+def axes_of(one):
+    return AXES[type(one).__mro__[1].__name__]
+
+
+@pytest.mark.parametrize("user", USERS, indirect=True)
+def test_filters_of_users_have_the_labels_of_single_calls_whatever_their_methods_read(user, hills):
+    sets = product(user, **axes_of(user))
+    found = labels_of(sets[0], sets, hills)
+    for one, ground in zip(sets, found, strict=True):
+        assert np.array_equal(one(hills).ground, ground), one
+    assert len({ground.tobytes() for ground in found}) > 1
+
+
+@pytest.mark.parametrize("user", ["a surface by what is tested", "openings by what is tested"], indirect=True)
+def test_batches_of_filters_of_users_have_the_labels_of_single_calls(user, hills):
+    sets = product(user, **axes_of(user))
+    made = jf.batch([hills], user)
+    given = {name: [getattr(one, name) for one in sets] for name in axes_of(user)}
+    np.testing.assert_array_equal(made.unstack(made.ground(given))[0], [one(hills).ground for one in sets])
+
+
+@pytest.mark.parametrize("user", ["cells by what is tested"], indirect=True)
+def test_a_batch_in_whose_cells_a_threshold_takes_part_is_refused(user, hills):
+    with pytest.raises(jf.ParameterError, match="the cells of Mine depend on 'threshold': declare it as static"):
+        jf.batch([hills], user)
+
+
+@pytest.mark.parametrize("user", ["a rule, swapped"], indirect=True)
+def test_a_calibration_of_a_users_filter_chooses_by_its_own_rule(user, hills):
+    labels = np.where(np.arange(len(hills)) % 10 == 0, hills.reference, -1)
+    study = jf.Study(user, hills, labels)
+    sets = product(user, **axes_of(user))
+    scores = study.evaluate([{"max_angle": one.max_angle, "max_distance": one.max_distance} for one in sets])
+    known = labels >= 0
+    alone = [100 * (one(hills).ground != hills.reference)[known].mean() for one in sets]
+    np.testing.assert_allclose(scores, alone, rtol=1e-12)
+    assert len(set(alone)) > 1
+
+
+def test_what_is_read_of_a_filter_is_known():
+    smrf = jf.SMRF(window=12.0)
+    for read_by, names in (
+        (lambda one: one.reach, {"cell", "window"}),
+        (lambda one: type(one).__name__, set()),
+        (lambda one: getattr(one, "slope"), {"slope"}),  # noqa: B009
+        (lambda one: one.replace(slope=0.3).threshold, {"threshold", "cell", "window", "scaling", "cut"}),
+        (lambda one: vars(one)["slope"], {field.name for field in dataclasses.fields(smrf)}),
+        (lambda one: one == smrf, {field.name for field in dataclasses.fields(smrf)}),
+        (jax.jit(lambda one: one.slope), {field.name for field in dataclasses.fields(smrf)}),
+    ):
+        one, read = watched(smrf)
+        assert read_by(one) == read_by(smrf) and names <= read
+        assert names or not read
+    assert watched(watched(smrf)[0])[1] == set(), "no two share what was read"
+    object.__setattr__(smrf, "made_before", smrf.slope)
+    assert watched(smrf)[1] == {field.name for field in dataclasses.fields(smrf)}
+
+
+@pytest.mark.parametrize("method", [jf.PTD, jf.PTDF, jf.ATIN, jf.AGPTD, jf.SPF, jf.STIN, jf.IPTD, jf.FPTD])
+def test_no_limit_of_the_growth_decides_where_it_starts(method, hills):
+    one, read = watched(method())
+    one.start(canonical_points(hills), 1, lambda share, step: None)
+    limits = {"max_angle", "max_elevation", "max_distance", "stop_ratio"}
+    assert not read & limits and limits & {field.name for field in dataclasses.fields(method)}
+
+
+def test_a_stage_is_shared_by_sets_that_agree_in_what_it_and_what_it_calls_read(hills):
+    calls = []
+
+    class Mine(jf.SMRF):
+        @stage
+        def inner(self, points):
+            calls.append("inner")
+            return self.slope if self.threshold > 0.4 else self.scaling
+
+        @stage
+        def outer(self, points):
+            calls.append("outer")
+            return self.inner(points) + 1
+
+    points = dataclasses.replace(plain_points(hills), kept={})
+    for fields, value, called in (
+        ({}, 1.15, ["outer", "inner"]),
+        ({"scaling": 3.0}, 1.15, []),
+        ({"slope": 0.5}, 1.5, ["outer", "inner"]),
+        ({"threshold": 0.1}, 2.25, ["outer", "inner"]),
+        ({"threshold": 0.1, "slope": 0.9}, 2.25, []),
+        ({"threshold": 0.1, "scaling": 2.0}, 3.0, ["outer", "inner"]),
+    ):
+        calls.clear()
+        assert Mine(**fields).outer(points) == value and calls == called, fields
+
+
+def test_a_checkpoint_does_not_outlive_an_edit_of_the_filter(cloud, tmp_path, monkeypatch):
+    monkeypatch.setattr(FILTERS, "data", dict(FILTERS.data))
+    source = """
+import jaxfilter as jf
+from jaxfilter.core.params import filter_params
+
+@filter_params
+class Mine(jf.SMRF):
+    def test(self, surface, xyz):
+        return super().test(surface, xyz + [0.0, 0.0, 0.5])
+"""
+
+    def swept(text):
+        (tmp_path / "mine.py").write_text(text)
+        names = {"__name__": "mine"}
+        exec(compile(text, tmp_path / "mine.py", "exec"), names)
+        return jf.sweep(names["Mine"](), cloud, {"slope": [0.1, 0.2]}, checkpoint=tmp_path / "sweep.npz")
+
+    assert swept(source).identical(swept(source))
+    with pytest.raises(jf.InputError, match="other source of the filter"):
+        swept(source.replace("0.5", "2.5"))
+
+
+def test_a_field_that_is_called_as_an_argument_of_xarray_is_selected_by_a_mapping(cloud):
+    clashing = {"tolerance", "method", "drop", "indexers", "missing_dims"}
+    known = {name for name in jf.FILTERS for field in dataclasses.fields(jf.FILTERS[name]) if field.name in clashing}
+    assert known == {"iptd", "ost"}, "docs/sweeps.md names the fields"
+    data = jf.sweep(jf.IPTD(window=30.0), cloud, {"tolerance": [0.05, 0.3]})
+    assert data["total"].dims == ("tolerance",)
+    for number, tolerance in enumerate([0.05, 0.3]):
+        expected = jf.evaluate(jf.IPTD(window=30.0, tolerance=tolerance)(cloud), cloud).total
+        assert float(data["total"].sel({"tolerance": tolerance})) == pytest.approx(expected)
+        assert float(data["total"].isel({"tolerance": number})) == pytest.approx(expected)
+    assert float(data["total"][0]) != float(data["total"][1])

@@ -282,17 +282,6 @@ def test_sheets_do_not_touch_and_equal_single_runs(pool, seed, kinds, size):
             others = np.flatnonzero(~network.vertex)
             corners = together.corners(together.where[others + first[number]])
             assert np.array_equal(network.corners(network.where[others]), corners - first[number])
-    twice, k, (before, _) = Tin.joined([together, together]), len(xyz), together.facets()
-    free = np.flatnonzero(~together.vertex)
-    free = free[together.twins(free) < 0]
-    new = np.concatenate([single(xy, of(number, free)) for number in range(len(parts))])
-    for network, nodes_there in ((twice, new + k), (together, new)):  # in the second of each sheet, and in the only one
-        network.now += 1
-        network.insert(nodes_there)
-        network.locate(np.flatnonzero(~network.vertex))
-        assert_canonical(network)
-        assert_located(network, np.flatnonzero(~network.vertex))
-    assert np.array_equal(twice.facets()[0], np.concatenate([before, together.facets()[0] + k]))
 
 
 @pytest.mark.parametrize("chunk", [65536, 500])
@@ -454,7 +443,7 @@ def test_a_copy_grows_apart_from_its_original(pool, rng):
     names = ("xyz", "sheet", "triangles", "neighbours", "vertex", "where", "stamp")
     before = {name: getattr(tin, name).copy() for name in names}
     length, now = len(tin), tin.now
-    other = Tin.joined([tin])
+    other = tin.copied()
     other.now += 1
     other.remove(inner(other)[::2])
     other.insert(np.flatnonzero(~other.vertex & ~tin.vertex))

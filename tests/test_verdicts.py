@@ -25,7 +25,6 @@ from jaxfilter.surveys import verdicts
 from jaxfilter.surveys.measures import Recipe, Sampler
 
 pytestmark = [
-    pytest.mark.usefixtures("compilation_cache"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 UTM = pyproj.CRS.from_epsg(25832)

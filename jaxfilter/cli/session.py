@@ -154,7 +154,7 @@ class Session:
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", JaxfilterWarning)
         warnings.showwarning = lambda message, *_, **__: self.warn_of(str(message))
-        self._stack.callback(compilation.keep_compilations, compilation.keep_compilations())
+        compilation.keep_compilations()
         Session.running, Session.stopped_by = Session.running + 1, None
         return self
 

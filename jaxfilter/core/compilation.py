@@ -5,25 +5,17 @@ from __future__ import annotations
 import collections
 import contextlib
 import functools
-import inspect
-import itertools
 import os
-import pickle
-import platform
 import stat
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 import jax.monitoring
-import numpy as np
-from jax.experimental import serialize_executable
 
 from .errors import warn
 
@@ -111,31 +103,31 @@ def cache_trouble(folder: Path, reason: Exception | str) -> None:
         )
 
 
-@functools.cache
 def private_folder(folder: Path) -> Path | None:
     """The folder, made if need be so that only its owner may read it. None, with a warning, where that cannot be, and where
-    others may write to it: what lies there is executed."""
+    others may write to it or to a folder on the way: what lies there is executed. To be asked before each use."""
     try:
-        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if hasattr(os, "getuid") and (reason := _open_to_others(folder.resolve())):
-            raise PermissionError(reason)
+        _make_private(folder.absolute())
     except OSError as error:
         cache_trouble(folder, error)
         return None
     return folder
 
 
-def _open_to_others(folder: Path) -> str:
-    """How others may write to a folder or replace it; "" if they may not."""
-    for place in (folder, *folder.parents):
-        facts = place.stat()
-        if place == folder and facts.st_uid not in (0, os.getuid()):
-            return f"{place} belongs to user {facts.st_uid}"
-        writers = 0o022 if place in (folder, folder.parent) else 0o002
-        if facts.st_mode & writers and not (place != folder and facts.st_mode & stat.S_ISVTX):
-            return f"others may write to {place}"
-    return ""
+def _make_private(folder: Path) -> None:
+    """Make what is missing of a folder. Raises: PermissionError if another user than root owns a part of its path, or may write
+    to it, sticky or not; the same holds for what links lead to."""
+    for place in (*reversed(folder.parents), folder):
+        place.mkdir(mode=0o700, exist_ok=True)
+        if not hasattr(os, "getuid"):
+            continue
+        facts = place.lstat()
+        if facts.st_uid not in (0, os.getuid()):
+            raise PermissionError(f"{place} belongs to user {facts.st_uid}")
+        if stat.S_ISLNK(facts.st_mode):
+            _make_private(place.parent / place.readlink())
+        elif facts.st_mode & 0o022:
+            raise PermissionError(f"others may write to {place.resolve()}, which chmod go-w forbids")
 
 
 def cache_folder(kind: str) -> Path | None:
@@ -174,138 +166,10 @@ def write_kept(path: Path, stamp: bytes, content: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-class jit:
-    """``jax.jit``, but the machine code for each kind of arguments is kept on disk.
-
-    The next process calls it without tracing the function anew, which takes longer than reading it. It is executed, so it
-    lies in a private folder (:func:`cache_folder`), and is used only for the same source, versions, settings and processor.
-    """
-
-    def __init__(self, function: Callable[..., Any], static_argnames: str | Sequence[str] = ()) -> None:
-        self._static = (static_argnames,) if isinstance(static_argnames, str) else tuple(static_argnames)
-        self._name, self._names = function.__qualname__, tuple(inspect.signature(function).parameters)
-        self._jit = jax.jit(function, static_argnames=self._static)
-        self.lower, self._ready = self._jit.lower, dict[Any, Callable[..., Any]]()
-        functools.update_wrapper(self, function)
-
-    def __get__(self, instance: Any, kind: type | None = None) -> Callable[..., Any]:
-        return self if instance is None else functools.partial(self, instance)
-
-    def __call__(self, *args: Any, **named: Any) -> Any:
-        if not _keeps or _unusual() or (folder := _kept_folder()) is None:
-            return self._jit(*args, **named)
-        given = dict(zip(self._names, args, strict=False)) | named
-        fixed = tuple((name, given[name]) for name in self._static if name in given)
-        places = [value for value, name in zip(args, self._names, strict=False) if name not in self._static]
-        others = {name: value for name, value in named.items() if name not in self._static}
-        leaves, tree = jax.tree.flatten((places, others))
-        if any(isinstance(leaf, jax.Array) and not _plain(leaf) for leaf in leaves):
-            return self._jit(*args, **named)
-        key = tree, fixed, tuple(_kind(leaf) for leaf in leaves), _precision()
-        if key not in self._ready:
-            digest = sha256(repr((self.__module__, key)).encode()).hexdigest()
-            path = folder / f"{self._name}-{digest[:32]}.jax"
-            self._ready[key] = _loaded(path) or self._compiled(path, args, named)
-        return self._ready[key](*places, **others)
-
-    def _compiled(self, path: Path, args: tuple[Any, ...], named: dict[str, Any]) -> Callable[..., Any]:
-        made = self._jit.lower(*args, **named).compile()
-        try:
-            content = pickle.dumps(serialize_executable.serialize(made))
-        except (NotImplementedError, TypeError, ValueError, pickle.PicklingError):
-            return made  # JAX cannot serialise every program: this one is compiled anew in each process
-        _say_once(path.parent)
-        write_kept(path, _stamp(), content)
-        return made
-
-
-def _precision() -> tuple[Any, ...]:
-    """Settings that a program depends on and that may be others in a block ``with``."""
+def keep_compilations() -> None:
+    """Let JAX keep what it compiles from now on in the private folder, for this process and later ones. Nothing changes where JAX
+    has a cache directory or none is wanted. Commands, workers and :meth:`jaxfilter.Filter.points_of` call it."""
     config: Any = jax.config
-    return config.jax_enable_x64, config.jax_default_matmul_precision, config.jax_numpy_dtype_promotion
-
-
-def _unusual() -> bool:
-    """Whether JAX shall run functions in a way that kept code does not know: on another device, or watched."""
-    config: Any = jax.config
-    watched = config.jax_disable_jit or config.jax_debug_nans or config.jax_debug_infs
-    return bool(watched) or config.jax_default_device is not None
-
-
-def _plain(leaf: jax.Array) -> bool:
-    """Whether an array has values, on the device that is the default."""
-    return not isinstance(leaf, jax.core.Tracer) and leaf.sharding.device_set == _default_device()
-
-
-@functools.cache
-def _default_device() -> set[Any]:
-    return {jax.local_devices()[0]}
-
-
-def _kind(leaf: Any) -> Any:
-    """What machine code depends on of an argument."""
-    if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
-        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
-    return type(leaf).__name__
-
-
-def _loaded(path: Path) -> Callable[..., Any] | None:
-    content = read_kept(path, _stamp())
-    try:
-        return None if content is None else serialize_executable.deserialize_and_load(*pickle.loads(content))
-    except Exception as error:
-        cache_trouble(path.parent, error)
-        return None
-
-
-@functools.cache
-def _stamp() -> bytes:
-    """What machine code depends on besides arguments: sources, versions, settings and the processor."""
-    package = Path(__file__).parents[1]
-    files = (package.glob(f"{room}*.py") for room in ("", "core/", "engines/**/", "steps/", "methods/"))
-    sources = [path.read_bytes() for path in sorted(itertools.chain(*files))]
-    settings = {name: value for name, value in jax.config.values.items() if "cache" not in name}
-    machine = [platform.machine(), platform.processor(), os.cpu_count(), os.environ.get("XLA_FLAGS")]
-    with contextlib.suppress(OSError), open("/proc/cpuinfo") as file:
-        machine += [line for line in itertools.islice(file, 40) if line.startswith(("flags", "Features", "model name"))]
-    versions = sys.version, jax.__version__, version("jaxlib"), np.__version__
-    return sha256(repr((sources, settings, machine, versions)).encode()).digest()
-
-
-_keeps = True
-"""Whether :class:`jit` keeps machine code now."""
-_quiet = False
-"""Whether somebody has asked for it, who need not be told."""
-
-
-@functools.cache
-def _kept_folder() -> Path | None:
-    """Where :class:`jit` keeps machine code. For other devices than the processor JAX keeps it in its own way; where it was
-    given a cache directory, that is all there is."""
-    if jax.config.jax_compilation_cache_dir:  # type: ignore[attr-defined]
-        return None
-    if jax.default_backend() == "cpu":
-        return cache_folder("jax")
-    if (folder := cache_folder("xla")) is not None:
-        _say_once(folder)
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    return None
-
-
-def _say_once(folder: Path) -> None:
-    """Warn of a folder in which nothing is kept yet."""
-    if not _quiet and not any(folder.iterdir()):
-        warn(
-            f"{folder}: compiled code is kept here from now on, so that the next process need not compile it (said once); set "
-            "JAXFILTER_CACHE to another folder, or to off for none"
-        )
-
-
-def keep_compilations(on: bool = True) -> bool:
-    """Let the next process reuse what this one compiles from now on, which is so by default, or no longer. Returns: whether it
-    was so before. Who calls it is not told of the folder."""
-    global _keeps, _quiet
-    before, _keeps, _quiet = _keeps, on, True
-    return before
+    if config.jax_compilation_cache_dir is None and (folder := cache_folder("jax")) is not None:
+        config.update("jax_compilation_cache_dir", str(folder))
+        config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

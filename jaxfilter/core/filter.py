@@ -8,13 +8,13 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import jax
 import numpy as np
 
 from .cloud import PointCloud, as_cloud
-from .compilation import in_turn
+from .compilation import in_turn, keep_compilations
 from .errors import InputError, ParameterError, check_whole, warn
 from .markup import table
 from .params import Preset, check_fields, declared, is_number
@@ -62,7 +62,7 @@ class Filter:
     note names) and "recommended" (ours).
     ``ORDER_FREE`` methods give each position the same label in any order of the points; theirs are not sorted.
     ``LAST`` names the thresholds that ``classify`` applies last of all, to quantities that do not depend on them; a method
-    that has such registers how with :func:`passed`.
+    that has such registers how with :func:`passed`. A class with methods of its own has none that it does not name itself.
     ``DOUBTS`` methods state for every label how likely it is to be wrong.
     ``TRACED`` says what of the method can be traced by ``jax.jit``, ``vmap`` and ``grad``, which a call cannot.
 
@@ -78,6 +78,28 @@ class Filter:
     LAST: ClassVar[tuple[str, ...]] = ()
     DOUBTS: ClassVar[bool] = False
     TRACED: ClassVar[str] = "SMRF, PMF and MSF have a model and a test that can be traced"
+
+    def __new__(cls, *values: Any, **fields: Any) -> Self:
+        if values:
+            names = ", ".join(f.name for f in declared(cls))
+            raise ParameterError(f"{cls.__name__}({values[0]!r}): name the field that this is: {names}")
+        return super().__new__(cls)
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """What the classes above promise of their own methods does not hold for others."""
+        super().__init_subclass__(**options)
+        own = vars(cls)
+        if "classify" in own:
+            ground_each.register(cls, ground_each.dispatch(object))
+        if "LAST" not in own and any(callable(own[name]) for name in own if name[:2] != "__"):
+            cls.LAST = ()
+
+    if not TYPE_CHECKING:
+
+        def __getattribute__(self, name):
+            if (read := _own(self).get("_read")) is not None:
+                read.update(_own(self) if name == "__dict__" else (name,))
+            return object.__getattribute__(self, name)
 
     def __post_init__(self) -> None:
         """Validate the fields; methods extend it by what holds of several fields together. Raises ParameterError."""
@@ -153,6 +175,7 @@ class Filter:
         (dtype('float32'), 3)
         """
         need_threads()
+        keep_compilations()
         points = plain_points(cloud) if self.ORDER_FREE else canonical_points(cloud)
         check_extent(cloud, points.xyz)
         return points
@@ -215,7 +238,7 @@ class Filter:
         """
         one = self.replace()  # checked, and with plain numbers, which trees may hold as arrays
         one._need_values(cloud)
-        check_resources(workers)
+        check_resources(workers, key=key)
         cloud, start = as_cloud(cloud), time.perf_counter()
         points = one.points_of(cloud)
         labels = degenerate(cloud, points)
@@ -251,39 +274,59 @@ class Filter:
 
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
+_Filter = TypeVar("_Filter", bound=Filter)
 
 
-def stage(*fields: str) -> Callable[[_Method], _Method]:
-    """A method of a filter, called with points, that reads static fields and of the others only these.
+def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
+    """A copy of a filter, and the names of what has been read of it so far: what a step makes of the copy, it makes of every set
+    that agrees in these fields. A function under ``jax.jit`` that takes a filter reads all of it.
 
-    Its result is kept where points keep such results, those of a sweep, until a set with other values asks for its own: sets
-    with equal values share it, and must not change it.
+    >>> from jaxfilter.core.filter import watched
+    >>> one, read = watched(jf.SMRF(window=12.0))
+    >>> one.reach, sorted(read)
+    (12, ['cell', 'reach', 'window'])
+    """
+    one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
+    read = (
+        names if own.keys() - names - {"_read"} else set()
+    )  # what was made of the fields before has read who knows what
+    _own(one).update(own, _read=read)
+    return one, read
+
+
+def _own(filter_: Filter) -> dict[str, Any]:
+    """The fields of a filter, unwatched."""
+    return object.__getattribute__(filter_, "__dict__")  # type: ignore[no-any-return]
+
+
+def stage(method: _Method) -> _Method:
+    """A method of a filter, called with points, whose result is kept where points keep such results, those of a sweep.
+
+    Sets that agree in all fields that it reads share the result, and must not change it, until a set with other values asks for
+    its own.
 
     >>> from jaxfilter.core.filter import stage
-    >>> count = stage("slope")(lambda filter_, points: [len(points)])
+    >>> steep = stage(lambda filter_, points: [filter_.slope])
     >>> points = dataclasses.replace(jf.SMRF().points_of(cloud), kept={})
-    >>> count(jf.SMRF(), points) is count(jf.SMRF(threshold=0.3), points)
+    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(threshold=0.3), points)
     True
-    >>> count(jf.SMRF(), points) is count(jf.SMRF(slope=0.3), points)
+    >>> steep(jf.SMRF(), points) is steep(jf.SMRF(slope=0.3), points)
     False
     """
 
-    def decorated(method: _Method) -> _Method:
-        name = method.__qualname__
+    @functools.wraps(method)
+    def call(self: Filter, points: Points, *args: Any) -> Any:
+        if points.kept is None:
+            return method(self, points, *args)
+        read, values, made = points.kept.get(method.__qualname__, (set(), None, None))
+        if values != values_of([self], read):
+            one, read = watched(self)
+            made = method(one, points, *args)
+            points.kept[method.__qualname__] = read, values_of([self], read), made
+        _own(self).get("_read", set()).update(read)  # whoever watches the caller is to know
+        return made
 
-        @functools.wraps(method)
-        def call(self: Filter, points: Points, *args: Any) -> Any:
-            if points.kept is None:
-                return method(self, points, *args)
-            values = tuple(getattr(self, f.name) for f in declared(self) if f.metadata["static"] or f.name in fields)
-            known = points.kept.get(name)
-            if known is None or known[0] != values:
-                known = points.kept[name] = values, method(self, points, *args)
-            return known[1]
-
-        return call  # type: ignore[return-value]
-
-    return decorated
+    return call  # type: ignore[return-value]
 
 
 @functools.singledispatch
@@ -345,7 +388,7 @@ def ground_each(
     >>> bool((found[0] <= found[1]).all())
     True
     """
-    jobs = alike(values_but(filter_.LAST, sets))
+    jobs = alike(values_of(sets, but=filter_.LAST))
     points = points if points.kept is not None else dataclasses.replace(points, kept={})
     threads = workers or os.cpu_count() or 1
     at_once = max(1, min(threads, len(jobs), int(memory // (_BYTES * len(points)))))
@@ -359,9 +402,10 @@ def ground_each(
         yield from ((number, passed(sets[number], labels)) for number in job[1:])
 
 
-def values_but(names: Sequence[str], sets: Sequence[Filter]) -> list[tuple[Any, ...]]:
-    """The values of all fields of every set but these."""
-    return [tuple(getattr(one, f.name) for f in declared(one) if f.name not in names) for one in sets]
+def values_of(sets: Sequence[Filter], read: set[str] | None = None, but: Sequence[str] = ()) -> list[tuple[Any, ...]]:
+    """The values of all fields of every set, or of those that :func:`watched` has seen read; but not of some."""
+    names = [f.name for f in declared(sets[0]) if (read is None or f.name in read) and f.name not in but]
+    return [tuple(map(_own(one).get, names)) for one in sets]
 
 
 def alike(keys: Iterable[Any]) -> list[list[int]]:
@@ -372,12 +416,17 @@ def alike(keys: Iterable[Any]) -> list[list[int]]:
     return list(found.values())
 
 
-def check_resources(workers: int | None, memory: float = 1.0) -> None:
-    """Raises: ParameterError for threads or bytes that are none."""
+def check_resources(workers: int | None, memory: float = 1.0, key: Any = None) -> None:
+    """Raises: ParameterError for threads or bytes that are none, or another random key than one of JAX."""
     if workers is not None:
         check_whole(workers=workers)
     if not 0 < memory < math.inf:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
+    try:
+        if key is not None:
+            jax.eval_shape(jax.random.bits, key)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"key={key!r}: must be one JAX random key, such as jax.random.key(0), or None") from error
 
 
 def degenerate(cloud: PointCloud, points: Points) -> Labels | None:

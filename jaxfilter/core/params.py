@@ -203,7 +203,7 @@ def check_fields(params: Any) -> None:
             )
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=False, field_specifiers=(param, static))
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(param, static))
 def filter_params(cls: type[T]) -> type[T]:
     """Class decorator: frozen dataclass, registered as a pytree and, if it is a filter, in :data:`FILTERS`.
 

@@ -46,7 +46,7 @@ class Points:
     member: np.ndarray
     weight: np.ndarray
     plain: bool = False
-    kept: dict[str, tuple[tuple[Any, ...], Any]] | None = None
+    kept: dict[str, tuple[set[str], Any, Any]] | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -22,7 +22,7 @@ def padded(values: np.ndarray, size: int, axis: int = 0) -> np.ndarray:
 
 def in_chunks(
     kernel: Callable[..., Any],
-    given: Callable[[slice], tuple[np.ndarray, ...]],
+    given: Callable[[slice], tuple[Any, ...]],
     count: int,
     size: int,
     workers: int = 1,
@@ -32,14 +32,14 @@ def in_chunks(
 
     Args:
         kernel: from arrays to a pytree of arrays [size, ...], row by row.
-        given: its arguments for some of the rows; they are padded with zeros.
+        given: its arguments for some of the rows, pytrees; arrays are padded with zeros.
         size: rows of a call.
         workers: threads that prepare calls and wait for them, where there are more than two.
         axis: of all arguments along which rows are counted.
     """
 
     def call(rows: slice) -> Any:
-        made = kernel(*(padded(values, size, axis) for values in given(rows)))
+        made = kernel(*jax.tree.map(lambda leaf: padded(leaf, size, axis) if np.ndim(leaf) > 0 else leaf, given(rows)))
         return jax.tree.map(lambda values: np.asarray(values)[: rows.stop - rows.start], made)
 
     parts = [slice(start, min(start + size, count)) for start in range(0, max(count, 1), size)]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.cloud import QUANTUM
-from ..core.compilation import bucket, jit
+from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.filter import Filter, Labels, lowest_among, passed
 from ..core.grid import grid_over
@@ -209,7 +209,7 @@ def _lowest(points: Points, barred: np.ndarray) -> np.float32:
     return np.float32(np.rint((cloud.whole.lowest - cloud.origin[2]) * cloud.units.z / QUANTUM) * QUANTUM)
 
 
-@jit
+@jax.jit
 def _test(xyz: jax.Array, cloth: jax.Array, frame: jax.Array, extent: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Height of points over the cloth (m) and the slope of the cloth there (degrees), f32[n] each."""
     values, u, v = corners((xyz[:, :2] - frame[None, :2]) / frame[2], extent, cloth.shape[1])

@@ -16,7 +16,7 @@ from ..engines.grid.spread import fill_from_neighbours
 from ..engines.ground import grow
 from ..engines.tin.facets import Rule
 from ..engines.tin.ground import GroundTin
-from ..engines.tin.growth import Network
+from ..engines.tin.growth import Growth, Network, Vertices
 from ..steps.local_planes import TRANSLATIONS, over_local_planes
 from ..steps.seeds import lowest_of_cells
 from ..steps.surfaces import cell_for, lowest_cells
@@ -84,7 +84,6 @@ class IPTD(TerrainAngle):
     border_spacing: float = static("the simulated points around the seeds stand this far apart", "> 0 m", default=10.0)
 
     BIBTEX: ClassVar[str] = bibtex("zhao2016improved")
-    LIMITS: ClassVar[tuple[str, ...]] = ("max_angle", "max_distance")  # others limit downward growth, too
     WINDOW: ClassVar[str] = "window"
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
@@ -138,12 +137,8 @@ class IPTD(TerrainAngle):
         over = over_local_planes(points.xyz[potential], self.cell, self.k, self.translation, workers)
         seeds = potential[over <= self.plane_error]
         network = surrounded(self, points, seeds, outliers, self.border_spacing, "border_spacing")
-        below = dataclasses.replace(
-            self.growth(network),
-            rule=Rule(max_angle=0.0, signed=1.0, noise_floor=self.noise_floor),
-            mirror=None,
-            one_per_facet=True,
-        )
+        rule = Rule(max_angle=0.0, signed=1.0, noise_floor=self.noise_floor)
+        below = Growth(rule, vertices=Vertices(self.vertex_spacing), one_per_facet=True)
         with GroundTin.start(network, below, workers=workers) as out:
             status = grow(out, self.max_rounds, lambda share, _: progress(share / 2, "densify downward"), trace)
         downward = labels_of_nodes(out, status)

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..engines.grid.cones import cone_erosion, cone_limits
@@ -101,7 +100,7 @@ class MSF(LowOutlierFilter):
             return cells
         return dataclasses.replace(cells, place=lowest_places(points.xyz, cells, barred))
 
-    @jit
+    @jax.jit
     def surface(self, prepared: Cells) -> Surface:
         """The surface eroded with the slope alone, as far as the allowance grows, and the limits for points. Pure.
 

@@ -330,7 +330,7 @@ class OST(Filter):
             height, distance, out, HeightRule(height, tilt), AngleRule(distance, angle, float(self.noise)), beyond
         )
 
-    @stage("landscape", "roof_step", "roof_area", "roof_share", "roof_drop", "roof_drop_share", "void")
+    @stage
     def scene(self, points: Points, spacing: float, workers: int | None, progress: Progress) -> Openings:
         """Steps 1 to 3, which do not depend on what counts as steep."""
         progress(0.0, "outliers")

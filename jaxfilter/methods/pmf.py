@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, Self
+from collections.abc import Iterator
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, jit
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, ground_each
 from ..core.params import Preset, filter_params, param, static
@@ -91,7 +90,6 @@ class PMF(LowOutlierFilter):
 
     BIBTEX: ClassVar[str] = bibtex("zhang2003progressive")
     ORDER_FREE: ClassVar[bool] = True
-    AT_ONCE: ClassVar[int] = 16
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: disks, successive surfaces are compared, clusters of low points are barred"
@@ -175,13 +173,7 @@ class PMF(LowOutlierFilter):
         """Steps 2 to 4. Pure."""
         return self._open(*prepared, self.thresholds())
 
-    def _surfaces(self, prepared: tuple[Cells, jax.Array], sets: Sequence[Self]) -> list[Surface]:
-        """:meth:`surface` of every set; they share the openings. Limits are sums, which no program rounds differently."""
-        padded = [*sets, *[sets[-1]] * (bucket(len(sets), 1) - len(sets))]
-        opened = jax.vmap(self._open, (None, None, 0))(*prepared, jnp.stack([one.thresholds() for one in padded]))
-        return [jax.tree.map(lambda leaf: leaf[k], opened) for k in range(len(sets))]  # noqa: B023
-
-    @jit
+    @jax.jit
     def _open(self, cells: Cells, surface: jax.Array, thresholds: jax.Array) -> Surface:
         """The last opening; its limits are the elevations between which points of a cell are ground, f32[rows, columns] each.
 

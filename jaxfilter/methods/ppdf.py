@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, passed
 from ..core.grid import Grid, grid_over
@@ -277,7 +276,7 @@ def _draws(key: jax.Array) -> jax.Array:
     return jax.random.uniform(key, (HYPOTHESES, 3), jnp.float32)
 
 
-@jit
+@jax.jit
 def _default_draws() -> jax.Array:
     return _draws(jax.random.key(0))
 

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..engines.grid.inpaint import fill_membrane
@@ -143,8 +142,10 @@ class SMRF(GridFilter):
         )  # as in prepare(), so that it is compiled once
         return terrain._replace(counts={**counts, "object_cells": objects})
 
-    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[int]:
+    def _deciding(self, prepared: Opened, sets: Sequence[Self]) -> list[Any]:
         """How many cells are left: of slopes between which there is none the terrain is the same."""
+        if (type(self).surface, type(self)._terrain) != (SMRF.surface, SMRF._terrain):
+            return super()._deciding(prepared, sets)
         drops = np.sort(np.asarray(prepared.steepest)[np.asarray(prepared.bare)])
         limits = np.array([one.slope for one in sets], np.float32) * np.float32(self.cell)
         return np.searchsorted(drops, limits, side="right").tolist()
@@ -212,7 +213,7 @@ def _step(slope: jax.Array | float) -> jax.Array:
     return _PER_OCTAVE * jnp.log2(0.5 * slope)
 
 
-@functools.partial(jit, static_argnames=("most", "mesh"))
+@functools.partial(jax.jit, static_argnames=("most", "mesh"))
 def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int, mesh: int) -> Opened:
     """Steps 2 to 4, of the surface without empty cells. ``most``: the largest ``reach`` that this compilation serves."""
     valid, cell = jnp.asarray(cells.valid), cells.frame[2]
@@ -228,14 +229,14 @@ def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int,
     return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
 
 
-@jit
+@jax.jit
 def _held(surface: Surface, xyz: jax.Array, threshold: jax.Array | float, scaling: jax.Array | float) -> Heights:
     height, slope = surface.at(xyz)
     tolerance = threshold + scaling * slope
     return Heights(height, slope, height - tolerance, -height - tolerance)
 
 
-@jit
+@jax.jit
 def _spanned(
     z: jax.Array, steepest: jax.Array, bare: jax.Array, cells: Cells, slope: jax.Array | float
 ) -> tuple[Surface, jax.Array]:

@@ -138,7 +138,7 @@ class SPF(OutlierFate, TerrainAngle):
         raised = raised_cells(surface, cells.valid, radii, heights, reach=int(radii[-1]), element="square")
         return lowest_of_cells(points, cells, np.logical_not(raised), barred)
 
-    @stage()
+    @stage
     def outliers(self, points: Points, workers: int | None) -> Outliers:
         """As in the other TIN filters, and the tails of the elevations, and isolated low points of the rest (Sec. 2.1)."""
         known = super().outliers(points, workers)

@@ -121,7 +121,6 @@ class STIN(OutlierFate, SlopeMirroring):
     )
 
     BIBTEX: ClassVar[str] = bibtex("uray2024filtering")
-    LIMITS: ClassVar[tuple[str, ...]] = (*Rule._fields, "stop_ratio")
     PRESETS: ClassVar[dict[str, Preset]] = {
         "recommended": Preset(
             "the default: 30 degrees and 1.4 m, no mirroring; no seeds below the trend of the low terrain or in clusters of "

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, jit
+from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import most_cells
 from ..core.points import Points
@@ -125,7 +125,7 @@ class CellSlopes(NamedTuple):
     least: jax.Array
 
 
-@functools.partial(jit, static_argnames="cells")
+@functools.partial(jax.jit, static_argnames="cells")
 def cell_slopes(index: jax.Array, xyz: jax.Array, counted: jax.Array, cells: int) -> CellSlopes:
     """Slopes per cell (Zheng et al. 2024, eq. 5).
 

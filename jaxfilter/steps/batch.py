@@ -14,9 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..core.compilation import jit
 from ..core.errors import ParameterError
-from ..core.filter import check_resources
+from ..core.filter import check_resources, watched
 from ..core.points import Points
 from ..engines.grid.cells import padded_length
 from .grid_filter import CELL_BYTES, POINT_BYTES, check_width
@@ -222,18 +221,29 @@ def _at_once(block: Block, sets: int, memory: float) -> int:
     return next(n for n in range(max(1, min(sets, room)), 0, -1) if sets % n == 0)
 
 
-@functools.partial(jit, static_argnames=("what", "at_once"))
+@functools.partial(jax.jit, static_argnames=("what", "at_once"))
 def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what: str, at_once: int) -> jax.Array:
     """Of every cloud of a block with every set: labels, soft labels or counts."""
 
+    def prepare(one: Any, cells: Cells) -> Any:
+        return lax.optimization_barrier(one.prepare(cells.checked()))
+
+    (one, early), (other, late) = watched(filter_), watched(filter_)
+    jax.eval_shape(lambda cells: other.surface(prepare(one, cells)), jax.tree.map(lambda leaf: leaf[0], block.cells))
+
     def of_cloud(cloud: Block) -> jax.Array:
-        prepared = lax.optimization_barrier(filter_.prepare(cloud.cells.checked()))
+        prepared = prepare(filter_, cloud.cells)
+
+        def ready(one: Any, fields: Any) -> Any:
+            return prepare(one, cloud.cells) if early & set(fields) else prepared
 
         def surface(fields: Any) -> Any:
-            return dataclasses.replace(filter_, **fields).surface(prepared)._replace(counts={})
+            one = dataclasses.replace(filter_, **fields)
+            return one.surface(ready(one, fields))._replace(counts={})
 
         def soft(fields: Any) -> jax.Array:
-            return jnp.where(cloud.real, dataclasses.replace(filter_, **fields)._soft(prepared, cloud.xyz, width), 0)
+            one = dataclasses.replace(filter_, **fields)
+            return jnp.where(cloud.real, one._soft(ready(one, fields), cloud.xyz, width), 0)
 
         def held(fields: Any, made: Any) -> jax.Array:
             # Those of the surface would be the same, but places in the grid would be found anew for each set.
@@ -257,9 +267,9 @@ def _known(filter_: Any, block: Block, sets: Any, width: jax.Array | float, what
         empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(lambda: surface({})))
         return lax.scan(after, (jnp.full(keys.shape[1], jnp.nan), empty), (keys, shared))[1]
 
-    # Sets that differ only in what ``test`` reads follow each other, so that they share their surface.
+    # Sets that differ in nothing that ``prepare`` and ``surface`` read follow each other, so that they share their surface.
     count = 1 if sets is None else len(next(iter(sets.values())))
-    untested = [values for name, values in (sets or {}).items() if name not in filter_.TESTED]
+    untested = [values for name, values in (sets or {}).items() if name in early | late]
     keys = jnp.stack([jnp.zeros(count), *untested], axis=1)
     order = jnp.lexsort(keys.T)
     keys, shared = jax.tree.map(lambda values: values[order], (keys, sets or {}))

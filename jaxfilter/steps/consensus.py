@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..core.compilation import bucket, jit
+from ..core.compilation import bucket
 from .planes import Planes, gradient_of
 
 WIDTH = 64  # points per row: cells are cut into rows of this many, so that full and sparse cells share one shape
@@ -88,7 +88,7 @@ def cells_of(xyz: np.ndarray, start: np.ndarray, rows: int) -> CellRows:
     return CellRows(local, mask, rows_cell, first_row, points)
 
 
-@jit
+@jax.jit
 def consensus_planes(
     cells: CellRows,
     draws: jax.Array,

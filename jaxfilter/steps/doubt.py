@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, jit
+from ..core.compilation import bucket
 from ..core.filter import Labels
 from ..engines.chunks import in_chunks
 from .doubt_model import MODEL
@@ -41,7 +41,7 @@ def doubts(labels: Labels, scatter: Scatter, drop: np.ndarray, landscape: np.nda
     return found
 
 
-@jit
+@jax.jit
 def evidence(
     height: jax.Array,
     slope: jax.Array,

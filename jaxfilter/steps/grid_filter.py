@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
@@ -12,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import bucket, in_turn, jit
+from ..core.compilation import bucket, in_turn
 from ..core.errors import check_positive
-from ..core.filter import Filter, Labels, alike, ground_each, values_but
+from ..core.filter import Filter, Labels, alike, ground_each, values_of, watched
 from ..core.params import static
 from ..core.points import Points
 from ..core.result import Decision, Progress
@@ -102,9 +101,7 @@ class GridFilter(Filter):
     cell: float = static("a grid cell is this wide", "c > 0 m", default=1.0)
 
     TESTED: ClassVar[tuple[str, ...]] = ()
-    """Traced fields that ``test`` reads and ``surface`` does not: sets that differ in these share the surface."""
-    AT_ONCE: ClassVar[int] = 1
-    """Surfaces that are made in one call."""
+    """Traced fields that ``test`` reads; sets that differ in these share the surface, unless ``surface`` reads one, too."""
     CENTRED: ClassVar[bool] = False
     """Whether cells are centred on the nodes of the lattice, instead of lying between them."""
     TRACED: ClassVar[str] = (
@@ -176,13 +173,9 @@ class GridFilter(Filter):
         """
         return _between(surface, xyz)
 
-    def _surfaces(self, prepared: Any, sets: Sequence[Self]) -> list[Surface]:
-        """:meth:`surface` of every set, to the bit; at most ``AT_ONCE``."""
-        return [one.surface(prepared) for one in sets]
-
     def _deciding(self, prepared: Any, sets: Sequence[Self]) -> list[Any]:
         """For every set what decides its surface: those with equal values share it."""
-        return values_but(self.TESTED, sets)
+        return values_of(sets, but=self.TESTED)
 
     def _soft(self, prepared: Any, xyz: jax.Array, width: jax.Array | float) -> jax.Array:
         """f32[n], 0 to 1: :func:`soft_labels` of what ``prepare`` has made; ``width`` in metres. Pure."""
@@ -221,24 +214,32 @@ class LowOutlierFilter(GridFilter):
 def _ground_each(
     filter_: GridFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """All sets share what ``prepare`` makes, and those that ``_deciding`` calls alike the surface; each is then held against it
-    by the program that ``classify`` runs, since another one would round differently."""
-    prepared = filter_.prepare(filter_.cells(points, filter_._barred(points, workers)))
+    """Sets that agree in what cells and ``prepare`` read share them, and those that ``_deciding`` calls alike the surface; each
+    is then held against it by the program that ``classify`` runs, since another one would round differently."""
+    one, read = watched(filter_)
+    prepared = one.prepare(one.cells(points, one._barred(points, workers)))
+    same, *others = alike(values_of(sets, read))
+    for rest in others:
+        again = [sets[number] for number in rest]
+        for number, ground in _ground_each(again[0], points, again, key=key, workers=workers, memory=memory):
+            yield rest[number], ground
+    some = [sets[number] for number in same]
     size = max(a.size for a in jax.tree.leaves(prepared))
     room = int(memory // (CELL_BYTES * size + POINT_BYTES * len(points)))
-    threads, most = workers or os.cpu_count() or 1, max(1, min(filter_.AT_ONCE, room))
-    groups = alike(filter_._deciding(prepared, sets))
-    batches = [groups[start : start + most] for start in range(0, len(groups), most)]
+    threads = workers or os.cpu_count() or 1
 
-    def made(batch: list[list[int]]) -> list[Surface]:
-        return filter_._surfaces(prepared, [sets[numbers[0]] for numbers in batch])
+    def made(numbers: list[int]) -> tuple[Surface, set[str]]:
+        first, read = watched(some[numbers[0]])
+        return first.surface(prepared), read
 
-    for batch, surfaces in in_turn(made, batches, max(1, min(threads, room // most))):
-        for numbers, surface in zip(batch, surfaces, strict=True):
-            passed = functools.partial(_passed, surface, points.xyz)
-            some = [sets[number] for number in numbers]
-            for number, (_, ground) in zip(numbers, in_turn(passed, some, threads), strict=True):
-                yield number, ground
+    def passed(job: tuple[Surface | None, int]) -> np.ndarray:
+        one = some[job[1]]
+        return _passed(job[0] or one.surface(prepared), points.xyz, one)
+
+    for numbers, (surface, read) in in_turn(made, alike(filter_._deciding(prepared, some)), max(1, min(threads, room))):
+        shared = surface if read.isdisjoint(filter_.TESTED) else None
+        for (_, number), ground in in_turn(passed, [(shared, number) for number in numbers], threads):
+            yield same[number], ground
 
 
 def soft_labels(filter_: GridFilter, cells: Cells, xyz: jax.Array, width: jax.Array | float = 0.1) -> jax.Array:
@@ -281,7 +282,7 @@ def fit_data(
     return prepared, jnp.asarray(xyz), jnp.asarray(np.pad(weight, ((0, 0), (0, rest))), jnp.float32)
 
 
-@jit
+@jax.jit
 def soft_errors(
     filter_: GridFilter, data: Any, held: jax.Array, fields: dict[str, jax.Array], width: jax.Array | float
 ) -> tuple[tuple[jax.Array, jax.Array], dict[str, jax.Array]]:
@@ -312,12 +313,12 @@ def _passed(surface: Surface, xyz: np.ndarray, one: GridFilter) -> np.ndarray:
     return np.maximum(above, below) <= 0
 
 
-@jit
+@jax.jit
 def _slopes(z: jax.Array, extent: jax.Array, frame: jax.Array) -> jax.Array:
     return steepness(z, extent, frame[2])
 
 
-@jit
+@jax.jit
 def _between(surface: Surface, xyz: jax.Array) -> Heights:
     """Points f32[n, 3] held against the limits of their cell."""
     (highest, lowest), z = surface.limits, xyz[:, 2]

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..engines.grid.inpaint import fill_membrane
 from ..engines.grid.sampling import bilinear
 from .surfaces import Cells, hold_against, steepness
@@ -59,7 +58,7 @@ class Landscape:
         return hold_against(xyz, sampled)[0]
 
 
-@functools.partial(jit, static_argnames=("block", "reach"))
+@functools.partial(jax.jit, static_argnames=("block", "reach"))
 def _slope(
     z: jax.Array,
     masks: tuple[jax.Array, jax.Array, jax.Array],
@@ -96,7 +95,7 @@ def _slope(
     return averaged(slope) / jnp.maximum(averaged(jnp.ones(shape, jnp.float32)), 1e-6)
 
 
-@functools.partial(jit, static_argnames=("shape", "block"))
+@functools.partial(jax.jit, static_argnames=("shape", "block"))
 def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block: int) -> jax.Array:
     """As :func:`bilinear` at the centres of cells, which form rows and columns: along these first, then across."""
     blocks = -(-jnp.asarray(extent) // block)
@@ -113,7 +112,7 @@ def _in_cells(slope: jax.Array, extent: jax.Array, shape: tuple[int, int], block
     return (1 - v[:, None]) * lines[south] + v[:, None] * lines[north]
 
 
-@jit
+@jax.jit
 def _at_points(slope: jax.Array, xyz: jax.Array, extent: jax.Array, frame: jax.Array, block: jax.Array) -> jax.Array:
     at = (xyz[:, :2] - frame[None, :2]) / (frame[2] * jnp.asarray(block, frame.dtype)) - 0.5
     return bilinear(at, -(-jnp.asarray(extent) // block), slope.shape[1])(slope)

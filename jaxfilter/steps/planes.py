@@ -7,8 +7,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..core.compilation import jit
-
 _DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
 
 
@@ -54,7 +52,7 @@ def gradient_of(
     return jnp.where(determined[:, None], scaled / jnp.where(determined, determinant, 1)[:, None], 0), determined
 
 
-@jit
+@jax.jit
 def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     """Planes with the least sum of squared vertical residuals, in closed form about the mean of each block.
 
@@ -79,7 +77,7 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     return Planes(centre, gradient, determined)
 
 
-@jit
+@jax.jit
 def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
     """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0.
 

@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..core.grid import Grid, grid_over
 from ..engines.chunks import in_chunks
 from ..engines.ground import GroundNodes
@@ -198,7 +197,7 @@ def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[n
     return found[:, 0], found[:, 1], found[:, 2]
 
 
-@jit
+@jax.jit
 def _plane_below(reference: jax.Array, known: jax.Array) -> jax.Array:
     """f32[q, 3]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin."""
     planes = fit_planes(reference, known)

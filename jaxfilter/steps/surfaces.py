@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.compilation import jit
 from ..core.errors import InputError
 from ..core.grid import grid_over
 from ..core.points import Points
@@ -159,7 +158,7 @@ def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) ->
     return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
 
 
-@functools.partial(jit, static_argnames=("most", "element"))
+@functools.partial(jax.jit, static_argnames=("most", "element"))
 def steepest_drops(
     z: jax.Array, valid: jax.Array, reach: jax.Array | int, most: int, element: str = "disk"
 ) -> jax.Array:
@@ -176,7 +175,7 @@ def steepest_drops(
     return progressive_opening(z, valid, radii, steeper, none, reach=most, element=element, count=reach)[1]
 
 
-@jit
+@jax.jit
 def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     """Slope of a surface, rise over run, f32[rows, columns]: central differences, one-sided at the border."""
 
@@ -190,7 +189,7 @@ def steepness(z: jax.Array, extent: jax.Array, cell: jax.Array) -> jax.Array:
     return jnp.hypot(difference(0), difference(1))
 
 
-@jit
+@jax.jit
 def cell_values(
     xyz: jax.Array, surfaces: tuple[jax.Array | np.ndarray, ...], frame: jax.Array, extent: jax.Array
 ) -> tuple[jax.Array, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.compilation import in_turn
 from ..core.errors import warn
-from ..core.filter import Labels, alike, ground_each, values_but
+from ..core.filter import Labels, alike, ground_each, values_of, watched
 from ..core.params import declared, param, static
 from ..core.points import Points
 from ..core.result import Decision, Progress, Status, silent
@@ -29,8 +29,6 @@ _DENSE = 0.5
 """Metres between points: with less a cloud is dense."""
 _BYTES = 250
 """About so many of memory per point and growth."""
-_NODES = 524288
-"""Sets of a sweep grow together up to so many nodes."""
 
 
 def facet_reach(cell: float) -> float:
@@ -42,8 +40,8 @@ def facet_reach(cell: float) -> float:
 class TinFilter(OutlierFilter):
     """Base of the methods that grow the ground from seeds on a triangulation. Lengths in metres.
 
-    A method gives ``start``, its seeds and network; ``growth`` says how its ground grows. Fields named in ``LIMITS`` may
-    decide its thresholds, and nothing else: sets of a sweep that differ in no others start from the same triangulation.
+    A method gives ``start``, its seeds and network; ``growth`` says how its ground grows. Sets of a sweep that agree in all
+    fields that ``start`` reads begin with the same network.
     """
 
     noise_floor: float = param(
@@ -51,7 +49,6 @@ class TinFilter(OutlierFilter):
     )
     max_rounds: int = static("the growth ends after this many rounds at the latest", ">= 1", default=100)
 
-    LIMITS: ClassVar[tuple[str, ...]] = Rule._fields
     WINDOW: ClassVar[str] = "seed_cell"
     """The field that is as large as the largest building."""
 
@@ -176,46 +173,36 @@ def labels_of_nodes(out: GroundTin, status: Status) -> Labels:
 def _ground_each(
     filter_: TinFilter, points: Points, sets: Sequence[Any], *, key: Any, workers: int | None, memory: float
 ) -> Iterator[tuple[int, np.ndarray]]:
-    """Sets that differ in ``LIMITS`` only share network and triangulation of the seeds. Several of them grow at a time, as sheets
-    of one network, that cost little more than one."""
-    threads, groups = workers or os.cpu_count() or 1, alike(values_but(filter_.LIMITS, sets))
+    """Sets that agree in what ``start`` reads share the network, and if they have the same vertices the triangulation of its
+    seeds. Each grows by its own rule."""
+    threads = workers or os.cpu_count() or 1
 
     @functools.lru_cache(threads)
-    def start(group: int) -> tuple[Network, Tin]:
-        one: TinFilter = sets[groups[group][0]]
+    def start(first: int) -> tuple[set[str], Network, Growth, Tin]:
+        one, read = watched(sets[first])
         network = one.start(points, threads, silent)
-        with GroundTin.start(network, one.growth(network), workers=threads) as seeds:
-            return network, seeds.tin
+        growth = sets[first].growth(network)
+        with GroundTin.start(network, growth, workers=threads) as seeds:
+            return read, network, growth, seeds.tin
 
-    def grown(job: tuple[int, list[int]]) -> np.ndarray:
-        return _grown([sets[number] for number in job[1]], points, *start(job[0]), threads // at_once)
+    def grown(job: tuple[int, int]) -> np.ndarray:
+        first, number = job
+        read, network, other, tin = start(first)
+        if len(alike(values_of([sets[first], sets[number]], read))) > 1:  # more was read than in the first set of all
+            return grown((number, number))
+        growth = dataclasses.replace(sets[number].growth(network), kept=())
+        same = (growth.border_follows, growth.vertices) == (other.border_follows, other.vertices)
+        with GroundTin.start(network, growth, tin.copied() if same else None, threads // at_once) as out:
+            grow(out, sets[number].max_rounds)
+        ground = np.zeros(len(points), bool)
+        ground[network.row[np.flatnonzero(out.ground & network.real)]] = True
+        return ground
 
-    network, _ = start(0)
-    nodes, growth = len(network.xyz), sets[0].growth(network)
-    most = max(1, int(memory // (_BYTES * nodes)))
-    at_once = min(threads, len(sets), most)
-    size = max(1, min(_NODES // nodes, most // at_once, -(-len(sets) // at_once)))
-    if growth.adaptive is not None or growth.vertices.grids:  # what a round decides depends on the whole network
-        size = 1
-    jobs = [(number, group[i : i + size]) for number, group in enumerate(groups) for i in range(0, len(group), size)]
-    for (_, batch), found in in_turn(grown, jobs, at_once):
-        yield from zip(batch, found, strict=True)
-
-
-def _grown(sets: Sequence[TinFilter], points: Points, network: Network, tin: Tin, workers: int) -> np.ndarray:
-    """bool[sets, m], ground, grown from one network and the triangulation of its seeds."""
-    many, nodes = Network.joined([network] * len(sets)), len(network.xyz)
-    limits = np.array([one.growth(many).rule for one in sets], np.float32).T
-    rule: Any = [np.repeat(v, nodes) if (v != v[0]).any() else v[0] for v in limits]
-    growth = dataclasses.replace(sets[0].growth(many), rule=Rule(*rule), kept=())
-    with GroundTin.start(many, growth, Tin.joined([tin] * len(sets)), workers) as out:
-        status = grow(out, sets[0].max_rounds)
-    if status is not Status.CONVERGED and len(sets) > 1:  # together a set may need more rounds than alone
-        return np.concatenate([_grown([one], points, network, tin, workers) for one in sets])
-    ground = np.zeros((len(sets), len(points)), bool)
-    node = np.flatnonzero(out.ground & many.real)
-    ground[node // nodes, many.row[node]] = True
-    return ground
+    read, network, *_ = start(0)
+    groups = alike(values_of(sets, read))
+    at_once = min(threads, len(sets), max(1, int(memory // (_BYTES * len(network.xyz)))))
+    for (_, number), ground in in_turn(grown, [(group[0], k) for group in groups for k in group], at_once):
+        yield number, ground
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, ParameterError, check_whole
-from ..core.filter import degenerate
+from ..core.filter import degenerate, watched
+from ..core.params import declared
 from ..scoring import reference_labels
 from ..steps.batch import Batch, stacked
 from ..steps.grid_filter import GridFilter
@@ -41,7 +42,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
     several, named = named_clouds(clouds, "batch")
     names = tuple(named) if isinstance(clouds, Mapping) else None
     given = None if labels is None else named_labels(labels, several, named, "batch")
-    taken, ready = [], []
+    taken, ready, (one, read) = [], [], watched(filter_)
     for name, cloud in named.items():
         points = filter_.points_of(cloud)
         if degenerate(cloud, points) is not None:
@@ -53,5 +54,7 @@ def batch(clouds: Any, filter_: Any, labels: Any = None, *, blocks: int = 6) -> 
             raise InputError(f"batch: {name}: {len(truth)} labels for {len(cloud)} points")
         totals = np.array([(counted & truth).sum(), (counted & ~truth).sum()], np.int32)
         taken.append(points)
-        ready.append((filter_.cells(points), points.xyz, points.gather(truth), points.gather(counted), totals))
+        ready.append((one.cells(points), points.xyz, points.gather(truth), points.gather(counted), totals))
+    if wrong := [field.name for field in declared(one) if field.name in read and not field.metadata["static"]]:
+        raise ParameterError(f"batch: the cells of {type(one).__name__} depend on {wrong[0]!r}: declare it as static")
     return stacked(filter_, taken, ready, names, blocks)

@@ -42,7 +42,7 @@ class SweepOptions:
         workers: threads for triangulation; by default one per core.
         memory: bytes that may be held for sets computed at the same time.
 
-    Raises: ParameterError for threads or bytes that are none.
+    Raises: ParameterError for threads or bytes that are none, or another key.
 
     >>> jf.SweepOptions(workers=2).memory
     2000000000.0
@@ -53,7 +53,7 @@ class SweepOptions:
     memory: float = 2e9
 
     def __post_init__(self) -> None:
-        check_resources(self.workers, self.memory)
+        check_resources(self.workers, self.memory, self.key)
 
 
 class Subject:
@@ -95,9 +95,9 @@ def sweep(
     """Classify clouds with many sets of parameters, and score each.
 
     Every set gives the labels that the filter gives with it alone. What sets have in common is computed once: grids and
-    openings of SMRF, seeds and first triangulation of methods that densify a triangulation, whose sets then advance
-    together. Fields that fix array shapes or code paths (``cell``, ``window``, ...) may be swept too: the sets are grouped
-    by them, and each group compiles at most once; ``attrs["groups"]`` says how many there are.
+    openings of SMRF, seeds and first triangulation of methods that densify a triangulation. Fields that fix array shapes or
+    code paths (``cell``, ``window``, ...) may be swept too: the sets are grouped by them, and each group compiles at most
+    once; ``attrs["groups"]`` says how many there are.
 
     Args:
         filter_: its other fields are kept.
@@ -112,7 +112,8 @@ def sweep(
         progress: called with the fraction done and what is being done.
 
     Returns: xarray.Dataset. A grid has one dimension per axis, in the order given, a design the dimension ``set`` with the
-        axes as coordinates; several clouds add the dimension ``cloud``. Variables: ``type1``, ``type2``, ``total``, ``kappa``
+        axes as coordinates; several clouds add the dimension ``cloud``. A field whose name is also an argument of xarray is
+        selected by a mapping: ``data.total.sel({"tolerance": 0.3})``. Variables: ``type1``, ``type2``, ``total``, ``kappa``
         in percent, for clouds with reference labels (NaN for those without); ``ground``, the number of ground points.
         With ``votes``: ``votes`` f32[point], the share of sets that call a point ground, for several clouds ``votes_NAME``
         over ``point_NAME``.
@@ -248,6 +249,7 @@ class _State:
             "votes": str(votes),
             "random key": str(key),
             "version of jaxfilter": __version__,
+            "source of the filter": _source(type(filter_)),
         }
         if existing(path) is None:
             return
@@ -282,6 +284,13 @@ class _State:
         with new_file(self.path, overwrite=True) as temporary, open(temporary, "wb") as file:
             np.savez(file, facts=np.array(json.dumps(self.facts)), **self.arrays)
         self.saved, self.dirty = time.monotonic(), False
+
+
+def _source(method: type[Filter]) -> str:
+    """Of the files that the method's functions stand in; of code without a file its name, which a notebook makes anew."""
+    codes = (part.__code__ for one in method.__mro__ for part in vars(one).values() if hasattr(part, "__code__"))
+    files = map(Path, sorted({code.co_filename for code in codes}))
+    return hashlib.sha256(b"|".join(file.read_bytes() if file.is_file() else bytes(file) for file in files)).hexdigest()
 
 
 def _digest(cloud: PointCloud) -> str:

@@ -36,7 +36,7 @@ def every_method(xyz: np.ndarray) -> dict[str, np.ndarray]:
         jf.PPDF(max_step=1.0),
         jf.PTD(max_angle=8.0),
         jf.PTDF(),
-        jf.SMRF(0.5, 0.2, threshold=0.3, scaling=1.0),
+        jf.SMRF(cell=0.5, slope=0.2, threshold=0.3, scaling=1.0),
         jf.SPF(slope=0.4),
         jf.STIN(stop_ratio=0.05),
     ]

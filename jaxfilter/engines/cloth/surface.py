@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ...core.compilation import jit
 from ..grid.inpaint import fill_nearest, running
 
 
-@functools.partial(jit, static_argnames=("shape", "nearest"))
+@functools.partial(jax.jit, static_argnames=("shape", "nearest"))
 def lowest_below(
     xyz: jax.Array,
     carries: jax.Array,
@@ -45,7 +44,7 @@ def lowest_below(
     return jnp.where(carried, lowest, 0), carried
 
 
-@jit
+@jax.jit
 def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
     """Give every unknown node the value of the next known one in its row or column.
 

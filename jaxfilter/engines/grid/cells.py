@@ -12,8 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...core.compilation import jit
-
 
 def padded_length(n: int) -> int:
     """The padded number of rows or columns that holds ``n``: the next multiple of 256; from 1024 on of 128, 256 from 2048, 512
@@ -43,7 +41,7 @@ def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     return (row < extent[0]) & (column < extent[1])
 
 
-@functools.partial(jit, static_argnames="columns")
+@functools.partial(jax.jit, static_argnames="columns")
 def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Array, columns: int) -> jax.Array:
     """Row-major cell of every point in a padded grid; points outside the extent go to the nearest cell.
 
@@ -67,7 +65,7 @@ def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Ar
     return row * columns + column
 
 
-@functools.partial(jit, static_argnames="cells")
+@functools.partial(jax.jit, static_argnames="cells")
 def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array, jax.Array]:
     """Lowest elevation of every cell, and the first point that has it.
 
@@ -91,7 +89,7 @@ def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array,
     return lowest, first
 
 
-@functools.partial(jit, static_argnames="cells")
+@functools.partial(jax.jit, static_argnames="cells")
 def block_counts(index: jax.Array, counted: jax.Array, cells: int) -> jax.Array:
     """i32[cells]: number of points per cell, of those with ``counted``, bool[n]; ``index`` is i32[n]."""
     return jnp.zeros(cells, jnp.int32).at[index].add(counted.astype(jnp.int32))

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ...core.compilation import jit
 from .cells import cell_index
 
 _AT_ONCE = 4  # offsets per step of the loop
@@ -35,7 +34,7 @@ def disk_offsets(reach: int) -> tuple[np.ndarray, np.ndarray]:
     return offsets.astype(np.int32), lengths.astype(np.float32)
 
 
-@functools.partial(jit, static_argnames="reach")
+@functools.partial(jax.jit, static_argnames="reach")
 def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
     """The lowest of ``z`` + ``slope`` x distance over the cells around every cell.
 
@@ -69,7 +68,7 @@ def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) 
     return lax.fori_loop(0, (taken + _AT_ONCE - 1) // _AT_ONCE, step, z)
 
 
-@functools.partial(jit, static_argnames="reach")
+@functools.partial(jax.jit, static_argnames="reach")
 def cone_limits(
     xy: jax.Array,
     lowest: jax.Array,

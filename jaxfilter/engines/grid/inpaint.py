@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
-from ...core.compilation import jit
 from .cells import padded_length
 
 _COARSEST = 48  # rows and columns at which coarsening stops
@@ -261,7 +260,7 @@ def _dot(a: _Pair, b: _Pair) -> jax.Array:
     return _sum(_each(one, a, b))
 
 
-@functools.partial(jit, static_argnames="max_rounds")
+@functools.partial(jax.jit, static_argnames="max_rounds")
 def fill_membrane(
     z: jax.Array,
     known: jax.Array,
@@ -419,7 +418,7 @@ def running(
     return jnp.moveaxis(lax.scan(step, lines[-1 if reverse else 0], lines, reverse=reverse)[1], 0, axis)
 
 
-@jit
+@jax.jit
 def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
     """Give every hole the value of a nearest known cell, by Euclidean distance between cell centres.
 

@@ -23,8 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ...core.compilation import jit
-
 T = TypeVar("T")
 _ROWS_AT_ONCE = 2
 _RIM_AT_ONCE = 4
@@ -239,7 +237,7 @@ def roomy(reach: int) -> int:
     return -(-reach // step) * step
 
 
-@functools.partial(jit, static_argnames=("reach", "element"))
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
 def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Lowest value under a flat structuring element centred on every cell.
 
@@ -261,7 +259,7 @@ def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "d
     return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
-@functools.partial(jit, static_argnames=("reach", "element"))
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
 def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`.
 
@@ -273,7 +271,7 @@ def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "
     return -erosion(-z, radius, reach, element)
 
 
-@functools.partial(jit, static_argnames=("reach", "element"))
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
 def opening(
     z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk", valid: jax.Array | None = None
 ) -> jax.Array:
@@ -351,7 +349,7 @@ def progressive_opening(
     return _ordered(last, z.dtype), found
 
 
-@functools.partial(jit, static_argnames=("reach", "element"))
+@functools.partial(jax.jit, static_argnames=("reach", "element"))
 def raised_cells(
     z: jax.Array, valid: jax.Array, radii: jax.Array, heights: jax.Array, *, reach: int, element: str = "disk"
 ) -> jax.Array:

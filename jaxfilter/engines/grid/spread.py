@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ...core.compilation import jit
-
 _State = tuple[jax.Array, jax.Array, jax.Array]
 """Elevations, cells that have one, and rounds done."""
 
@@ -19,7 +17,7 @@ def _sum_of_nine(a: jax.Array) -> jax.Array:
     return a[:, :-2] + a[:, 1:-1] + a[:, 2:]
 
 
-@jit
+@jax.jit
 def fill_from_neighbours(
     z: jax.Array, seen: jax.Array, valid: jax.Array, rounds: jax.Array | int
 ) -> tuple[jax.Array, jax.Array]:

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ...core.compilation import jit
 from ...core.errors import ParameterError
 
 _RESOLUTION = 1000  # window and stride count in millimetres
@@ -100,7 +99,7 @@ def _slide(z: jax.Array, index: jax.Array, count: jax.Array, width: int, stride:
     )
 
 
-@functools.partial(jit, static_argnames=("width", "stride"))
+@functools.partial(jax.jit, static_argnames=("width", "stride"))
 def window_minima(
     lowest: jax.Array, first: jax.Array, counts: jax.Array, width: int, stride: int
 ) -> tuple[jax.Array, jax.Array]:

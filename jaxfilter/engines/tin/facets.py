@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ...core.compilation import jit
 from ...core.result import Decision
 
 _FLAT_AREA = (
@@ -142,6 +142,16 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
     )
 
 
+def single(rule: Any) -> Any:
+    """A rule with its limits in single precision, f32 each."""
+    return jax.tree.map(np.float32, rule)
+
+
+def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
+    """The rule of some nodes, i64[n]: limits f32[k] become f32[n], others are those of all."""
+    return jax.tree.map(lambda limit: limit[nodes] if np.ndim(limit) > 0 else limit, rule)
+
+
 def judge_one(rule: Any, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
     """Apply a rule to one point f32[3] over one facet f32[3, 3]; see :func:`judge`."""
     verdict: Verdict = rule.verdict(facet_score(p, corners), two_sided)
@@ -152,7 +162,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
-@functools.partial(jit, static_argnames="names")
+@functools.partial(jax.jit, static_argnames="names")
 def judge(
     rule: Any,
     two_sided: jax.Array,
@@ -166,7 +176,7 @@ def judge(
     Coordinates of one axis lie side by side: so they are read by vector instructions.
 
     Args:
-        rule: a named tuple of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
+        rule: a pytree of limits with a method ``verdict``, such as :class:`Rule`; f32 scalars or f32[N], one for each point.
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
@@ -181,13 +191,13 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
+    each = jax.tree.map(lambda limit: 0 if jnp.ndim(limit) > 0 else None, rule)
     verdict = jax.vmap(judge_one, in_axes=(each, 0, 1, 2))(rule, two_sided, points, corners)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 
 
-@jit
+@jax.jit
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 

@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -21,7 +22,7 @@ from ...core.compilation import on_processor
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
-from .facets import judge, mirrored
+from .facets import judge, mirrored, of_nodes, single
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
@@ -74,7 +75,7 @@ class GroundTin(GroundNodes):
     def __init__(self, network: Network, growth: Growth) -> None:
         waiting = network.open & ~network.seed
         self._open = waiting & ~network.late
-        super().__init__(network.seed.copy(), np.flatnonzero(self._open), _single(growth.rule))
+        super().__init__(network.seed.copy(), np.flatnonzero(self._open), single(growth.rule))
         choice = LowestPerCell if growth.vertices.grids else Spaced
         self.net, self.growth, self.choice = network, growth, choice(network, growth.vertices)
         k = len(network.xyz)
@@ -96,7 +97,7 @@ class GroundTin(GroundNodes):
 
     def change(self, rule: Any, but: np.ndarray | None = None) -> None:
         """Go on with another rule: all that may still become ground are tested by it, without those in ``but``, bool[k]."""
-        self.rule = _single(rule)
+        self.rule = single(rule)
         rest = self.rest
         self.todo = rest if but is None else rest[~but[rest]]
 
@@ -197,7 +198,7 @@ class GroundTin(GroundNodes):
         found = self._over_ground() if of_ground else self._over_neighbours()
         if len(found["distance"]) == 0:
             return False
-        before, self.rule = self.rule, _single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
+        before, self.rule = self.rule, single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
         return any(float(new) > float(old) for new, old in zip(self.rule, before, strict=True))
 
     def _over_ground(self) -> dict[str, np.ndarray]:
@@ -322,19 +323,14 @@ class GroundTin(GroundNodes):
 
         ``names``: of :data:`jaxfilter.engines.tin.facets.QUANTITIES`, those to return.
         """
-        own = {name: limit for name, limit in self.rule._asdict().items() if np.ndim(limit) > 0}
 
-        def given(rows: slice) -> tuple[np.ndarray, ...]:
+        def given(rows: slice) -> tuple[Any, ...]:
             here = np.take(self.net.xyz, nodes[rows], axis=0) if xyz is None else xyz[rows]
-            limits = (limit[nodes[rows]] for limit in own.values())
             at = self.tin.planes(facet[rows]) if facet.ndim == 1 else np.moveaxis(self.tin.xyz[facet[rows]], 0, 2)
-            return *limits, self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
-
-        def tested(*arrays: np.ndarray) -> dict[str, Any]:
-            rule = self.rule._replace(**dict(zip(own, arrays[: len(own)], strict=True)))
-            return judge(rule, *arrays[len(own) :], names=names)
+            return of_nodes(self.rule, nodes[rows]), self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         with on_processor():
+            tested = partial(judge, names=names)
             found: dict[str, np.ndarray] = in_chunks(tested, given, len(nodes), _BATCH, axis=-1)
         return found
 
@@ -357,8 +353,3 @@ def _together(some: np.ndarray, others: np.ndarray) -> np.ndarray:
         return some
     nodes = np.sort(np.append(some, others), kind="stable")  # merges what is sorted
     return nodes[np.append(True, nodes[1:] != nodes[:-1])]
-
-
-def _single(rule: Any) -> Any:
-    """The thresholds in single precision."""
-    return type(rule)(*map(np.float32, rule))

@@ -59,14 +59,6 @@ class Network:
     info: dict[str, Any] = dataclasses.field(default_factory=dict)
     before: Labels | None = None
 
-    @staticmethod
-    def joined(networks: Sequence[Network]) -> Network:
-        """The sheets of networks with the same nodes, which may differ in seeds and elevations of border nodes, as one."""
-        sheet = np.concatenate([one.sheet + i * (one.sheet[-1] + 1) for i, one in enumerate(networks)])
-        names = ("xyz", "row", "seed", "open", "late")
-        alike: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in networks]) for name in names}
-        return dataclasses.replace(networks[0], sheet=sheet, **alike)
-
     @functools.cached_property
     def virtual(self) -> np.ndarray:
         """i64[b], simulated border nodes."""

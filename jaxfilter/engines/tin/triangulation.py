@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
@@ -22,8 +22,6 @@ CHUNK = 65536
 """At most so many nodes are worked on by one call of compiled code, so that an interrupt is obeyed."""
 _SHARE = 8192
 """At least so many are worth a thread of their own where each takes a walk."""
-_TOGETHER = 4096
-"""Repeated sheets that get fewer nodes are worked on together."""
 _MADE = 10_000_000
 """New triangles after which such a call comes back at the latest."""
 _CORNERS = np.array([[0, 1, 2], [2, 1, 3], [0, 2, 3], [1, 0, 3]])
@@ -78,8 +76,7 @@ class Tin:
             raise ValueError(f"nodes more than {SPAN * QUANTUM / 1000:.0f} km apart: triangulate them in parts")
         self.vertex = np.zeros(len(xyz), bool)
         self.where = np.full(len(xyz), -1, np.int32)
-        self.now, self._together = 0, 1
-        self._room: dict[str, np.ndarray] = {}
+        self.now, self._room = 0, dict[str, np.ndarray]()
         self._waiting, self._following = np.zeros(0, np.int32), np.zeros(0, np.int32)  # see walks.changed
         bounds = np.searchsorted(sheet, np.arange(int(sheet[-1]) + 2))
         of_sheet = np.split(vertices, np.searchsorted(vertices, bounds[1:-1]))
@@ -104,25 +101,12 @@ class Tin:
         """How many triangles there are."""
         return len(self.triangles) - len(self._unused) - int(self._hull.sum())
 
-    @staticmethod
-    def joined(networks: Sequence[Tin]) -> Tin:
-        """The sheets of networks over the same nodes, as a network of its own, with one thread."""
-        out, several = copy.copy(networks[0]), len(networks) > 1
-        out.now = max(one.now for one in networks)
-        rows = np.cumsum([0, *(len(one.triangles) for one in networks)])
-        for name, steps in (
-            ("sheet", len(out._first) * np.arange(len(networks))),
-            ("triangles", len(out.xyz) * np.arange(len(networks))),
-            *((name, rows) for name in ("neighbours", "where", "_first", "_unused")),
-            *((name, None) for name in ("xyz", "xy", "vertex", "stamp", "_hull")),
-        ):
-            parts = [getattr(one, name) for one in networks]
-            many = np.concatenate(parts)
-            if steps is not None and several:
-                for part, step in zip(np.split(many, np.cumsum([len(one) for one in parts])), steps, strict=False):
-                    np.add(part, step, out=part, where=part >= 0, casting="unsafe")
-            setattr(out, name, many)
-        out._together, out._room, out.workers = _TOGETHER, {}, 1
+    def copied(self) -> Tin:
+        """The same, to grow on its own, with one thread."""
+        out = copy.copy(self)
+        for name in ("triangles", "neighbours", "where", "_first", "_unused", "xyz", "vertex", "stamp", "_hull"):
+            setattr(out, name, getattr(self, name).copy())
+        out._room, out.workers = {}, 1
         return out
 
     def _one(self, vertices: np.ndarray) -> np.ndarray:
@@ -163,7 +147,6 @@ class Tin:
         """Make nodes (i64, ascending, not vertices, at positions of their own) vertices, in threads."""
         fresh = self._fresh(len(nodes))
         cuts = np.flatnonzero(np.diff(self.sheet[nodes])) + 1
-        cuts = cuts[np.diff(cuts // self._together, prepend=0) > 0]
         jobs = [slice(*cut) for cut in itertools.pairwise([0, *cuts, len(nodes)])]
 
         def one(job: slice) -> None:
