@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError, OutputError
+from ..core.errors import DAMAGED, InputError, OutputError
 from ..files.disk import output_errors, remove, try_lock
 
 RUN, LOCK = "run.json", "lock"
@@ -102,7 +102,7 @@ class Store:
             self.facts = _checked(path.read_text())
         except FileNotFoundError:
             self.facts = {}
-        except (OSError, ValueError) as error:
+        except DAMAGED as error:
             raise InputError(
                 f"{path}: is damaged, or not of this version ({' '.join(str(error).split())}): pass overwrite=True to begin "
                 "the run anew"
@@ -174,7 +174,7 @@ class Store:
         """What is known of a file that is finished, or, without ``"seal"``, is being replaced in place; else None."""
         try:
             return _checked(self._file(number).read_text())
-        except (OSError, ValueError):
+        except DAMAGED:
             return None
 
     def put_seal(self, number: int, facts: dict[str, Any]) -> None:
