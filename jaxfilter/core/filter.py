@@ -375,7 +375,7 @@ def alike(keys: Iterable[Any]) -> list[list[int]]:
 def check_resources(workers: int | None, memory: float = 1.0) -> None:
     """Raises: ParameterError for threads or bytes that are none."""
     if workers is not None:
-        check_whole(workers=workers)
+        check_whole(1, 4096, workers=workers)
     if not 0 < memory < math.inf:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
 
