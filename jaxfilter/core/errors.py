@@ -6,8 +6,7 @@ import warnings
 from typing import Any
 
 SIZES = (1e-9, 1e9)  # least and largest of a number that is not 0: what is beyond is a slip, and overflows somewhere
-DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)
-"""What reading JSON that is not as it should be raises."""
+DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)  # by odd JSON
 
 
 class JaxfilterError(Exception):
@@ -91,10 +90,9 @@ def check_positive(unit: str = "", **values: float | None) -> None:
             raise ParameterError(f"{name}={value!r}: must be a positive number{unit}, {SIZES[0]:g} to {SIZES[1]:g}")
 
 
-def check_whole(least: int = 1, most: int | None = None, **values: Any) -> None:
+def check_whole(least: int = 1, most: float = float("inf"), **values: Any) -> None:
     """Raises: ParameterError for what is no whole number, below ``least``, or above ``most``."""
     for name, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
-        if most is not None and value > most:
-            raise ParameterError(f"{name}={value!r}: must be at most {most:,}")
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not least <= value <= most:
+            limit = f", at most {most:,}" * (most < float("inf"))
+            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}{limit}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -376,7 +375,7 @@ def check_resources(workers: int | None, memory: float = 1.0) -> None:
     """Raises: ParameterError for threads or bytes that are none."""
     if workers is not None:
         check_whole(1, 4096, workers=workers)
-    if not 0 < memory < math.inf:
+    if not 0 < memory < 1e18:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
 
 

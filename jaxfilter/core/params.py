@@ -193,12 +193,12 @@ def check_fields(params: Any) -> None:
             raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
         endless = value in (math.inf, -math.inf)
         beyond = endless and meta.get("static") and not meta.get("endless")
-        if value != value or beyond or not all(_SIGNS[sign](value, bound) for sign, bound in limits.items()):
+        absurd = value == value and value and not endless and not SIZES[0] <= abs(value) <= SIZES[1]
+        if value != value or beyond or absurd or not all(_SIGNS[sign](value, bound) for sign, bound in limits.items()):
             wanted = "finite and " * bool(beyond) + (meta.get("range") or "a number")
             unit = f" {meta['unit']}" if meta.get("unit") else ""
+            unit += f", of a size from {SIZES[0]:g} to {SIZES[1]:g}" if absurd else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
-        if value and not endless and not SIZES[0] <= abs(value) <= SIZES[1]:
-            raise ParameterError(f"{name}({f.name}={value!r}): must be of a size from {SIZES[0]:g} to {SIZES[1]:g}")
         most = meta.get("cells")
         if most is not None and value > most * params.cell:
             raise ParameterError(

@@ -10,8 +10,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pyproj
-
 from ..core.errors import InputError, OutputError, warn
 from .disk import new_file
 from .sources import FARTHEST
@@ -54,14 +52,12 @@ def read_shapes(path: str | os.PathLike[str], what: str) -> geopandas.GeoDataFra
 
 def _check_source(place: Path) -> None:
     """Raises, before GDAL opens it: ValueError for what holds no shapes of its own, or has no bound; OSError, sqlite3.Error."""
-    parts, head = (place, *place.rglob("*"), *place.parent.glob(f"{place.name}-wal")), b""
-    if place.is_file():
-        with place.open("rb") as file:
-            head = file.read(1 << 16)
-    if head.startswith(b"PK\3\4") or b"<OGR" in head or b"gdal_streamed_alg" in head:
-        raise ValueError("it packs or names other files, and these are not followed: pass the file itself")
+    parts = (place, *place.rglob("*"), *place.parent.glob(f"{place.name}-wal"))
     if sum(part.stat().st_size for part in parts) > _MOST:
         raise ValueError(f"it has more than {_MOST >> 20} MB: save what is needed as a file of its own")
+    head = place.read_bytes()[: 1 << 16] if place.is_file() else b""
+    if head.startswith(b"PK\3\4") or b"<OGR" in head or b"gdal_streamed_alg" in head:
+        raise ValueError("it packs or names other files, and these are not followed: pass the file itself")
     if head.startswith(b"SQLite format 3"):
         address = f"{place.absolute().as_uri()}?mode=ro{'' if os.access(place.parent, os.W_OK) else '&immutable=1'}"
         with contextlib.closing(sqlite3.connect(address, uri=True)) as base:
@@ -72,16 +68,14 @@ def _check_source(place: Path) -> None:
 def in_system(table: Any, crs: Any, name: str) -> Any:
     """A table or series of shapes, in a CRS if both state one. Raises: InputError if it cannot be transformed, and for
     coordinates that are NaN, infinite or beyond the Earth. Warns: if it is transformed."""
-    import shapely
-
     if crs is not None and table.crs is not None and not table.crs.equals(crs):
         warn(f"{name}: transformed from {table.crs.name} to {crs.name}")
         try:
             table = table.to_crs(crs)
-        except pyproj.exceptions.ProjError as error:
+        except RuntimeError as error:  # those of PROJ are
             raise InputError(f"{name}: {error}: save it in the CRS of the points") from error
-    at, row = shapely.get_coordinates(table.geometry, return_index=True)
-    if len(wrong := row[~(abs(at) < FARTHEST).all(axis=1)]):
+    at = table.geometry.reset_index(drop=True).get_coordinates()
+    if len(wrong := at.index[~(abs(at) < FARTHEST).all(axis=1)]):
         raise InputError(f"{name}: feature {wrong[0] + 1} has NaN, infinite or far coordinates: correct or remove it")
     return table
 

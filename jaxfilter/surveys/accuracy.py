@@ -326,7 +326,7 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     text = _PAGE.format(title=escape(page.stem), style=style, version=__version__, sections=body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
-            part.write_text(content, encoding="utf-8")
+            part.write_text(content, encoding="utf-8", errors="replace")
 
 
 def metres(value: float | None) -> str:

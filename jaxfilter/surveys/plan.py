@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError, ParameterError, check_positive
+from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
 
 MOST_TILES, _ROW = 20_000_000, 1 << 32
@@ -187,7 +187,7 @@ def plan_tiles(
 
     Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.
     """
-    if not 0 <= halo < math.inf:
+    if not 0 <= halo <= SIZES[1]:
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     used = np.flatnonzero(counts > 0)
     units = (halo / metre, lattice / metre, (halo if reach is None else reach) / metre)

@@ -97,8 +97,6 @@ def _items(file: TextIOWrapper, name: str) -> Iterator[dict[str, Any]]:
             if error.pos < len(text) - _LONGEST or not more():
                 raise InputError(f"{name}: ends or is damaged within its items: {error.msg}") from error
             continue
-        except RecursionError as error:
-            raise InputError(f"{name}: its items are nested too deeply: write it anew") from error
         yield item
 
 
@@ -108,8 +106,6 @@ def _member(
     """The member that an item describes; ``known``: systems of items before, by how these state them."""
     assets = item["assets"]
     asset = assets.get("data") or next(a for a in assets.values() if "overview" not in a.get("roles", ()))
-    if not isinstance(asset["href"], str) or "\0" in asset["href"]:
-        raise ValueError(f"href is {asset['href']!r}")
     uri, facts = _resolved(asset["href"], place), item["properties"]
     kinds = (("copc", ".copc.laz"), ("laz", ".laz"), ("las", ".las"))
     kind = next((kind for kind, end in kinds if uri.lower().endswith(end)), None)
@@ -145,7 +141,7 @@ def _member(
 def _resolved(href: str, place: Place) -> str:
     """A name relative to the folder of the .vpc, or as it is. Raises InputError for other stores than :data:`_SCHEMES`."""
     scheme, mark, _ = href.partition("://")
-    if "::" in href or (mark and scheme.lower() not in _SCHEMES):
+    if "::" in href or "\0" in href or (mark and scheme.lower() not in _SCHEMES):
         raise InputError(
             f"{place}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
             "correct the name, or copy that file"

@@ -59,8 +59,7 @@ def make_design(
     check_whole(0, seed=seed)
     fields = fields_of(filter_, axes)
     if drawn:
-        assert size is not None
-        columns = _drawn(filter_, fields, axes, design, int(size), seed)
+        columns = _drawn(filter_, fields, axes, design, int(size or 0), seed)
     else:
         columns = {name: _values(name, values) for name, values in axes.items()}
     if design == "grid":
