@@ -52,13 +52,12 @@ def make_design(
     if not isinstance(axes, Mapping) or not axes:
         raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
     drawn = design in ("random", "sobol")
-    if drawn:
-        check_whole(1, MOST_SETS, size=size)
     if not drawn and size is not None:
         raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {design} follows from its axes")
     check_whole(0, seed=seed)
     fields = fields_of(filter_, axes)
     if drawn:
+        check_whole(1, MOST_SETS, size=size)
         columns = _drawn(filter_, fields, axes, design, int(size or 0), seed)
     else:
         columns = {name: _values(name, values) for name, values in axes.items()}
