@@ -73,7 +73,7 @@ def in_system(table: Any, crs: Any, name: str) -> Any:
         try:
             table = table.to_crs(crs)
         except RuntimeError as error:  # those of PROJ are
-            raise InputError(f"{name}: {error}: save it in the CRS of the points") from error
+            raise InputError(f"{name}: there is no way from {table.crs.name} to {crs.name}: save it in that") from error
     at = table.geometry.reset_index(drop=True).get_coordinates()
     if len(wrong := at.index[~(abs(at) < FARTHEST).all(axis=1)]):
         raise InputError(f"{name}: feature {wrong[0] + 1} has NaN, infinite or far coordinates: correct or remove it")
