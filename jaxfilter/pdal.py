@@ -235,9 +235,9 @@ def _steps(what: Any) -> list[Any]:
             what = Path(what).read_text(encoding="utf-8-sig")
         if isinstance(what, str):
             what = json.loads(_COMMENT.sub(lambda found: found[1] or " ", what))
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"{name}: is no JSON: {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if isinstance(what, Mapping):
         what = what.get("pipeline", [what])

@@ -180,9 +180,16 @@ def test_a_file_without_heights_is_refused(folder, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["jaxfilter-run.json", "verdicts.json"])
-@pytest.mark.parametrize("text", ["{bad", "[]"])
+@pytest.mark.parametrize("text", ["{bad", "[]", "", "1" * 5000, "[" * 100_000 + "]" * 100_000, "\0"])
 def test_damaged_records_beside_the_files_are_named(folder, tmp_path, name, text):
     (tmp_path / "points.laz").write_bytes((folder / "points.laz").read_bytes())
     (tmp_path / name).write_text(text)
     with pytest.raises(jf.InputError, match=f"{name}: is damaged"):
         jf.accuracy_statement(tmp_path / "points.laz", folder / "model.tif", tmp_path / "a.html")
+
+
+def test_words_that_are_no_unicode_are_shown_all_the_same(folder, tmp_path):
+    (tmp_path / "points.laz").write_bytes((folder / "points.laz").read_bytes())
+    (tmp_path / "jaxfilter-run.json").write_text('{"method": "O\\ud800ST", "parameters": 1e308}')
+    jf.accuracy_statement(tmp_path / "points.laz", folder / "model.tif", tmp_path / "a.html")
+    assert "O?ST" in (tmp_path / "a.html").read_text(encoding="utf-8")

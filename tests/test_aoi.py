@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+
 import geopandas
 import laspy
 import numpy as np
@@ -13,6 +15,7 @@ from las_files import make_las
 
 import jaxfilter as jf
 from jaxfilter.cli import main
+from jaxfilter.files import vectors
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
@@ -133,3 +136,96 @@ def test_areas_that_cannot_be_are_named(survey, tmp_path):
             make(reading=jf.Reading(aoi=tmp_path / "far.gpkg", bounds=(0, 0, 1, 1)))
     with pytest.raises(jf.ParameterError, match="in_place=True would remove"):
         jf.ground(survey, None, SMRF, reading=jf.Reading(aoi=tmp_path / "far.gpkg"), run=jf.RunOptions(in_place=True))
+
+
+ENDLESS = (
+    "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n AS fid, g.geom FROM c, aoi g WHERE n < 0"
+)
+COMPUTED = "ALTER TABLE aoi ADD COLUMN q TEXT GENERATED ALWAYS AS (hex(zeroblob(400000000))) VIRTUAL"
+POINTER = '<OGRVRTDataSource><OGRVRTLayer name="aoi"><SrcDataSource>{}</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>'
+
+
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (f"CREATE VIEW v AS {ENDLESS}; UPDATE gpkg_contents SET table_name = 'v'; "
+         "UPDATE gpkg_geometry_columns SET table_name = 'v'", "v is a view"),
+        ("ALTER TABLE gpkg_contents RENAME TO g; CREATE VIEW gpkg_contents AS SELECT g.* FROM g, "
+         "(WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c) SELECT n FROM c WHERE n < 0)",
+         "gpkg_contents is a view"),
+        (COMPUTED, "aoi is a view, or has computed columns"),
+        ("ALTER TABLE aoi ADD COLUMN q TEXT; UPDATE aoi SET q = hex(zeroblob(1000000))", "more than 1 MB"),
+    ],
+)  # fmt: skip
+def test_what_has_no_bound_in_a_database_is_refused(survey, tmp_path, monkeypatch, spoil, words):
+    monkeypatch.setattr(vectors, "_MOST", 1 << 20)
+    x, y = jf.open(survey).bounds[:2]
+    geopandas.GeoSeries([shapely.box(x, y, x + 40, y + 40)], crs=25832).to_file(tmp_path / "aoi.gpkg", layer="aoi")
+    assert len(vectors.read_shapes(tmp_path / "aoi.gpkg", "polygons")) == 1
+    base = sqlite3.connect(tmp_path / "aoi.gpkg")
+    for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+        base.execute(f"DROP TRIGGER {name}")  # they call functions that are GDAL's own
+    base.executescript(spoil)
+    base.commit()
+    base.close()
+    with pytest.raises(jf.InputError, match=rf"aoi\.gpkg: cannot be read as polygons: .*{words}"):
+        jf.ground(survey, tmp_path / "out", SMRF, reading=jf.Reading(aoi=tmp_path / "aoi.gpkg"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["aoi.vrt", "aoi.gpkg", "aoi.geojson", "aoi.gdalg.json"])
+def test_files_that_name_others_are_not_followed(survey, tmp_path, name):
+    x, y = jf.open(survey).bounds[:2]
+    geopandas.GeoSeries([shapely.box(x, y, x + 40, y + 40)], crs=25832).to_file(tmp_path / "own.gpkg", layer="aoi")
+    command = (
+        f'{{"type": "gdal_streamed_alg", "command_line": "gdal vector pipeline ! read {tmp_path}/own.gpkg ! write x"}}'
+    )
+    (tmp_path / name).write_text(command if "gdalg" in name else POINTER.format(tmp_path / "own.gpkg"))
+    with pytest.raises(jf.InputError, match="packs or names other files"):
+        jf.ground(survey, tmp_path / "out", SMRF, reading=jf.Reading(aoi=tmp_path / name))
+
+
+def test_an_archive_is_refused_and_a_shapefile_is_read(survey, tmp_path):
+    x, y = jf.open(survey).bounds[:2]
+    area = geopandas.GeoSeries([shapely.box(x, y, x + 40, y + 40)], crs=25832)
+    area.to_file(tmp_path / "aoi.shp.zip", driver="ESRI Shapefile")
+    with pytest.raises(jf.InputError, match=r"aoi\.shp\.zip: .*packs or names"):
+        vectors.read_shapes(tmp_path / "aoi.shp.zip", "polygons")
+    area.to_file(tmp_path / "aoi.shp")
+    assert shapely.equals(vectors.read_shapes(tmp_path / "aoi.shp", "polygons").geometry[0], area[0])
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("kind", ["file", "table", "shape"])
+def test_coordinates_that_are_none_are_named(survey, tmp_path, number, kind):
+    x, y = jf.open(survey).bounds[:2]
+    good, bad = shapely.box(x, y, x + 40, y + 40), shapely.Polygon([(x, y), (x + 9, y), (number, y + 9), (x, y + 9)])
+    aoi = geopandas.GeoDataFrame(geometry=[good, bad], crs=25832, index=[7, 7])
+    aoi.to_file(tmp_path / "aoi.gpkg")
+    given, row = {"file": (tmp_path / "aoi.gpkg", 2), "table": (aoi, 2), "shape": (bad, 1)}[kind]
+    if kind == "shape":
+        given = geopandas.GeoSeries([bad], crs=25832)
+    with pytest.raises(jf.InputError, match=rf"aoi.*: feature {row} has NaN, infinite or far coordinates"):
+        jf.ground(survey, tmp_path / "out", SMRF, reading=jf.Reading(aoi=given))
+
+
+@pytest.mark.parametrize(
+    "wkt",
+    [
+        'LOCAL_CS["x",UNIT["metre",1]]',
+        'ENGCRS["x",EDATUM["d"],CS[Cartesian,2],AXIS["e",east],AXIS["n",north],LENGTHUNIT["metre",1]]',
+    ],
+)
+def test_a_system_that_leads_nowhere_is_named(survey, tmp_path, wkt):
+    x, y = jf.open(survey).bounds[:2]
+    area = geopandas.GeoSeries([shapely.box(x, y, x + 40, y + 40)], crs=pyproj.CRS(wkt))
+    with pytest.raises(jf.InputError, match="aoi: there is no way from x to ETRS89 / UTM zone 32N: save it in that"):
+        jf.ground(survey, tmp_path / "out", SMRF, reading=jf.Reading(aoi=area))
+    alike = geopandas.GeoSeries(area.geometry.to_numpy(), crs=25832)
+    las = laspy.read(survey / "sw.laz")
+    las.header.vlrs.extract("WktCoordinateSystemVlr")
+    las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    las.write(tmp_path / "local.laz")
+    with pytest.raises(jf.InputError, match="aoi: there is no way from ETRS89 / UTM zone 32N to x"):
+        jf.ground(tmp_path / "local.laz", tmp_path / "out.laz", SMRF, reading=jf.Reading(aoi=alike))
+    assert jf.ground(tmp_path / "local.laz", tmp_path / "out.laz", SMRF, reading=jf.Reading(aoi=area)).complete

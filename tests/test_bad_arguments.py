@@ -42,6 +42,25 @@ HIDDEN = np.ma.array(TRUTH, mask=CLOUD.xyz[:, 0] >= 20)
         (lambda: jf.hillshade(jf.dtm(CLOUD, TRUTH), z_factor=-1.0), jf.ParameterError, "z_factor=-1.0"),
         (lambda: jf.dtm(CLOUD, TRUTH, cell="1"), jf.ParameterError, "cell='1'"),
         (lambda: jf.dtm(CLOUD, TRUTH, workers=-3), jf.ParameterError, "workers=-3"),
+        (lambda: jf.PTD()(CLOUD, workers=10**9), jf.ParameterError, "workers=1000000000.*at most 4,096"),
+        (lambda: jf.RunOptions(workers=10**18), jf.ParameterError, "workers=1000000000000000000.*at most 4,096"),
+        (lambda: jf.RunOptions(memory=10**400), jf.ParameterError, "memory=1000"),
+        (lambda: jf.dtm(CLOUD, TRUTH, cell=5e-324), jf.ParameterError, "cell=5e-324.*1e-09 to 1e"),
+        (lambda: jf.dtm(CLOUD, TRUTH, cell=1e300), jf.ParameterError, "cell=1e.300.*1e-09 to 1e"),
+        (lambda: jf.dtm(CLOUD, TRUTH, cell=10**400), jf.ParameterError, "cell=1000"),
+        (lambda: jf.dtm(CLOUD, TRUTH, bounds=(0, 0, np.inf, np.inf)), jf.InputError, "bounds.*more cells than can be"),
+        (lambda: jf.dtm(CLOUD, TRUTH, bounds=(0, 0, 1, 10**400)), jf.InputError, "four numbers"),
+        (lambda: jf.contours(jf.dtm(CLOUD, TRUTH), 1e-5), jf.ParameterError, "interval=1e-05.* intervals in 512.*5,000"),
+        (lambda: jf.contours(jf.dtm(CLOUD, TRUTH), 1e-300), jf.ParameterError, "interval=1e-300"),
+        (lambda: jf.voids.replace(distance=1e300)(CLOUD, TRUTH), jf.ParameterError, "distance=1e.300.*of metres, 1e-09"),
+        (lambda: jf.dsm.replace(gap=1e300)(CLOUD, TRUTH), jf.ParameterError, "gap=1e.300"),
+        (lambda: jf.sweep(jf.SMRF(), CLOUD, {"slope": (0.1, 0.3)}, design="random", size=10**18),
+         jf.ParameterError, "size=10.*at most 1,000,000"),
+        (lambda: jf.sweep(jf.SMRF(), CLOUD, {k: np.linspace(0.1, 0.3, 200) for k in ("slope", "scaling", "threshold")}),
+         jf.ParameterError, "8,000,000 sets, more than 1,000,000"),
+        (lambda: jf.calibrate(jf.SMRF(), CLOUD, TRUTH, size=10**18), jf.ParameterError, "size=10.*at most 1,000,000"),
+        (lambda: jf.calibrate(jf.SMRF(), CLOUD, TRUTH, rounds=10**18), jf.ParameterError, "rounds=10.*at most 1,000,000"),
+        (lambda: jf.scenes.make(size=1e5, density=1000), jf.ParameterError, "at most 1e9 pulses"),
         (lambda: jf.PTD()(CLOUD, workers=float("nan")), jf.ParameterError, "workers=nan"),
         (lambda: jf.apply(jf.SMRF()(CLOUD), pandas.DataFrame({"verdict": ["object"]})), jf.InputError, "GeoDataFrame"),
         (lambda: jf.FilterResult.of_labels(np.array([1, 0])), jf.InputError, "ground: bool"),
@@ -104,3 +123,8 @@ def test_a_raster_that_is_read_is_written_as_it_was(tmp_path):
 def test_results_are_told_apart_by_what_they_are():
     one, other = jf.SMRF()(CLOUD), jf.SMRF()(CLOUD)
     assert one != other and one in [other, one] and len({one: 1, other: 2}) == 2
+
+
+def test_a_gap_wider_than_the_raster_bridges_all_of_it():
+    wide = jf.dsm.replace(gap=1e9)(CLOUD, TRUTH).values
+    np.testing.assert_array_equal(wide, jf.dsm.replace(gap=1000.0)(CLOUD, TRUTH).values)

@@ -6,8 +6,10 @@ How files are damaged in detail is in ``test_bad_input_files.py``; what each met
 from __future__ import annotations
 
 import json
+import re
 import struct
 
+import click
 import laspy
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from click.testing import CliRunner
 from las_files import SCALES, make_las, patch
 
 from jaxfilter.cli import main
+from jaxfilter.cli.commands import ground_command
 
 QUIET = {"return_number": 1, "number_of_returns": 1, "classification": 1, "withheld": 0}
 """Fields of a file in which every point is judged."""
@@ -314,3 +317,33 @@ def test_parameters_are_checked_before_the_input_is_read(tmp_path, option):
     assert_refused(
         ground(tmp_path / "in.las", tmp_path / "out.las", *option), tmp_path, option[0][2:].replace("-", "_"), code=2
     )
+
+
+def numeric(*commands):
+    """Each option that takes numbers once, of the first of these commands that has it, and how many it takes."""
+    seen = {}
+    for name in commands:
+        command = main.commands[name] if name != "ground" else ground_command(None)
+        for option in command.params:
+            words = (click.types.StringParamType, click.Path, click.Choice, click.types.BoolParamType)
+            if isinstance(option, click.Option) and not option.is_flag and not isinstance(option.type, words):
+                seen.setdefault(option.opts[0], (name, option.nargs))
+    return seen
+
+
+def test_no_number_gives_a_raw_error(tmp_path):
+    """Every option that takes numbers, but those of methods: see ``test_numbers_that_overflow_are_refused``."""
+    source = las_of(tmp_path / "in.las", terrain(300) * [1, 1, 0], classification=2)
+    options = numeric("contours", "voids", "dsm", "hillshade", "height", "ground", "report")
+    assert {"--cell", "--interval", "--distance", "--gap", "--tile", "--halo", "--workers", "--bounds"} < set(options)
+    for option, (command, count) in options.items():
+        target = tmp_path / {"contours": "o.gpkg", "height": "o.las", "ground": "o.las", "report": "o.html"}.get(
+            command, "o.tif"
+        )
+        for value in ("1e300", "1e-300", "5e-324", "-1", "nan", "inf", "1e9", "1e-9", "1" + "0" * 40, "1" + "0" * 400):
+            numbers = [value] * count if count < 4 else [f"-{value.lstrip('-')}"] * 2 + [value.lstrip("-")] * 2
+            result = run(command, source, target, "--overwrite", option, *numbers)
+            told = f"{command} {option} {value[:9]}: {result.stderr[-300:]}"
+            assert result.exception is None or isinstance(result.exception, SystemExit), told
+            assert result.exit_code in (0, 1, 2), told
+            assert not re.search(r"^Error: [\w.]*(Error|Exception|Warning)\b", result.stderr, re.MULTILINE), told

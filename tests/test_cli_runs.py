@@ -66,10 +66,11 @@ def test_a_folder_that_holds_something_is_refused_and_resumed(survey, done):
     assert (done[0] / "east.laz").read_bytes() == written
     facts = done[0] / ".jaxfilter-run" / "run.json"
     sound = facts.read_bytes()
-    facts.write_bytes(b"no facts")
-    damaged = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume")
-    assert damaged.exit_code == 1 and "run.json: is damaged" in damaged.stderr
-    assert "pass --overwrite to begin the run anew" in damaged.stderr
+    for text in (b"no facts", b"[" * 100_000 + b"]" * 100_000, b"1" * 5000):
+        facts.write_bytes(text)
+        damaged = run("ground", "pmf", survey, done[0], "--max-window", 9, "--resume")
+        assert damaged.exit_code == 1 and "run.json: is damaged" in damaged.stderr
+        assert "pass --overwrite to begin the run anew" in damaged.stderr
     facts.write_bytes(sound)
     other = run("ground", "pmf", survey, done[0], "--max-window", 11, "--resume")
     assert other.exit_code == 1 and "results are not mixed" in other.stderr

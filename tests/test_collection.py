@@ -381,6 +381,27 @@ def test_other_writers(tmp_path):
         ('{"features": [' + json.dumps(an_item(**{"pc:count": -1})) + "]}", "item 1 is not as it should be.*-1 points"),
         ('{"features": [' + json.dumps(an_item(**{"proj:bbox": [4, 0, 1, 1]})) + "]}", "item 1 is not as it should be"),
         ('{"features": [' + json.dumps(an_item(**{"proj:wkt2": "EPSG:0"})) + "]}", "item 1 is not as it should be"),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": 1e30})) + "]}", "item 1 .*pc:count.*1e.30 points"),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": 1e308})) + "]}", "item 1 .*pc:count.*1e.308 points"),
+        (
+            '{"features": [' + json.dumps(an_item(**{"pc:count": 2**63})) + "]}",
+            "item 1 .*pc:count.*9223372036854775808 ",
+        ),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": 1.5})) + "]}", "item 1 .*pc:count.*1.5 points"),
+        ('{"features": [' + json.dumps(an_item(**{"pc:count": float("inf")})) + "]}", "item 1 .*pc:count.*inf points"),
+        (
+            '{"features": [' + json.dumps(an_item(**{"pc:count": 10})).replace("10", "1" * 5000) + "]}",
+            "cannot be decoded",
+        ),
+        ('{"features": [' + json.dumps(an_item(**{"proj:bbox": [-1e308, 0, 1e308, 1]})) + "]}", "item 1 .*proj:bbox"),
+        (
+            '{"features": [' + json.dumps(an_item(**{"proj:bbox": [10**400, 0, 10**400, 1]})) + "]}",
+            "item 1 .*too large",
+        ),
+        ('{"features": [' + json.dumps(an_item(**{"proj:bbox": [0, 0, float("nan"), 1]})) + "]}", "item 1 .*proj:bbox"),
+        ('{"features": [' + json.dumps(an_item("a\0.laz")) + "]}", r"names 'a\\x00\.laz'"),
+        ('{"features": ' + "[" * 100_000 + "]" * 100_000 + "}", "cannot be decoded: maximum recursion"),
+        ('{"features": [{"a": ' * 50_000, "cannot be decoded: maximum recursion"),
         ('{"features": []}', "names no files"),
         ("\xff\xfe", "cannot be decoded"),
     ],
@@ -389,6 +410,19 @@ def test_damaged_virtual_point_clouds(tmp_path, content, words):
     (tmp_path / "a.vpc").write_bytes(content.encode("latin-1"))
     with pytest.raises(jf.InputError, match=rf"a\.vpc.*{words}"):
         jf.open(tmp_path / "a.vpc")
+
+
+def test_a_name_that_is_no_unicode_is_written_and_read_back(tmp_path):
+    read = jf.open(write_items(tmp_path / "a.vpc", [an_item("./a\udcff.laz")]))
+    read.to_vpc(tmp_path / "b.vpc")
+    assert list(jf.open(tmp_path / "b.vpc").uris) == [str(tmp_path / "a\udcff.laz")]
+
+
+def test_an_extent_that_no_coordinate_has_is_refused(tmp_path):
+    make_las(tmp_path / "a.las", 6)
+    patch(tmp_path / "a.las", "d", 179, 1e300)  # the largest x
+    with pytest.raises(jf.InputError, match=r"a\.las: the extent in its header is damaged"):
+        jf.open(tmp_path / "a.las")
 
 
 def spelled(code, kind="WKT1_GDAL", **changes):

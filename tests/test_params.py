@@ -59,6 +59,18 @@ def test_values_out_of_range_are_named(changes, message):
         Toy(**changes)
 
 
+@METHODS
+def test_numbers_that_overflow_are_refused(method):
+    """Whatever their limits are: sizes from 1e-9 to 1e9 of what is not 0."""
+    numeric = [f for f in dataclasses.fields(method) if not f.metadata.get("choices") and f.type not in ("str", str)]
+    assert numeric
+    for field in numeric:
+        for value in (1e300, -1e300, 1e-300, 5e-324, 10**400):
+            with pytest.raises(ParameterError, match=rf"{method.__name__}\({field.name}="):
+                method(**{field.name: value})
+    Toy(floor=1e-9, angle=math.pi), Toy(floor=1e9, window=None), Toy(floor=math.inf)
+
+
 def test_a_domain_is_a_symbol_limits_and_a_unit():
     facts = [
         param("doc", domain, default=1.0).metadata for domain in ("a >= 0 and < 1e3 m/m", "> -1", "<= 9 %", "n", "")

@@ -210,6 +210,28 @@ def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
     np.testing.assert_array_equal(made.ground, wrong & ~inside(xyz, *HOUSE))
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf, 1e300])
+def test_places_with_coordinates_that_are_none_are_named(scene, wrong, number):
+    bad = shapely.Polygon([*box(*HOUSE).exterior.coords[:2], (number, 5_400_000)])
+    places = table(hill="object", house="object").set_geometry([box(*HILL), bad], crs=UTM)
+    with pytest.raises(jf.InputError, match="places: feature 2 has NaN, infinite or far coordinates"):
+        jf.apply(labelled(scene[0], wrong), places)
+
+
+def test_a_place_without_area_is_left_out(scene, wrong):
+    flat = shapely.Polygon([(500_010, 5_400_010), (500_020, 5_400_010), (500_015, 5_400_010)])
+    places = table(house="object", flat="object").set_geometry([box(*HOUSE), flat], crs=UTM)
+    with pytest.warns(jf.JaxfilterWarning, match="place 2: is no polygon"):
+        made = jf.apply(labelled(scene[0], wrong), places)
+    np.testing.assert_array_equal(made.ground, jf.apply(labelled(scene[0], wrong), table(house="object")).ground)
+
+
+def test_places_in_a_system_that_leads_nowhere_are_named(scene, wrong):
+    places = table(house="object").set_crs(pyproj.CRS('LOCAL_CS["x",UNIT["metre",1]]'), allow_override=True)
+    with pytest.raises(jf.InputError, match="places: there is no way from x to ETRS89 / UTM zone 32N: save it in that"):
+        jf.apply(labelled(scene[0], wrong), places)
+
+
 def test_places_in_another_crs_are_transformed_and_that_is_said(scene, wrong):
     xyz, _ = scene
     places = table(house="object")
@@ -331,6 +353,30 @@ def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_pa
         report = jf.apply_survey(places, survey, run=jf.RunOptions(workers=1))
     assert report.applied == {"object": 1} and report.before == 1
     assert states(survey)["ne.laz"][0] == done["ne.laz"][0] and states(survey)["nw.laz"] == done["nw.laz"]
+
+
+def test_a_log_that_is_damaged_is_named(survey):
+    jf.apply_survey(table(house="object"), survey)
+    path, before = survey / "verdicts.json", states(survey)
+    whole = path.read_text()
+    for changes in (
+        {"files": None}, {"files": 1e30}, {"files": [1]}, {"files": [["a"]]}, {"x": None}, {"x": "a"}, {"y": 10**400},
+        {"verdict": 1}, {"key": []}, {"key": "[" * 100_000 + "]" * 100_000},
+    ):  # fmt: skip
+        log = json.loads(whole)
+        log["verdicts"][0] |= changes
+        path.write_text(json.dumps(log).replace('"[[', "[[").replace(']]"', "]]"))
+        with pytest.raises(jf.InputError, match=r"verdicts\.json: is damaged"):
+            jf.apply_survey(table(house="fine"), survey)
+        assert states(survey) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000 + "]" * 100_000, '{"method": "OST", "parameters": {"spacing": 0}, "measures": [1]}']
+)
+def test_a_report_that_is_damaged_does_not_count(survey, text):
+    (survey / "jaxfilter-run.json").write_text(text)
+    assert jf.apply_survey(table(house="object"), survey).complete
 
 
 def test_who_goes_back_to_a_verdict_gets_it_again(survey, scene):

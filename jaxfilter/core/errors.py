@@ -1,10 +1,12 @@
 """Errors and warnings. Each message names the file, field or parameter, the offending value and what to do."""
 
-import math
 import numbers
 import sys
 import warnings
 from typing import Any
+
+SIZES = (1e-9, 1e9)  # least and largest of a number that is not 0: what is beyond is a slip, and overflows somewhere
+DAMAGED = (OSError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError)  # by odd JSON
 
 
 class JaxfilterError(Exception):
@@ -78,18 +80,19 @@ def warn(message: str) -> None:
 
 
 def check_positive(unit: str = "", **values: float | None) -> None:
-    """Raises: ParameterError for what is not above 0, or infinite; None stands for nothing. ``unit``: in words."""
+    """Raises: ParameterError for what is not above 0, or beyond :data:`SIZES`; None stands for nothing. ``unit``: in words."""
     for name, value in values.items():
         try:
-            good = value is None or (not isinstance(value, str) and 0 < float(value) < math.inf)
-        except (TypeError, ValueError):
+            good = value is None or (not isinstance(value, str) and SIZES[0] <= float(value) <= SIZES[1])
+        except (TypeError, ValueError, OverflowError):
             good = False
         if not good:
-            raise ParameterError(f"{name}={value!r}: must be a positive number{unit}")
+            raise ParameterError(f"{name}={value!r}: must be a positive number{unit}, {SIZES[0]:g} to {SIZES[1]:g}")
 
 
-def check_whole(least: int = 1, **values: Any) -> None:
-    """Raises: ParameterError for what is no whole number, or below ``least``."""
+def check_whole(least: int = 1, most: Any = float("inf"), **values: Any) -> None:
+    """Raises: ParameterError for what is no whole number, below ``least``, or above ``most``."""
     for name, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}")
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least or value > most:
+            limit = f", at most {most:,}" * (most < float("inf"))
+            raise ParameterError(f"{name}={value!r}: must be a whole number, at least {least}{limit}")

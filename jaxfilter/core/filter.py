@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -419,8 +418,8 @@ def alike(keys: Iterable[Any]) -> list[list[int]]:
 def check_resources(workers: int | None, memory: float = 1.0, key: Any = None) -> None:
     """Raises: ParameterError for threads or bytes that are none, or another random key than one of JAX."""
     if workers is not None:
-        check_whole(workers=workers)
-    if not 0 < memory < math.inf:
+        check_whole(1, 4096, workers=workers)
+    if not 0 < memory < 1e18:
         raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
     try:
         if key is not None:

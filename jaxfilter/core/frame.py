@@ -91,7 +91,7 @@ def checked_anchor(anchor: Iterable[float]) -> np.ndarray:
     """f64[2]. Raises InputError."""
     try:
         x, y = (float(v) for v in anchor)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"anchor={anchor!r}: two numbers (x, y) in file units are needed") from error
     if not max(abs(x), abs(y)) < _RESOLVED:
         raise InputError(f"anchor={anchor!r}: must be two finite numbers below {_RESOLVED:g}")

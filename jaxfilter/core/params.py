@@ -23,7 +23,7 @@ from typing import Any, TypeGuard, TypeVar, dataclass_transform
 import jax
 import numpy as np
 
-from .errors import ParameterError
+from .errors import SIZES, ParameterError
 
 T = TypeVar("T")
 _SIGNS = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
@@ -191,10 +191,13 @@ def check_fields(params: Any) -> None:
             continue
         if whole and not isinstance(value, numbers.Integral):
             raise ParameterError(f"{name}({f.name}={value!r}): a whole number is needed")
-        beyond = math.isinf(value) and meta.get("static") and not meta.get("endless")
-        if math.isnan(value) or beyond or not all(_SIGNS[sign](value, bound) for sign, bound in limits.items()):
+        endless = value in (math.inf, -math.inf)
+        beyond = endless and meta.get("static") and not meta.get("endless")
+        absurd = value == value and value and not endless and not SIZES[0] <= abs(value) <= SIZES[1]
+        if value != value or beyond or absurd or not all(_SIGNS[sign](value, bound) for sign, bound in limits.items()):
             wanted = "finite and " * bool(beyond) + (meta.get("range") or "a number")
             unit = f" {meta['unit']}" if meta.get("unit") else ""
+            unit += f", of a size from {SIZES[0]:g} to {SIZES[1]:g}" if absurd else ""
             raise ParameterError(f"{name}({f.name}={value!r}): must be {wanted}{unit}")
         most = meta.get("cells")
         if most is not None and value > most * params.cell:

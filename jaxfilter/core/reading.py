@@ -118,7 +118,7 @@ def check_bounds(bounds: object) -> Bounds:
     """Four finite numbers that enclose an area. Raises InputError."""
     try:
         x0, y0, x1, y1 = (float(v) for v in bounds)  # type: ignore[attr-defined]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"bounds={bounds!r}: four numbers (xmin, ymin, xmax, ymax) are needed") from error
     if not (x0 < x1 and y0 < y1):
         raise InputError(f"bounds={bounds!r}: xmin < xmax and ymin < ymax are needed")

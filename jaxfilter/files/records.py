@@ -27,7 +27,7 @@ _FAULTS: tuple[tuple[Any, str], ...] = (
     (IsADirectoryError, "is a folder: name one of its files, or open all of them by jaxfilter.open"),
     (OSError, "cannot be read: {}"),
     (MemoryError, "its points need more memory than there is ({}); read a part of it by bounds, or run it in tiles"),
-    ((ValueError, IndexError, OverflowError, struct.error), "cannot be decoded: {}"),
+    ((ValueError, IndexError, OverflowError, RecursionError, struct.error), "cannot be decoded: {}"),
     (lazrs.LazrsError, "the compressed points are damaged or truncated: {}"),
 )
 

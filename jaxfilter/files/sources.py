@@ -20,6 +20,7 @@ from .storage import Place, place_of
 
 NO_BOUNDS: Bounds = (math.nan,) * 4  # type: ignore[assignment]
 """The bounds of a file without points."""
+FARTHEST = 1e12  # units from zero that no coordinate reaches: the Earth in millimetres is smaller
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -93,7 +94,7 @@ def describe_file(place: Place, stated: Stated = NOTHING) -> Source:
         las = open_las(place, tables=False)
         header, reference, count = las.header, las.reference, las.header.count
         extent = some = np.stack(header.extent)
-        if count and not (np.isfinite(extent).all() and (extent[0] <= extent[1]).all()):
+        if count and not ((abs(extent) < FARTHEST).all() and (extent[0] <= extent[1]).all()):
             said = f"{extent[0].tolist()} to {extent[1].tolist()}"
             raise InputError(f"{place}: the extent in its header is damaged: {said}; write the file anew to correct it")
         facts = {

@@ -21,7 +21,7 @@ from ..engines.tin.growth import Growth, Outliers, Vertices
 from ..engines.tin.network import corner_positions, one_network, with_elevation
 from ..engines.tin.triangulation import triangulated
 from ..files.disk import Bounds
-from ..files.vectors import read_shapes
+from ..files.vectors import in_system, read_shapes
 from ..methods.ost import OST
 from ..steps.seeds import rising
 from .places import OFF, SIDE, STEEPEST
@@ -84,9 +84,7 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
         raise InputError(
             f"{name}: has no column verdict; it has {', '.join(map(str, table.columns))}: add it, with one of {', '.join(WORDS)}"
         )
-    if crs is not None and table.crs is not None and not table.crs.equals(crs):
-        warn(f"{name}: transformed from {table.crs.name} to {crs.name}")
-        table = table.to_crs(crs)
+    table = in_system(table, crs, name)
     verdicts, problems = [], []
     rows = np.arange(1, len(table) + 1)
     ranks = pandas.to_numeric(table["rank"], errors="coerce") if "rank" in table else rows
@@ -101,12 +99,12 @@ def read_verdicts(places: Any, crs: Any, bounds: Bounds, name: str = "places") -
             continue
         if word not in WORDS:
             problems.append(f"{name}: {which}: {said!r} is no verdict: choose one of {', '.join(WORDS)}")
-        elif shape is None or shape.is_empty or shape.geom_type not in ("Polygon", "MultiPolygon"):
+        elif shape is None or "Polygon" not in shape.geom_type or not (valid := shapely.make_valid(shape)).area:
             problems.append(f"{name}: {which}: is no polygon")
         elif not shape.intersects(shapely.box(*bounds)):
             problems.append(f"{name}: {which}: lies outside of the data: is it in another CRS?")
         else:
-            verdicts.append(PlaceVerdict.of(word, shapely.make_valid(shape), which))
+            verdicts.append(PlaceVerdict.of(word, valid, which))
     wrong = _contradictions(verdicts)
     problems += [f"{name}: {verdicts[a].name} is {verdicts[a].word} and {verdicts[b].name}, which overlaps it, "
                  f"{verdicts[b].word}: neither is carried out" for a, b in wrong]  # fmt: skip

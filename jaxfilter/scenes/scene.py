@@ -233,6 +233,8 @@ def make(
     ):
         if not (is_number(value) and low <= value <= high):
             raise ParameterError(f"make({name}={value!r}): must be between {low:g} and {high:g}{unit}")
+    if width * height * density > 1e9:
+        raise ParameterError(f"make(size={size!r}, density={density:g}): must be at most 1e9 pulses")
     if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
         raise ParameterError(f"make(seed={seed!r}): must be a whole number >= 0")
     for name, given, choices in (("pattern", pattern, ("parallel", "zigzag")), ("rounding", rounding, ROUNDING)):

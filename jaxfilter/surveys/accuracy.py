@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError, OutputError, ParameterError
+from ..core.errors import DAMAGED, InputError, OutputError, ParameterError
 from ..core.markup import table
 from ..core.reading import Reading
 from ..core.version import __version__
@@ -290,7 +290,7 @@ def _made(collection: Collection) -> dict[str, Any]:
                 own = {name for name in own & set(seals) if Seal(**seals[name]).broken(folder / name) is None}
                 said = Counter(one["verdict"] for one in facts["verdicts"] if own & set(one["files"]))
                 found["verdicts"] = dict(sorted(said.items()))
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
+            except DAMAGED as error:
                 raise InputError(
                     f"{place}: is damaged ({error}): remove it, and nothing is said of what it holds"
                 ) from error
@@ -326,7 +326,7 @@ def _write(page: Path, facts: dict[str, Any]) -> None:
     text = _PAGE.format(title=escape(page.stem), style=style, version=__version__, sections=body)
     for target, content in ((page, text), (page.with_suffix(".json"), json.dumps(facts, indent=1) + "\n")):
         with new_file(target, overwrite=True) as part:
-            part.write_text(content, encoding="utf-8")
+            part.write_text(content, encoding="utf-8", errors="replace")
 
 
 def metres(value: float | None) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from ..core.errors import InputError, ParameterError, warn
 from ..core.reading import Reading
 from ..files.disk import Bounds
-from ..files.vectors import read_shapes
+from ..files.vectors import in_system, read_shapes
 from .collection import Collection
 
 if TYPE_CHECKING:
@@ -42,14 +42,11 @@ def area_of(reading: Reading, survey: Collection) -> shapely.Geometry:
         frame = geopandas.GeoSeries(getattr(given, "geometry", [given]))
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: cannot be read as polygons: {error}") from error
-    if frame.crs is not None and survey.crs is not None and not frame.crs.equals(survey.crs):
-        warn(f"{name}: transformed from {frame.crs.name} to {survey.crs.name}")
-        frame = frame.to_crs(survey.crs)
-    elif frame.crs is not None and survey.crs is None:
+    if frame.crs is not None and survey.crs is None:
         raise InputError(
             f"{name}: is in {frame.crs.name}, and the CRS of {survey.name} is not known: pass crs= to state it"
         )
-    parts = [part for part in frame.geometry if part is not None and not part.is_empty]
+    parts = [part for part in in_system(frame, survey.crs, name) if part is not None and not part.is_empty]
     if broken := [part for part in parts if not part.is_valid]:
         warn(f"{name}: {shapely.is_valid_reason(broken[0])}: repaired, please check it")
     area = shapely.union_all([shapely.make_valid(part) for part in parts])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 import psutil
 
-from ..core.errors import ParameterError
+from ..core.filter import check_resources
 from ..core.result import Progress, silent
 from .executors import Executor, Here, Pool
 from .plan import Plan
@@ -67,10 +66,7 @@ class RunOptions:
     progress: Callable[[Standing], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise ParameterError(f"workers={self.workers!r}: must be at least 1")
-        if self.memory is not None and not 0 < self.memory < math.inf:
-            raise ParameterError(f"memory={self.memory!r}: must be > 0 bytes")
+        check_resources(self.workers, 1.0 if self.memory is None else self.memory)
 
 
 def executor_for(options: RunOptions, plan: Plan, progress: Progress = silent) -> Executor:

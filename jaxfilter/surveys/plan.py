@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError, ParameterError
+from ..core.errors import SIZES, InputError, ParameterError, check_positive
 from ..files.disk import Bounds
 
 MOST_TILES, _ROW = 20_000_000, 1 << 32
@@ -187,7 +187,7 @@ def plan_tiles(
 
     Raises: ParameterError for sides and halos that there are not; InputError for too many tiles.
     """
-    if not 0 <= halo < math.inf:
+    if not 0 <= halo <= SIZES[1]:
         raise ParameterError(f"halo={halo!r}: must be metres >= 0")
     used = np.flatnonzero(counts > 0)
     units = (halo / metre, lattice / metre, (halo if reach is None else reach) / metre)
@@ -195,9 +195,8 @@ def plan_tiles(
         return _tiles(bounds, counts, used, (0.0, 0.0), (1.0, 1.0), units)
     low, high = (pick(bounds[used][:, axes], axis=0) for pick, axes in ((np.min, [0, 1]), (np.max, [2, 3])))
     if side is not None:
-        if not side > 0:
-            raise ParameterError(f"tile={side!r}: must be > 0 metres")
-        step = lattice * math.ceil(side / lattice - 1e-9) / metre
+        check_positive(" of metres", tile=side)
+        step = lattice * max(1, math.ceil(side / lattice - 1e-9)) / metre
         return _tiles(bounds, counts, used, tuple(step * np.floor(low / step)), (step, step), units)
     unit = lattice / metre
     origin = unit * np.floor((low - _ROUNDED / metre) / unit)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError, OutputError
+from ..core.errors import DAMAGED, InputError, OutputError
 from ..files.disk import check_own, empty, entered, open_lock, output_errors, sync, try_lock
 
 RUN, DONE = "run.json", "done.json"
@@ -113,7 +113,7 @@ class Store:
             self.facts = _checked(path.read_text())
         except FileNotFoundError:
             self.facts = {}
-        except (OSError, ValueError) as error:
+        except DAMAGED as error:
             raise InputError(
                 f"{path}: is damaged, or not of this version ({' '.join(str(error).split())}): pass overwrite=True to begin "
                 "the run anew"
@@ -189,7 +189,7 @@ class Store:
         """What is known of a file that is finished; else None."""
         try:
             return _checked(self._file(number).read_text())
-        except (OSError, ValueError):
+        except DAMAGED:
             return None
 
     def put_seal(self, number: int, facts: dict[str, Any]) -> None:
@@ -223,7 +223,7 @@ class Store:
         """What :meth:`put_done` has kept. Raises: InputError."""
         try:
             return _checked((self.path / DONE).read_text())
-        except (OSError, ValueError) as error:
+        except DAMAGED as error:
             raise InputError(
                 f"{self.path / DONE}: is damaged ({error}): look whether folders {NEW}* lie beside the inputs, whose files were "
                 "to take their places, and remove this folder"

@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from ..core.cloud import GROUND_CLASS
-from ..core.errors import InputError, JaxfilterError, ParameterError, warn
+from ..core.errors import DAMAGED, InputError, JaxfilterError, ParameterError, warn
 from ..core.inputs import class_numbers
 from ..core.reading import Reading
 from ..core.result import Decision, FilterResult
@@ -266,7 +266,7 @@ def _recipe_of(collection: Collection) -> Recipe:
             recipe = Recipe(OST, fields | {"spacing": fields["spacing"] or measures.get("spacing")})
             recipe.alone()
             return recipe
-    except (OSError, ValueError, KeyError, TypeError, JaxfilterError):  # none, of other files, or of another version
+    except (*DAMAGED, JaxfilterError):  # none, of other files, or of another version
         pass
     return Recipe()
 
@@ -281,8 +281,10 @@ class _Log:
             empty: dict[str, Any] = {"files": {}, "verdicts": []}
             self.facts = json.loads(path.read_text()) if path.exists() else empty
             self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
+            for one in self.facts["verdicts"]:
+                shapely.Point(one["x"], one["y"]), "".join((one["verdict"], *one["files"]))
             broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except DAMAGED as error:
             raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
         self._broken = {name for name, words in broken.items() if words is not None}
         for name in sorted(self._broken):

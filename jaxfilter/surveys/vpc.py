@@ -17,12 +17,12 @@ from typing import Any
 
 import pyproj
 
-from ..core.errors import InputError
+from ..core.errors import DAMAGED, InputError
 from ..core.units import WKT, Reference, Stated, Units, reference_of
 from ..files.disk import new_file
 from ..files.header import opened
 from ..files.records import reading_errors
-from ..files.sources import NO_BOUNDS, Source
+from ..files.sources import FARTHEST, NO_BOUNDS, Source
 from ..files.storage import Place, Remote
 
 _PIECE = 1 << 22  # characters that are read at a time
@@ -33,7 +33,7 @@ _EXTENSIONS = [
     "https://stac-extensions.github.io/projection/v1.1.0/schema.json",
 ]
 _NOT_DATED = "1970-01-01"  # STAC wants a day
-_ODD = (KeyError, TypeError, ValueError, AttributeError, StopIteration, pyproj.exceptions.CRSError)
+_ODD = (*DAMAGED, StopIteration, pyproj.exceptions.CRSError)
 _FLAGS = ("Synthetic", "KeyPoint", "Withheld", "Overlap")
 _SCHEMA = (  # name, bytes, type, of the dimensions that PDAL makes of every point format
     *((name, 8, "floating") for name in "XYZ"),
@@ -64,7 +64,7 @@ def read_vpc(place: Place, asked: Stated) -> Iterator[str | Source]:
                 if isinstance(error, InputError):
                     raise
                 raise InputError(
-                    f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r}"
+                    f"{place}: item {number + 1} is not as it should be in a virtual point cloud: {error!r:.300}"
                 ) from error
 
 
@@ -123,8 +123,9 @@ def _member(
         raise InputError(f"{uri}: {reference.problem}")
     half = len(box) // 2
     x0, y0, x1, y1 = (float(box[k]) for k in (0, 1, half, half + 1))
-    if count < 0 or not (-math.inf < x0 <= x1 < math.inf and -math.inf < y0 <= y1 < math.inf):
-        raise ValueError(f"{count} points in {box}")
+    far = max(abs(float(one)) for one in box) < FARTHEST
+    if not (far and x0 <= x1 and y0 <= y1 and 0 <= count < 1 << 40 and count == int(count)):
+        raise ValueError(f"pc:count and proj:bbox say {count} points in {box}")
     return Source(
         uri,
         kind,
@@ -140,7 +141,7 @@ def _member(
 def _resolved(href: str, place: Place) -> str:
     """A name relative to the folder of the .vpc, or as it is. Raises InputError for other stores than :data:`_SCHEMES`."""
     scheme, mark, _ = href.partition("://")
-    if "::" in href or (mark and scheme.lower() not in _SCHEMES):
+    if "::" in href or "\0" in href or (mark and scheme.lower() not in _SCHEMES):
         raise InputError(
             f"{place}: names {href!r}: its members may be local files or {', '.join(_SCHEMES)} URLs, without chains (::); "
             "correct the name, or copy that file"
@@ -160,7 +161,7 @@ def write_vpc(sources: Iterable[Source], path: Path, overwrite: bool) -> Path:
         file.write('{"type": "FeatureCollection", "features": [')
         mark = "\n"
         for item in _features(sources, folder):
-            file.write(mark + json.dumps(item, ensure_ascii=False))
+            file.write(mark + json.dumps(item))
             mark = ",\n"
         file.write("\n]}\n")
     return path

@@ -20,7 +20,7 @@ from ..core.params import declared, is_number
 from ..core.result import Progress, silent
 from ..scoring import Scores, reference_labels
 from .best import word
-from .design import make_design
+from .design import MOST_SETS, make_design
 from .inference import Sample
 from .ranges import Range, around, check_filter, fields_of, search_ranges
 from .sweep import Subject, SweepOptions, about
@@ -404,7 +404,7 @@ def calibrate(
     >>> 0.2 <= found.filter.threshold <= 1.0, found.filter.slope
     (True, 0.15)
     """
-    check_whole(size=size, rounds=rounds)
+    check_whole(1, MOST_SETS, size=size, rounds=rounds)
     check_whole(0, seed=seed)
     options, validation = SweepOptions(key, workers, memory), CrossValidation(folds, block)
     cloud = as_cloud(cloud)

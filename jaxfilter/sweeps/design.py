@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from ..core.filter import Filter, alike
 from ..core.params import is_number
 from .ranges import check_filter, fields_of
 
+MOST_SETS = 1_000_000
 DESIGNS = ("grid", "random", "sobol", "list")
 """All combinations; independent draws; a low-discrepancy sequence; the i-th value of every axis together."""
 
@@ -52,18 +52,18 @@ def make_design(
     if not isinstance(axes, Mapping) or not axes:
         raise ParameterError(f"axes={axes!r}: map at least one field of {type(filter_).__name__} to its values")
     drawn = design in ("random", "sobol")
-    if drawn and (not isinstance(size, numbers.Integral) or size < 1):
-        raise ParameterError(f"size={size!r}: a {design} design needs the number of its sets, at least 1")
     if not drawn and size is not None:
         raise ParameterError(f"size={size!r}: only random and sobol designs have one; a {design} follows from its axes")
     check_whole(0, seed=seed)
     fields = fields_of(filter_, axes)
     if drawn:
-        assert size is not None
-        columns = _drawn(filter_, fields, axes, design, int(size), seed)
+        check_whole(1, MOST_SETS, size=size)
+        columns = _drawn(filter_, fields, axes, design, int(size or 0), seed)
     else:
         columns = {name: _values(name, values) for name, values in axes.items()}
     if design == "grid":
+        if (count := math.prod(map(len, columns.values()))) > MOST_SETS:
+            raise ParameterError(f"axes: {count:,} sets, more than {MOST_SETS:,}: pass fewer values, or design='sobol'")
         for name, values in columns.items():
             if len(set(map(repr, values))) < len(values):
                 raise ParameterError(f"axes: {name}={values!r} repeats a value")

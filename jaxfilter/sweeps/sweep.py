@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..core.cloud import PointCloud, as_cloud
-from ..core.errors import InputError, ParameterError
+from ..core.errors import DAMAGED, InputError, ParameterError
 from ..core.filter import Filter, check_resources, degenerate, ground_each
 from ..core.params import declared
 from ..core.result import Progress, silent
@@ -257,7 +257,7 @@ class _State:
             with np.load(path) as file:
                 data = dict(file)
             facts = json.loads(str(data["facts"]))
-        except (ValueError, OSError, KeyError, EOFError, BadZipFile, AttributeError, TypeError) as error:
+        except (*DAMAGED, EOFError, BadZipFile) as error:
             raise InputError(f"checkpoint {path} is not one of a sweep ({error}): name another file") from error
         for name, value in self.facts.items():
             if facts.get(name) != value:

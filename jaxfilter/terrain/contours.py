@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.errors import check_positive
+from ..core.errors import ParameterError, check_positive
 from ..files.disk import check_suffix
 from ..files.storage import place_of
 from ..files.vectors import SUFFIXES, write_features
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _STEP = 2.0**-20
 """Of a cell, to which places are rounded: the ends of lines in two blocks are then equal."""
+_MOST = 5_000  # elevations of lines in a block
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,8 +59,8 @@ def contours(
         overwrite: replace an existing file.
 
     Returns: GeoDataFrame of lines with the column ``elevation``, in the coordinates and with the CRS of the model.
-    Raises: ParameterError for an interval that is not positive; OutputError (suffix, exists, disk). Warns: if a file is written
-    and the model has no CRS.
+    Raises: ParameterError for an interval that is not positive, or gives lines of more than 5,000 elevations in 512 x 512 cells;
+    OutputError (suffix, exists, disk). Warns: if a file is written and the model has no CRS.
 
     >>> lines = jf.contours(jf.dtm(cloud, result), interval=2.0)
     >>> bool((lines["elevation"] % 2 == 0).all()), set(lines.geom_type)
@@ -127,6 +128,9 @@ def _lines(z: np.ndarray, interval: float, row: int) -> Iterator[tuple[int, Any]
             continue
         made = contourpy.contour_generator(z=np.ma.masked_invalid(part), name="serial", line_type="Separate")
         low, high = np.nanmin(part) / interval, np.nanmax(part) / interval
+        if not high - low < _MOST:
+            many = f"heights over {high - low:.3g} intervals in 512 x 512 cells, more than {_MOST:,}"
+            raise ParameterError(f"interval={interval:g}: {many}: pass a larger interval=")
         for number in range(math.ceil(low), math.floor(high) + 1):
             for at in made.lines(number * interval):
                 line = np.rint(np.asarray(at) / _STEP) * _STEP + [left, row]

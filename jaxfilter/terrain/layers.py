@@ -83,7 +83,8 @@ class Dsm(Layer):
             if not has_area(top):
                 continue
             cells = occupied(dataclasses.replace(cloud, xyz=top, valid=None), site.grid)
-            near = scipy.ndimage.maximum_filter(cells, 2 * math.ceil(2 * limit / site.side) + 3, mode="constant")
+            width = min(2 * math.ceil(2 * limit / site.side) + 3, 2 * max(cells.shape) + 1)
+            near = scipy.ndimage.maximum_filter(cells, width, mode="constant")
             surface = Linear(top, site.workers)
             for rows, at in blocks_of(cloud, site.grid):
                 some = near[rows].ravel()

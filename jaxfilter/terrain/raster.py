@@ -185,6 +185,8 @@ class RasterGrid:
         """
         check_positive(cell=cell)
         cell = float(cell)  # a float32 would make float32 of all coordinates
+        if not all(abs(v / cell) < 2.0**53 for v in bounds):
+            raise InputError(f"cell={cell:g} over bounds {bounds}: more cells than can be counted: pass other ones")
         slack = min(QUANTUM / metre / cell, 0.5)  # coordinates are known to a quantum: an edge needs no further cell
         left, bottom = (math.floor(v / cell + slack) for v in bounds[:2])
         right, top = (math.ceil(v / cell - slack) for v in bounds[2:])
