@@ -211,6 +211,12 @@ def _spread_across(xy: np.ndarray) -> float:
     return float(np.abs(x * y[far] - y * x[far]).max()) / length if length > 0 else 0.0
 
 
+def by_position(xyz: np.ndarray) -> np.ndarray:
+    """i64[n]: the order of points f32[n, >=2] by x, then by y, which no shift of the coordinates changes: of equally low points
+    the first counts."""
+    return np.lexsort((xyz[:, 1], xyz[:, 0]))
+
+
 def morton(xy: np.ndarray, moved: tuple[int, int] = (0, 0)) -> np.ndarray:
     """u64[n] Z-order code of local points [n, >=2], moved by whole metres; neighbours in the plane are mostly neighbours in
     this order. Codes repeat after 4,194 km."""
