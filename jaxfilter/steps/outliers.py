@@ -11,7 +11,7 @@ import scipy
 
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
-from ..core.points import Points, pieces
+from ..core.points import Points, canonical_points, pieces
 from ..engines.grid.sparse import CellSet
 from ..engines.neighbours import batches, groups, nearest, perturbed, tree_of
 from ..engines.tin.growth import Outliers
@@ -94,7 +94,8 @@ def isolated_low(xyz: np.ndarray, k: int, depth: float, *, workers: int | None =
     m = len(xyz)
     if m < 2:
         return np.zeros(m, bool)
-    _, index = nearest(tree_of(xyz[:, :2]), xyz[:, :2], min(k, m - 1) + 1, np.inf, workers)
+    xy = perturbed(xyz)
+    _, index = nearest(tree_of(xy), xy, min(k, m - 1) + 1, np.inf, workers)
     z = np.where(index == np.arange(m)[:, None], np.inf, xyz[index, 2])
     return xyz[:, 2] < z.min(axis=1) - depth
 
@@ -136,7 +137,7 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     around, as courtyards mostly are; a small pit whose whole floor was barred may stay out.
 
     Args:
-        points: distinct candidates.
+        points: candidates; of equal ones one counts.
         depth: metres, > 0.
         max_points: of the largest cluster. Ground at its edge counts as well, but not points that are higher by half of
             ``depth`` than the lowest in their cell.
@@ -149,6 +150,10 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     for name, value in (("depth", depth), ("max_points", max_points), ("reach", reach)):
         if not value > 0:
             raise ParameterError(f"low_clusters({name}={value!r}): must be > 0")
+    if points.plain:
+        distinct = canonical_points(points.cloud)
+        found = low_clusters(distinct, depth=depth, max_points=max_points, reach=reach)
+        return LowClusters(found.barred[distinct.member], found.clusters)
     spacing = points.spacing()
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
