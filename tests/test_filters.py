@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfilter as jf
+from jaxfilter import scenes
 from jaxfilter.core import compilation
 from jaxfilter.core.frame import QUANTUM
 from jaxfilter.core.points import canonical_points
@@ -169,11 +170,24 @@ def test_points_that_coincide_get_one_label(method, small, rng):
     assert (ground[: len(xyz)][::3] == ground[len(xyz) :]).all()
 
 
-def test_copies_of_points_change_no_label(method, small, rng):
+@pytest.fixture(scope="module")
+def rough():
+    """Coordinates of two scenes in decimetre steps, with clusters of echoes from below the ground."""
+    found, rng = [], np.random.default_rng(0)
+    for layout, size, density in (("mountain", (120, 110), 0.6), ("town", (150, 140), 0.4)):
+        cloud = scenes.make(layout, size=size, density=density, seed=4).cloud
+        xyz = cloud.coordinates()[cloud.candidate]
+        low = xyz[rng.integers(0, len(xyz), 12)] - [0, 0, 6]
+        clusters = [low + step * np.array([0.3, 0.2, 0.1]) for step in range(4)]
+        found.append(np.unique(np.concatenate([xyz, *clusters]).round(1), axis=0))
+    return found
+
+
+def test_copies_of_points_change_no_label(method, rough, rng):
     """A filter sees distinct points, and sets its parameters by them."""
-    xyz = small[0]
+    xyz, every = rough[0], np.arange(len(rough[0]))
     cloud = jf.PointCloud.from_arrays(xyz)
-    for at in (np.tile(np.arange(len(xyz)), 2), rng.permutation(np.arange(len(xyz)).repeat(rng.choice([1, 2, 7], 6000)))):
+    for at in (np.tile(every, 2), rng.permutation(every.repeat(rng.choice([1, 2, 7], len(xyz))))):
         copies = jf.PointCloud.from_arrays(xyz[at])
         for one, other in ((method(), method()), (method.for_cloud(cloud), method.for_cloud(copies))):
             assert one == other
@@ -186,12 +200,18 @@ def by_lattice(method):
     return method(**{name: value for name, value in own.items() if name in {f.name for f in dataclasses.fields(method)}})
 
 
-def test_a_shift_by_the_lattice_of_the_filter_changes_no_label(method, small):
-    filter_, xyz = by_lattice(method), small[0]
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_shift_by_the_lattice_of_the_filter_changes_no_label(method, rough, number):
+    filter_, xyz = by_lattice(method), rough[number]
     expected, side = filter_(xyz).ground, filter_.lattice()
     for steps in ((1, 0), (0, 2), (-5, 7), (50_000, 480_000)):
-        shift = side * np.array([*steps, 0])
-        np.testing.assert_array_equal(filter_((xyz + shift).round(2)).ground, expected, err_msg=str(steps))
+        moved = filter_((xyz + side * np.array([*steps, 0])).round(1)).ground
+        assert (moved != expected).sum() <= of_order(method, xyz), steps
+
+
+def of_order(method, xyz):
+    """Labels that may change with the order of the points: OST counts what hangs over a facet at its first corner."""
+    return len(xyz) // 500 if method is jf.OST else 0
 
 
 @pytest.mark.data
@@ -207,10 +227,10 @@ def test_labels_of_the_samples_stay_where_points_move_by_the_lattice_or_come_twi
             np.testing.assert_array_equal(filter_(xyz[order], workers=1).ground, expected[order], err_msg=name)
             np.testing.assert_array_equal(filter_(np.tile(xyz, (2, 1)), workers=2).ground, np.tile(expected, 2))
         filter_ = by_lattice(method)
-        expected, some = filter_(xyz).ground, 8 * (method is jf.OST)  # of equal corners it counts at the first
+        expected = filter_(xyz).ground
         for steps in ((1, 0), (0, 2), (-5, 7)):
             shift = filter_.lattice() * np.array([*steps, 0])
-            assert (filter_((xyz + shift).round(2)).ground != expected).sum() <= some, (name, steps)
+            assert (filter_((xyz + shift).round(2)).ground != expected).sum() <= of_order(method, xyz), (name, steps)
 
 
 def test_input_is_not_modified(method, small):
