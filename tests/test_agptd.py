@@ -52,7 +52,8 @@ def plain_loop(xyz, counted, cell, levels, least_points, relative_slope, whole):
         for rows in cells.values():
             if not rows:
                 continue
-            seeds.add(min(rows, key=lambda row: (xyz[row, 2], row)))
+            rows.sort(key=lambda row: tuple(xyz[row, :2]))  # of equally low points the first
+            seeds.add(min(rows, key=lambda row: xyz[row, 2]))
             if len(rows) < least_points:
                 continue
             slope = slopes_from_lowest(xyz[rows])

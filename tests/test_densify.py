@@ -165,6 +165,8 @@ def test_border_nodes_stand_a_block_apart_counted_from_the_anchor(sides):
         nodes = np.arange(20.0, width, 30.0)  # 120 m, 150 m, ... from the anchor
         np.testing.assert_allclose(along, [0.0, *nodes, width], atol=1e-4)
         blocks += len(along) - 1
+        at = {axis: np.unique(border[np.abs(border[:, 1 - axis]) < 1, 1 - axis]) for axis in (0, 1)}
+        assert all(values.tolist() == [-0.25] for values in at.values()), "sides are straight"
     assert len(border) == 2 * blocks
 
 

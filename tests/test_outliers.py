@@ -32,20 +32,21 @@ def crowd(rng):
 
 @pytest.mark.parametrize(("radius", "least"), [(1.0, 2), (2.5, 10), (5.0, 40)])
 def test_radius_outliers_equal_all_pairs(crowd, radius, least):
-    every = np.repeat(crowd.xyz, crowd.weight, axis=0).astype(np.float64)
+    """Copies are no neighbours."""
+    every = crowd.xyz.astype(np.float64)
     count = (cdist(every, every) <= radius).sum(axis=1) - 1
-    out = radius_outliers(crowd.xyz, crowd.weight, radius, least)
-    assert crowd.weight.max() > 1 and 0 < out.sum() < len(out)
-    np.testing.assert_array_equal(np.repeat(out, crowd.weight), count < least)
+    out = radius_outliers(crowd.xyz, radius, least)
+    assert len(crowd) < len(crowd.cloud) and 0 < out.sum() < len(out)
+    np.testing.assert_array_equal(out, count < least)
 
 
 def test_many_neighbours_take_no_more_memory_than_points(rng):
     """More than there are points no point can have; others are looked for part by part."""
-    xyz, weight = points_of(rng.uniform(0, 30, (800, 3))).xyz, np.ones(800, np.int32)
+    xyz = points_of(rng.uniform(0, 30, (800, 3))).xyz
     every = cdist(xyz.astype(np.float64), xyz.astype(np.float64))
     for least in (799, 800, 100_000, 10**9):
         tracemalloc.start()
-        few = radius_outliers(xyz, weight, 40.0, least)
+        few = radius_outliers(xyz, 40.0, least)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         np.testing.assert_array_equal(few, (every <= 40.0).sum(axis=1) - 1 < least)
@@ -55,9 +56,9 @@ def test_many_neighbours_take_no_more_memory_than_points(rng):
 
 
 def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):
-    whole = [radius_outliers(crowd.xyz, crowd.weight, 5.0, 40), knn_outliers(crowd.xyz, crowd.weight, 30)]
+    whole = [radius_outliers(crowd.xyz, 5.0, 40), knn_outliers(crowd.xyz, 30)]
     monkeypatch.setattr(neighbours, "_ENTRIES", 500)
-    parts = [radius_outliers(crowd.xyz, crowd.weight, 5.0, 40), knn_outliers(crowd.xyz, crowd.weight, 30)]
+    parts = [radius_outliers(crowd.xyz, 5.0, 40), knn_outliers(crowd.xyz, 30)]
     assert all(one.any() for one in whole)
     np.testing.assert_array_equal(parts, whole)
 
@@ -65,7 +66,7 @@ def test_outliers_are_the_same_part_by_part(crowd, monkeypatch):
 def test_a_point_just_beyond_the_radius_is_no_neighbour():
     xyz = np.array([[0, 0, 0], [1 + 2**-21, 0, 0]], np.float32)
     for radius, few in ((1.0, True), (1 + 2**-20, False)):
-        assert (radius_outliers(xyz, np.ones(2, np.int32), radius, 1) == few).all()
+        assert (radius_outliers(xyz, radius, 1) == few).all()
 
 
 def test_knn_outliers_equal_all_pairs(rng):
@@ -76,19 +77,19 @@ def test_knn_outliers_equal_all_pairs(rng):
     near = np.argsort(distance, axis=1)[:, :4]
     difference = np.abs(xyz[:, 2] - xyz[near, 2].mean(axis=1))
     expected = difference > difference.mean() + 3 * difference.std()
-    out = knn_outliers(xyz, np.ones(len(xyz), np.int32), 4)
+    out = knn_outliers(xyz, 4)
     assert out.any()
     np.testing.assert_array_equal(out, expected)
 
 
-def test_knn_outliers_count_points_that_coincide():
-    xyz = np.zeros((30, 3), np.float32)
-    xyz[:, 0] = np.arange(30)
-    xyz[15, 2] = 50
-    one, four = np.ones(30, np.int32), np.ones(30, np.int32)
-    four[15] = 5
-    assert knn_outliers(xyz, one, 4)[15]
-    assert not knn_outliers(xyz, four, 4)[15]  # its four nearest are its own copies
+def test_knn_outliers_are_the_same_in_any_order_where_points_are_equally_near(rng):
+    """On a lattice every point has many at the distance of the last of its nearest."""
+    x, y = (v.ravel() for v in np.mgrid[:30, :30])
+    xyz = points_of(np.column_stack([x, y, rng.integers(0, 3, 900) + 3 * (rng.random(900) < 0.02)])).xyz
+    order = rng.permutation(900)
+    out = knn_outliers(xyz, 7)
+    assert out.any()
+    np.testing.assert_array_equal(knn_outliers(xyz[order], 7), out[order])
 
 
 def test_isolated_low_finds_one_point_and_not_two(rng):
@@ -327,7 +328,7 @@ def test_bar_outliers_joins_both_tests(rng):
     points = points_of(xyz)
     barred, late, _ = bar_outliers(points, radius=3.0, min_neighbours=2, clusters=True)
     assert np.flatnonzero(late[points.member]).tolist() == sorted(low)
-    assert np.array_equal(barred, late | radius_outliers(points.xyz, points.weight, 3.0, 2))
+    assert np.array_equal(barred, late | radius_outliers(points.xyz, 3.0, 2))
     assert barred[points.member][-1] and not late[points.member][-1]
     assert not any(part.any() for part in bar_outliers(points, radius=0.0, min_neighbours=2, clusters=False)[:2])
 
@@ -346,7 +347,7 @@ def test_small_clouds():
     for xyz in ([[0, 0, 0]], [[0, 0, 0], [3, 0, -9]], [[0, 0, 0], [1, 0, 0], [0, 1, -50.0]]):
         points = points_of(np.array(xyz, float))
         assert low_clusters(points).barred.shape == (len(xyz),)
-        assert radius_outliers(points.xyz, points.weight, 2.0, 1).shape == (len(xyz),)
+        assert radius_outliers(points.xyz, 2.0, 1).shape == (len(xyz),)
 
 
 def test_low_clusters_name_the_wrong_parameter():

@@ -80,12 +80,15 @@ def test_bad_windows_are_named(window, stride, name):
         window_layout((100.0, 100.0), window, stride)
 
 
-def test_the_lowest_points_of_cells_are_those_of_the_device_and_of_a_loop(rng):
+def test_the_lowest_points_of_cells_are_those_of_the_device_and_of_a_loop_by_x_and_y(rng):
     n, shape, extent = 3 * PIECE + 7, (128, 128), np.array([40, 50], np.int32)
     xyz = (rng.random((n, 3)) * [60, 45, 0.5]).astype(np.float32)  # some beyond the extent
     xyz[:, 2] = np.where(rng.random(n) < 0.01, np.inf, np.round(xyz[:, 2], 1))  # few elevations, so that there are ties
     frame = np.array([-0.3, 0.2, 1.1], np.float32)
-    lowest, first = lowest_points(xyz, xyz[:, 2], frame, extent, shape)
+    xyz = xyz[np.lexsort(xyz.T[::-1])]
+    order = rng.permutation(n)
+    lowest, first, rows = lowest_points(xyz[order], xyz[order, 2], frame, extent, shape)
+    first = np.append(order[rows], n)[first]
     index = cell_index(xyz, frame[:2], frame[2], extent, shape[1])
     assert (np.asarray(index) == places_in(xyz, frame, extent, shape[1])).all()
     expected = block_minima(index, xyz[:, 2], shape[0] * shape[1])

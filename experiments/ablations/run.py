@@ -155,7 +155,7 @@ def _isolated(self: Any, points: Points, workers: int | None) -> Outliers:
 
 
 def _unlike(self: Any, points: Points, workers: int | None) -> Outliers:
-    found = outliers.knn_outliers(points.xyz, points.weight, 8, workers=workers)
+    found = outliers.knn_outliers(points.xyz, 8, workers=workers)
     return Outliers(found, found)
 
 

@@ -132,7 +132,7 @@ def outlier_row(name: str, cloud: jf.PointCloud, result: jf.FilterResult) -> Row
     """
     points = canonical_points(cloud)
     sparse = np.zeros(len(cloud), bool)
-    sparse[points.index] = radius_outliers(points.xyz, points.weight, 5.0, 10)[points.member]
+    sparse[points.index] = radius_outliers(points.xyz, 5.0, 10)[points.member]
     truth, found = cloud.reference, result.barred
     return {
         "sample": name,

@@ -49,6 +49,17 @@ def most_cells(points: int, limit: int = MAX_CELLS) -> int:
     return min(limit, max(_PER_POINT * points, _AT_LEAST))
 
 
+def period(*sides: float) -> float:
+    """The least multiple of the largest side that is one of all of them, metres; the first side where none up to ten times is.
+
+    >>> from jaxfilter.core.grid import period
+    >>> period(1.5, 10.0), period(10.0, 0.37)
+    (30.0, 10.0)
+    """
+    found = (times * max(sides) for times in range(1, 11))
+    return next((length for length in found if all(abs(length / s - round(length / s)) < 1e-6 for s in sides)), sides[0])
+
+
 def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0)) -> Grid:
     """The smallest grid of ``cell`` metres, aligned to ``offset``, that holds local points [n, >=2], of any size.
 

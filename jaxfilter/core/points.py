@@ -21,8 +21,8 @@ EXTENT = 2.0**17
 PIECE = 1 << 15
 """Points that are worked on at a time where several arrays are made of them one after the other."""
 _SPACINGS: WeakKeyDictionary[PointCloud, dict[int, float]] = WeakKeyDictionary()
-"""Spacings of clouds, metres, by the number of candidates that count: with repeated ones or without."""
-_SORTED: WeakKeyDictionary[PointCloud, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
+"""Spacings of clouds, metres, by the number of points that count: all distinct ones, or those that stand for them."""
+_SORTED: WeakKeyDictionary[PointCloud, tuple[np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
 """What :func:`canonical_points` keeps."""
 
 
@@ -35,7 +35,7 @@ class Points:
         xyz: f32[m, 3], local metres. In canonical order, points with equal x, y and z are one row.
         index: i64[c], the cloud's candidates.
         member: i64[c], which row of ``xyz`` each candidate is.
-        weight: i32[m], how many candidates each row stands for.
+        weight: i32[m], how many distinct candidates each row stands for.
         plain: row by row the candidates, in their order.
         kept: what :func:`jaxfilter.core.filter.stage` has kept for other sets of parameters; None = it keeps nothing.
     """
@@ -104,7 +104,7 @@ class Points:
         return has_area(self.xyz)
 
     def spacing(self) -> float:
-        """Mean point spacing in metres: square root of occupied area per point.
+        """Mean point spacing in metres: square root of occupied area per distinct point.
 
         The occupied area is counted in cells that hold about eight points each, so that voids do not count. A cloud that
         is a part of a scene has the spacing of the whole.
@@ -112,6 +112,8 @@ class Points:
         whole, m = self.cloud.whole, len(self.xyz)
         if whole is not None and whole.spacing is not None:
             return whole.spacing
+        if self.plain:
+            return canonical_points(self.cloud).spacing()
         if m < 2:
             return 1.0
         known = _SPACINGS.setdefault(self.cloud, {})
@@ -211,6 +213,12 @@ def _spread_across(xy: np.ndarray) -> float:
     return float(np.abs(x * y[far] - y * x[far]).max()) / length if length > 0 else 0.0
 
 
+def by_position(xyz: np.ndarray) -> np.ndarray:
+    """i64[n]: the order of points f32[n, >=2] by x, then by y, which no shift of the coordinates changes: of equally low points
+    the first counts."""
+    return np.lexsort((xyz[:, 1], xyz[:, 0]))
+
+
 def morton(xy: np.ndarray, moved: tuple[int, int] = (0, 0)) -> np.ndarray:
     """u64[n] Z-order code of local points [n, >=2], moved by whole metres; neighbours in the plane are mostly neighbours in
     this order. Codes repeat after 4,194 km."""
@@ -255,11 +263,11 @@ def canonical_points(cloud: PointCloud, keep: bool = False) -> Points:
     arrays = _SORTED.pop(cloud, None) or _sorted(cloud)
     if keep:
         _SORTED[cloud] = arrays
-    return Points(cloud, *arrays)
+    return Points(cloud, *arrays, np.broadcast_to(np.int32(1), len(arrays[0])))
 
 
-def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """``xyz``, ``index``, ``member`` and ``weight`` of :func:`canonical_points`."""
+def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``xyz``, ``index`` and ``member`` of :func:`canonical_points`."""
     index, xyz = _candidates(cloud)
     east, north = (round(v) for v in (cloud.origin[:2] - cloud.anchor) * cloud.units.xy)
     order, repeated = _canonical_order(morton(xyz, (east, north)), xyz[:, 2])
@@ -267,12 +275,11 @@ def _sorted(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     if len(repeated) == 0:
         for part in pieces(len(order)):
             member[order[part]] = np.arange(part.start, part.stop)
-        return xyz[order], index, member, np.broadcast_to(np.int32(1), len(order))
+        return xyz[order], index, member
     first = np.ones(len(order), bool)
     first[repeated] = False
-    group = np.cumsum(first) - 1
-    member[order] = group
-    return xyz[order[first]], index, member, np.bincount(group).astype(np.int32)
+    member[order] = np.cumsum(first) - 1
+    return xyz[order[first]], index, member
 
 
 def _canonical_order(code: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

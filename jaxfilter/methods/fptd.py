@@ -7,6 +7,7 @@ import math
 from typing import Any, ClassVar
 
 from ..core.errors import ParameterError
+from ..core.grid import period
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
@@ -98,8 +99,8 @@ class FPTD(OutlierRadius, VertexSpacing):
         return fixed | {"window": round(6 * stride, 1), "stride": stride}
 
     def lattice(self) -> float:
-        """The step of the windows."""
-        return self.stride
+        """Whole steps of the windows, and whole blocks, which simulated border points stand apart."""
+        return period(self.stride, self.window)
 
     def growth(self, network: Network) -> Growth:
         growth = super().growth(network)

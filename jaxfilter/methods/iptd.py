@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..core.grid import period
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress
@@ -117,8 +118,8 @@ class IPTD(TerrainAngle):
         return math.ceil(self.window / self.cell / 2 - 1e-6)
 
     def lattice(self) -> float:
-        """The cells of the openings."""
-        return self.cell
+        """Whole cells of the openings, and whole steps between simulated border points."""
+        return period(self.cell, self.border_spacing)
 
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that the opening keeps. ``barred``: bool[m]."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.errors import ParameterError
 from ..core.filter import Filter, Labels, passed
-from ..core.grid import Grid, grid_over
+from ..core.grid import Grid, grid_over, period
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Decision, FilterResult, Progress
@@ -161,8 +161,8 @@ class PPDF(Filter):
         return math.ceil(self.window / self.canopy_cell - 1e-6)
 
     def lattice(self) -> float:
-        """The first cells of the planes."""
-        return self.cell
+        """The first cells of the planes, and whole ones of the others."""
+        return period(self.cell, self.canopy_cell, self.reference_cell or self.cell)
 
     def _near(self, reference: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """bool[m], references and points up to the limit from their local planes, f32[m], metres, on either side."""

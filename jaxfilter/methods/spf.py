@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.filter import stage
+from ..core.grid import period
 from ..core.params import Preset, filter_params, param, static
 from ..core.points import Points
 from ..core.result import Progress
@@ -122,8 +123,8 @@ class SPF(OutlierFate, TerrainAngle):
         return [min(rise, self.max_height) for rise in rises]
 
     def lattice(self) -> float:
-        """The cells of the openings."""
-        return self.cell
+        """Whole cells of the openings, and whole steps between simulated border points."""
+        return period(self.cell, BORDER_SPACING)
 
     def potential_seeds(self, points: Points, barred: np.ndarray) -> np.ndarray:
         """i64[p], ascending: rows of the lowest points of the cells that no opening marked. ``barred``: bool[m]."""

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.cloud import PointCloud
 from ..core.errors import ParameterError
 from ..core.filter import degenerate, of_scene
-from ..core.grid import Grid, grid_over
+from ..core.grid import Grid, grid_over, period
 from ..core.params import Preset, filter_params, param, sample_presets, static
 from ..core.points import Points
 from ..core.result import Progress, silent
@@ -149,6 +149,10 @@ class STIN(OutlierFate, SlopeMirroring):
     def from_spacing(cls, spacing: float, largest_building: float | None) -> dict[str, Any]:
         fixed = super().from_spacing(spacing, largest_building)
         return fixed if largest_building is None else fixed | {"final_cell": min(2.0, largest_building)}
+
+    def lattice(self) -> float:
+        """Whole cells of the seeds, of the finest grid and of the outlier surface."""
+        return period(self.seed_cell, self.final_cell, _OUTLIER_CELL)
 
     def start(self, points: Points, workers: int | None, progress: Progress, trace: bool = False) -> Network:
         progress(0.0, "outliers")

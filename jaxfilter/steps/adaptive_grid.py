@@ -13,7 +13,7 @@ import numpy as np
 from ..core.compilation import bucket
 from ..core.errors import InputError
 from ..core.grid import most_cells
-from ..core.points import Points
+from ..core.points import Points, by_position
 from ..engines.chunks import padded
 from ..engines.grid.cells import block_counts, block_minima, cell_index, padded_shape
 
@@ -80,7 +80,8 @@ def lowest_per_adaptive_cell(
             "extent: use larger cells or fewer levels, or remove stray points far from the rest"
         )
     n = bucket(len(points))
-    xyz, part = padded(points.xyz, n), padded(~barred, n)
+    order = by_position(points.xyz)  # of equally low points the first is a seed
+    xyz, part = padded(points.xyz[order], n), padded(~barred[order], n)
     found, divided, steepest = [], [], []
     for level in range(levels):
         extent = (int(rows) * 2**level, int(columns) * 2**level)
@@ -94,7 +95,7 @@ def lowest_per_adaptive_cell(
         )
         slopes = cell_slopes(index, xyz, part, shape[0] * shape[1])
         number, first, mean, least = (np.asarray(v) for v in slopes)
-        found.append(np.sort(first[number > 0]).astype(np.int64))
+        found.append(np.sort(order[first[number > 0]]))
         enough = number >= least_points
         steepest += mean[enough].tolist()
         if level < levels - 1:

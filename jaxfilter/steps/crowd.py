@@ -52,7 +52,7 @@ class Crowd(NamedTuple):
         rows = rows[: middles(points.xyz, np.float32(_SIDE), np.float32(_SHEET), rows, own)].copy()
         if not has_area(points.xyz[rows]):
             return None
-        weight = np.bincount(own, points.weight).astype(np.int32)
+        weight = np.bincount(own).astype(np.int32)
         few = dataclasses.replace(points, xyz=points.xyz[rows], member=own[points.member], weight=weight)
         return cls(points, few, rows, own)
 

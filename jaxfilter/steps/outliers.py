@@ -11,7 +11,7 @@ import scipy
 
 from ..core.errors import ParameterError
 from ..core.grid import lattice_over
-from ..core.points import Points, pieces
+from ..core.points import Points, canonical_points, pieces
 from ..engines.grid.sparse import CellSet
 from ..engines.neighbours import batches, groups, nearest, perturbed, tree_of
 from ..engines.tin.growth import Outliers
@@ -30,9 +30,7 @@ SCATTER = 0.4
 """Metres: neighbours in a cluster of false echoes differ by more than this in elevation, in the median."""
 
 
-def radius_outliers(
-    xyz: np.ndarray, weight: np.ndarray, radius: float, min_neighbours: int, workers: int | None = None
-) -> np.ndarray:
+def radius_outliers(xyz: np.ndarray, radius: float, min_neighbours: int, workers: int | None = None) -> np.ndarray:
     """bool[m]: points with fewer than ``min_neighbours`` others within ``radius`` metres (Li et al. 2021, Sec. II-B).
 
     The answer is exact. Most points have enough neighbours near them in canonical order already; only the others ask a
@@ -40,12 +38,11 @@ def radius_outliers(
 
     Args:
         xyz: f32[m, 3], local metres, distinct points in canonical order.
-        weight: i32[m], how many points each row stands for; points that coincide are neighbours.
     """
     m = len(xyz)
-    if min_neighbours >= weight.sum(dtype=np.int64):
+    if min_neighbours >= m:
         return np.ones(m, bool)
-    found = weight.astype(np.int32) - 1
+    found = np.zeros(m, np.int32)
     columns = [np.ascontiguousarray(xyz[:, axis]) for axis in range(xyz.shape[1])]
     limit = np.float32((radius * (1 - 1e-6)) ** 2)  # what rounding could carry in is left to the KD-tree
     for shift in range(1, min(_NEAR, m - 1) + 1):
@@ -55,47 +52,37 @@ def radius_outliers(
             step *= step
             square += step
         near = square <= limit
-        found[:-shift] += np.where(near, weight[shift:], 0)
-        found[shift:] += np.where(near, weight[:-shift], 0)
+        found[:-shift] += near
+        found[shift:] += near
     rows = np.flatnonzero(found < min_neighbours)
     few = np.zeros(m, bool)
     if len(rows) == 0:
         return few
     tree = tree_of(xyz)
     for part in batches(rows, min_neighbours + 1):
-        distance, index = nearest(tree, xyz[part], min(min_neighbours + 1, m), radius, workers)
-        counted = np.where(np.isfinite(distance), np.append(weight, 0)[index], 0).sum(axis=1)
-        few[part] = counted - 1 < min_neighbours
+        few[part] = np.isinf(nearest(tree, xyz[part], min_neighbours + 1, radius, workers)[0][:, -1])
     return few
 
 
-def knn_outliers(xyz: np.ndarray, weight: np.ndarray, k: int, *, workers: int | None = None) -> np.ndarray:
+def knn_outliers(xyz: np.ndarray, k: int, *, workers: int | None = None) -> np.ndarray:
     """bool[m]: points whose elevation is unlike that of their ``k`` nearest neighbours (after Zheng et al. 2024).
 
     The statistic is the absolute difference between a point's elevation and the mean elevation of its ``k`` nearest neighbours
     in 3-D, itself excluded. Outliers exceed its mean over the cloud by more than three standard deviations.
-    The paper's own formula compares metres with square metres and cannot be applied as printed.
-
-    Args:
-        xyz: f32[m, 3], local metres, distinct points in canonical order.
-        weight: i32[m], how many points each row stands for; a point that coincides with k others differs by zero.
+    The paper's own formula compares metres with square metres and cannot be applied as printed. Of equally near points those
+    count that :func:`perturbed` moves nearer. ``xyz``: f32[m, 3], local metres, distinct points.
     """
     m = len(xyz)
     if m < 2:
         return np.zeros(m, bool)
     k = min(k, m - 1)
-    z, difference, tree = xyz[:, 2].astype(np.float64), np.empty(m), tree_of(xyz)
+    z, difference = xyz[:, 2].astype(np.float64), np.empty(m)
+    places = np.column_stack([perturbed(xyz), perturbed(xyz[:, 1:])[:, 1]])
+    tree = tree_of(places)
     for part in batches(np.arange(m), k + 1):
-        _, index = nearest(tree, xyz[part], k + 1, np.inf, workers)
-        order = np.argsort(index != part[:, None], axis=1, kind="stable")  # the point itself first
-        index = np.take_along_axis(index, order, axis=1)
-        copies = weight[index].astype(np.int64)
-        copies[:, 0] -= 1
-        taken = np.diff(np.minimum(np.cumsum(copies, axis=1), k), axis=1, prepend=0)
-        difference[part] = np.abs(z[part] - (taken * z[index]).sum(axis=1) / k)
-    mean = np.average(difference, weights=weight)
-    deviation = np.sqrt(np.average((difference - mean) ** 2, weights=weight))
-    return difference > mean + 3.0 * deviation
+        _, index = nearest(tree, places[part], k + 1, np.inf, workers)
+        difference[part] = np.abs(z[part] - z[index[:, 1:]].mean(axis=1))  # the point itself comes first
+    return difference > difference.mean() + 3.0 * difference.std()
 
 
 def isolated_low(xyz: np.ndarray, k: int, depth: float, *, workers: int | None = None) -> np.ndarray:
@@ -107,7 +94,8 @@ def isolated_low(xyz: np.ndarray, k: int, depth: float, *, workers: int | None =
     m = len(xyz)
     if m < 2:
         return np.zeros(m, bool)
-    _, index = nearest(tree_of(xyz[:, :2]), xyz[:, :2], min(k, m - 1) + 1, np.inf, workers)
+    xy = perturbed(xyz)
+    _, index = nearest(tree_of(xy), xy, min(k, m - 1) + 1, np.inf, workers)
     z = np.where(index == np.arange(m)[:, None], np.inf, xyz[index, 2])
     return xyz[:, 2] < z.min(axis=1) - depth
 
@@ -149,7 +137,7 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     around, as courtyards mostly are; a small pit whose whole floor was barred may stay out.
 
     Args:
-        points: distinct candidates.
+        points: candidates; of equal ones one counts.
         depth: metres, > 0.
         max_points: of the largest cluster. Ground at its edge counts as well, but not points that are higher by half of
             ``depth`` than the lowest in their cell.
@@ -162,6 +150,10 @@ def low_clusters(points: Points, *, depth: float = 2.0, max_points: int = 30, re
     for name, value in (("depth", depth), ("max_points", max_points), ("reach", reach)):
         if not value > 0:
             raise ParameterError(f"low_clusters({name}={value!r}): must be > 0")
+    if points.plain:
+        distinct = canonical_points(points.cloud)
+        found = low_clusters(distinct, depth=depth, max_points=max_points, reach=reach)
+        return LowClusters(found.barred[distinct.member], found.clusters)
     spacing = points.spacing()
     cell = max(1.0, 1.5 * spacing)
     reach = max(reach, 8.0 * spacing)
@@ -310,9 +302,9 @@ def bar_outliers(
     low = low_clusters(points).barred if clusters else np.zeros(len(points), bool)
     barred = low.copy()
     if radius > 0:
-        barred |= radius_outliers(points.xyz, points.weight, radius, min_neighbours, workers=workers)
+        barred |= radius_outliers(points.xyz, radius, min_neighbours, workers=workers)
     if neighbours > 0:
-        barred |= knn_outliers(points.xyz, points.weight, neighbours, workers=workers)
+        barred |= knn_outliers(points.xyz, neighbours, workers=workers)
     if barred.all():
         low, barred = np.zeros_like(low), np.zeros_like(low)
     return Outliers(barred, low)

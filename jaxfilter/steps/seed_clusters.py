@@ -15,7 +15,7 @@ _RAISED = 2 / 3
 def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers: int | None = None) -> np.ndarray:
     """bool[s]: the potential seeds that are ground, by the facets of their Delaunay triangulation.
 
-    1. The highest vertex of a facet with a long edge is noise.
+    1. The highest vertices of a facet with a long edge are noise.
     2. Facets with such a vertex, and facets that are both narrow and steep (as between a roof and the ground beside it),
        separate; the others form clusters with the neighbours that they share an edge with (flood fill).
     3. Seeds are the vertices of ground clusters. A vertex in no cluster at all, such as a lone high point, is noise,
@@ -40,7 +40,7 @@ def clustered_seeds(xyz: np.ndarray, *, long_edge: float, raised: float, workers
     square = (edge.astype(np.float64) ** 2).sum(axis=2)
     noise = np.zeros(s, bool)
     long_facet = np.flatnonzero(square.max(axis=1) > long_edge**2)
-    noise[facet[long_facet, z[long_facet].argmax(axis=1)]] = True
+    noise[facet[long_facet][z[long_facet] == z[long_facet].max(axis=1, keepdims=True)]] = True
     separates = noise[facet].any(axis=1) | (
         (_smallest_angle(square) < NARROW) & (_slope(edge[:, 0], edge[:, 1]) > STEEP)
     )

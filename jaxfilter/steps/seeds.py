@@ -9,7 +9,7 @@ import scipy
 
 from ..core.errors import InputError
 from ..core.grid import Grid, lattice_over, most_cells
-from ..core.points import Points
+from ..core.points import Points, by_position
 from ..engines.grid.cells import padded_shape
 from ..engines.grid.minima import lowest_points, places_in
 from ..engines.grid.sparse import CellSet
@@ -32,7 +32,7 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
         barred: bool[m], points that must not be seeds. A window without others has no seed.
 
     Windows start at the multiple of the stride, counted from the cloud's anchor, that lies at or south-west of all points.
-    Of equally low points the first in canonical order is taken.
+    Of equally low points the westernmost is taken, of these the southernmost.
     Raises: ParameterError, InputError if window and stride have too small a common measure for the extent.
     """
     corner, high = np.array(points.lattice_corner(stride)), points.extent[1]
@@ -49,10 +49,10 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
     frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)
     shape = padded_shape(layout.blocks, points.least_shape(layout.block))
-    lowest, first = (cells.reshape(shape) for cells in lowest_points(points.xyz, z, frame, blocks, shape))
-    counts = np.array(layout.counts, np.int32)
-    found = np.unique(np.asarray(window_minima(lowest, first, counts, layout.width, layout.stride)[1]))
-    return found[found < len(points)].astype(np.int64)
+    lowest, first, rows = lowest_points(points.xyz, z, frame, blocks, shape)
+    pair, counts = (lowest.reshape(shape), first.reshape(shape)), np.array(layout.counts, np.int32)
+    found = np.unique(np.asarray(window_minima(*pair, counts, layout.width, layout.stride)[1]))
+    return np.sort(rows[found[found < len(rows)]])
 
 
 def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarray:
@@ -66,33 +66,39 @@ def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarr
 def lowest_on_grid(points: Points, grid: Grid, barred: np.ndarray) -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of the cells of a grid that are not ``barred`` (bool[m]).
 
-    Cells at the upper edges may reach beyond the cloud. Of equally low points the first in canonical order is taken.
+    Cells at the upper edges may reach beyond the cloud. Of equally low points the westernmost is taken.
     """
     rows = np.flatnonzero(~barred)
     cell, z = grid.flat(points.xyz[rows]), points.xyz[rows, 2]
     low = np.full(grid.nx * grid.ny, np.inf, np.float32)
     np.minimum.at(low, cell, z)
-    lowest = np.flatnonzero(z == low[cell])
-    return np.sort(rows[lowest[np.unique(cell[lowest], return_index=True)[1]]])
+    lowest = z == low[cell]
+    return _first_of_each(points.xyz, rows[lowest], cell[lowest])
 
 
 def lowest_of_cells(points: Points, cells: Cells, chosen: np.ndarray, barred: np.ndarray) -> np.ndarray:
     """i64[s], ascending: rows of the lowest points of the ``chosen`` cells, bool[rows, columns].
 
     ``barred``: bool[m], the points that were left out when ``cells`` were made, and are here. Of equally low points the
-    first in canonical order is taken.
+    westernmost is taken.
     """
     chosen = np.where(np.logical_and(chosen, cells.seen), cells.lowest, np.float32(-np.inf))
     (low,) = look_up(points.xyz, cells, chosen)
     rows = np.flatnonzero(~barred & (points.xyz[:, 2] == low))
     at = places_in(points.xyz[rows], np.asarray(cells.frame), np.asarray(cells.extent), chosen.shape[1])
-    return np.sort(rows[np.unique(at, return_index=True)[1]])
+    return _first_of_each(points.xyz, rows, at)
+
+
+def _first_of_each(xyz: np.ndarray, rows: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """i64, ascending: of the points ``rows``, i64[n], of f32[m, 3] the first by position in each ``cell``, i[n]."""
+    order = by_position(xyz[rows])
+    return np.sort(rows[order[np.unique(cell[order], return_index=True)[1]]])
 
 
 def lowest_seeds(points: Points, grid: Grid, seed: np.ndarray, counted: np.ndarray) -> np.ndarray:
     """bool[m]: the lowest seed of every cell that has seeds, and the lowest of the points ``counted`` of the others.
 
-    Of equally low points the first in canonical order is taken. ``seed``, ``counted``: bool[m].
+    Of equally low points the westernmost is taken. ``seed``, ``counted``: bool[m].
     """
     at = grid.flat(points.xyz)
     seeded = np.zeros(grid.nx * grid.ny, bool)

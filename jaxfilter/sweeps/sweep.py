@@ -270,7 +270,7 @@ class _State:
     def add(self, cloud: int, number: int, scene: _Scene, ground: np.ndarray) -> None:
         """Note the labels bool[m] of a set."""
         self.confusion[cloud, number] = scene.confusion(ground)
-        self.ground[cloud, number] = int(scene.points.weight @ ground)
+        self.ground[cloud, number] = int(np.count_nonzero(ground[scene.points.member]))
         if self.votes is not None:
             self.votes[cloud] += scene.points.spread(ground)
         self.done[cloud, number] = self.dirty = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.points import pieces
+from ...core.points import by_position, pieces
 
 
 def places_in(xyz: np.ndarray, frame: np.ndarray, extent: np.ndarray, columns: int) -> np.ndarray:
@@ -36,12 +36,17 @@ def cell_minima(
 
 def lowest_points(
     xyz: np.ndarray, z: np.ndarray, frame: np.ndarray, extent: np.ndarray, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`cell_minima`, and i32[cells], the first of the points that have them; n in cells without a finite one."""
-    lowest = cell_minima(xyz, z, frame, extent, shape)
-    first = np.full(len(lowest), len(xyz), np.int32)
-    for part in reversed(list(pieces(len(xyz)))):
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """:func:`cell_minima`; i32[cells], the first of the points that have them; and i64[k], rows of these points, in the order of
+    :func:`jaxfilter.core.points.by_position`. They are numbered in this order; cells without a finite elevation have k."""
+    lowest, found, cells = cell_minima(xyz, z, frame, extent, shape), [], []
+    for part in pieces(len(xyz)):
         at = places_in(xyz[part], frame, extent, shape[1])
-        rows = np.flatnonzero((z[part] == lowest[at]) & (z[part] < np.inf))[::-1]
-        first[at[rows]] = part.start + rows  # of repeated cells the last one written stays
-    return lowest, first
+        rows = np.flatnonzero((z[part] == lowest[at]) & (z[part] < np.inf))
+        found.append(part.start + rows)
+        cells.append(at[rows])
+    rows = np.concatenate(found)
+    order = by_position(xyz[rows])
+    first = np.full(len(lowest), len(rows), np.int32)
+    first[np.concatenate(cells)[order[::-1]]] = np.arange(len(rows))[::-1]  # of repeated cells the last one written stays
+    return lowest, first, rows[order]

@@ -19,9 +19,11 @@ from typing import Any, Self
 import numpy as np
 
 from ...core.compilation import on_processor
+from ...core.frame import QUANTUM
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
+from ..neighbours import perturbed
 from .facets import judge, mirrored, of_nodes, single
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
@@ -210,9 +212,11 @@ class GroundTin(GroundNodes):
     def _over_neighbours(self) -> dict[str, np.ndarray]:
         """Quantities of vertices over the facets across the edge from them; simulated ones left out."""
         tin = self.tin
-        least = tin.triangles.min(axis=1)
         step = max(1, 3 * len(tin) // _SAMPLE)
-        rows = np.flatnonzero((least >= 0) & (least % step == 0))  # by nodes: rows depend on the history
+        rows = np.flatnonzero((tin.triangles >= 0).all(axis=1))
+        at = tin.xyz[tin.triangles[rows], :2].sum(axis=1, dtype=np.float64)
+        moved = perturbed(at)[:, 0] - at[:, 0]  # by position: rows depend on the history
+        rows = rows[moved < (1 / step - 0.5) * QUANTUM]
         corner = np.sort(tin.triangles[rows], axis=1)
         inner = self.net.real[corner].all(axis=1)
         rows, corner = rows[inner], corner[inner]

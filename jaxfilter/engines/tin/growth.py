@@ -12,7 +12,7 @@ import numpy as np
 from ...core.filter import Labels
 from ...core.frame import ends
 from ...core.grid import Grid
-from ...core.points import Points, pieces
+from ...core.points import Points, by_position, pieces
 from .facets import Rule
 from .triangulation import Tin
 
@@ -193,13 +193,14 @@ class _Choice:
         self.level, self.vertex = np.full(count, np.inf, np.float32), np.full(count, -1, np.int32)
 
     def lowest(self, nodes: np.ndarray) -> np.ndarray:
-        """The lowest of nodes, ascending, that may be vertices, in each square (of equals the first): they are its vertices."""
+        """The lowest of nodes, ascending, that may be vertices, in each square (of equals the first by position): they are its vertices."""
         assert self.square is not None
         at, z = self.square[nodes], self.network.xyz[nodes, 2]
         np.minimum.at(self.level, at, z)
         least = z == self.level[at]
         nodes, at = nodes[least], at[least]
-        self.vertex[at[::-1]] = nodes[::-1]  # of equals the first in order is written last, and stays
+        order = by_position(self.network.xyz[nodes])[::-1]
+        self.vertex[at[order]] = nodes[order]  # of equals the first by position is written last, and stays
         return nodes[self.vertex[at] == nodes]
 
 
@@ -273,9 +274,10 @@ class LowestPerCell(_Choice):
         tin.become(np.append(self.network.virtual, self.lowest(np.flatnonzero(ground & self.network.real))))
 
     def could(self, nodes: np.ndarray, tin: Tin) -> np.ndarray:
-        """bool[n]: nodes in a cell without a vertex, or lower than it (of equals, the first in order)."""
-        at, z = self.square[nodes], self.network.xyz[nodes, 2]
-        return (z < self.level[at]) | ((z == self.level[at]) & (nodes < self.vertex[at]))
+        """bool[n]: nodes in a cell without a vertex, or lower than it (of equals, the first by position)."""
+        at, (x, y, z) = self.square[nodes], self.network.xyz[nodes].T
+        level, (there, north, _) = self.level[at], self.network.xyz[self.vertex[at]].T
+        return (z < level) | ((z == level) & ((x < there) | ((x == there) & (y < north))))
 
     def add(self, accepted: np.ndarray, tin: Tin) -> np.ndarray:
         """Bring ground points, ascending, into the network, in the place of higher ones; i64[v], the new vertices."""

@@ -14,7 +14,6 @@ from .growth import Network, Outliers
 
 PAD = 0.25
 """Metres between the extent of the points and the simulated border points around it."""
-_BULGE = 0.05
 _MOST = 200_000
 """Simulated border points, at most: those every 10 m around 500 km."""
 CORNER_GAP = 10.0
@@ -49,14 +48,13 @@ def border_positions(
     for axis in range(2):
         first, last = (int(turn((end[axis] + corner[axis]) / size)) for turn, end in ((np.floor, low), (np.ceil, high)))
         number = np.arange(first, last + 1)
-        bulge = PAD + _BULGE * np.array([0.0, 0.4, 1.0])[number % 3]
         along = np.clip(number * size - corner[axis], low[axis], high[axis])
         along[0] -= PAD
         along[-1] += PAD
         for edge, sign in ((low, -1.0), (high, 1.0)):
             side = np.empty((len(along), 2))
             side[:, axis] = along
-            side[:, 1 - axis] = edge[1 - axis] + sign * bulge
+            side[:, 1 - axis] = edge[1 - axis] + sign * PAD
             sides.append(side if axis == 0 else side[1:-1])  # the corners belong to the first two sides
     return np.concatenate(sides).astype(np.float32)
 
