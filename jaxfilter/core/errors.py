@@ -88,7 +88,7 @@ def check_positive(unit: str = "", **values: float | None) -> None:
             raise ParameterError(f"{name}={value!r}: must be a positive number{unit}")
 
 
-def check_whole(least: int = 1, **values: Any) -> None:
+def check_whole(least: int = 1, /, **values: Any) -> None:
     """Raises: ParameterError for what is no whole number, or below ``least``."""
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
