@@ -376,14 +376,14 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         step = put(step, _each(lambda f, p, t: (f + p) / t, force, pulls(red), black_total))
         new_product = _dot(force, at(step))
         turn = jnp.where(open_, new_product / product, 0)
-        direction = put(direction, _each(lambda s, d: s + turn * d, at(step), at(direction)))
+        direction = put(direction, _each(lambda s, d: s + turn[None] * d, at(step), at(direction)))
         red = reds(direction, red)
         pull = _each(lambda h, t, d, p: jnp.where(h, t * d, 0) - p, black_hole, black_total, at(direction), pulls(red))
         length = new_product / jnp.maximum(_dot(at(direction), pull), jnp.finfo(z.dtype).tiny)
         length = jnp.where(open_, length, 0)
         error = jnp.where(open_, jnp.maximum(*_each(lambda s: jnp.abs(s).max(axis=0), step)), before)
-        x = put(x, _each(lambda x, d: x + length * d, at(x), at(direction)))
-        force = _each(lambda f, p: f - length * p, force, pull)
+        x = put(x, _each(lambda x, d: x + length[None] * d, at(x), at(direction)))
+        force = _each(lambda f, p: f - length[None] * p, force, pull)
         return x, force, direction, step, red, new_product, error, rounds + 1, goal
 
     def refine(k: jax.Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
