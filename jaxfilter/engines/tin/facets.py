@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 
 from ...core.arrays import operation, takes
-from ...core.compilation import jit
 from ...core.result import Decision
 
 _FLAT_AREA = (
@@ -156,7 +155,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 
 
 @takes(two_sided="bool[n]", points="f32?[3, n]", corners="f32?[3, 3, n]")
-@functools.partial(jit, static_argnames="names")
+@functools.partial(jax.jit, static_argnames="names")
 def judge(
     rule: Any,
     two_sided: jax.Array,
