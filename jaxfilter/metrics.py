@@ -5,8 +5,10 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from .core.arrays import operation
 
-@jax.jit
+
+@operation(ground="bool[n]", reference="bool[n]", counted="bool[n]")
 def confusion_counts(ground: jax.Array, reference: jax.Array, counted: jax.Array) -> jax.Array:
     """Confusion matrix of one labelling.
 

@@ -146,3 +146,17 @@ def test_many_membranes_at_once_equal_single_ones(rng):
     whole = jax.vmap(lambda cells: fill_membrane(z, cells, inside, 1e-6))(known)
     for i in range(4):
         np.testing.assert_allclose(whole.z[i], fill_membrane(z, known[i], inside, 1e-6).z, atol=1e-4)
+
+
+def test_several_grids_are_filled_where_ranks_must_be_equal(rng):
+    """As the soft labels of SMRF do, and their gradient by elevations."""
+    known = rng.random((9, 12)) < 0.5
+    grids, along = rng.normal(size=(2, 3, 9, 12)).astype(np.float32)
+
+    def filled(z):
+        return jax.vmap(lambda one: fill_membrane(one, known, np.ones(known.shape, bool)).z)(z)
+
+    expected = jax.jvp(filled, (grids,), (along,))
+    with jax.numpy_rank_promotion("raise"):
+        for found, one in zip(jax.jvp(filled, (grids,), (along,)), expected, strict=True):
+            np.testing.assert_array_equal(found, one)

@@ -1,8 +1,12 @@
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
 
+import jaxfilter as jf
 from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.engines.grid import morphology
 from jaxfilter.engines.grid.morphology import dilation, erosion, opening, progressive_opening
@@ -129,3 +133,106 @@ def test_arrays_that_are_no_grid_are_refused_by_shape(shape):
         morphology.progressive_opening(z, z == 0, jnp.array([1]), lambda k, before, opened, found: found, z, reach=1)
     with pytest.raises(ValueError, match=r"valid of shape .*\(4, 6\)"):
         morphology.opening(jnp.zeros((4, 6)), 1, 2, valid=z == 0)
+
+
+WHOLE = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+NUMBERS = [*WHOLE, "float16", "bfloat16", "float32", "float64"]
+OPENED = {
+    "erosion": lambda z, element: erosion(z, 1, 2, element),
+    "dilation": lambda z, element: dilation(z, 1, 2, element),
+    "opening": lambda z, element: opening(z, 1, 2, element),
+    "progressive_opening": lambda z, element: progressive_opening(
+        z, np.ones(z.shape, bool), [1], lambda k, before, opened, found: found, 0, reach=2, element=element
+    )[0],
+}
+
+
+def extreme(name, shape=(4, 5)):
+    """Numbers of a type, its least and largest among them; of 64 bits those of 32, which is what JAX has without x64."""
+    kind = jnp.dtype(name)
+    if name in WHOLE:
+        ends = np.iinfo(name.replace("64", "32"))
+        values = [ends.min, ends.max, 0, 5, 7, ends.max - 1, ends.min + 1]
+    else:
+        values = [-np.inf, -3.5, -0.0, 0.0, 0.25, 2.5, np.inf]
+    return np.random.default_rng(3).choice(np.array(values, kind), shape)
+
+
+def scipy_of(name, z, cells):
+    """In float64, which holds all numbers of 32 bits; nothing lies beyond the border."""
+    out = z.astype(np.float64)
+    if name != "dilation":
+        out = ndimage.grey_erosion(out, footprint=cells, mode="constant", cval=np.inf)
+    if name != "erosion":
+        out = ndimage.grey_dilation(out, footprint=cells, mode="constant", cval=-np.inf)
+    return out
+
+
+@pytest.mark.parametrize("operation", list(OPENED))
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_of_all_types_are_those_of_scipy(operation, name):
+    for shape, element in (((4, 5), "disk"), ((4, 5), "square"), ((1, 1), "disk")):
+        z = extreme(name, shape)
+        made = np.asarray(OPENED[operation](z, element))
+        np.testing.assert_array_equal(made.astype(np.float64), scipy_of(operation, z, footprint(1, element)))
+        assert made.dtype.name == name.replace("64", "32")
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_run_minima_of_all_types(name):
+    z = extreme(name)
+    expected = np.minimum(z, np.column_stack([z[:, 1:], z[:, -1:]]))
+    np.testing.assert_array_equal(morphology.run_minima(z, 2, 3, axis=1), expected)
+
+
+@pytest.mark.parametrize(
+    "name, ends", [("int64", [-(2**62), 2**62 + 1]), ("uint64", [1, 2**64 - 2]), ("float64", [-1e300, 1 + 1e-12])]
+)
+def test_numbers_of_64_bits_count_where_jax_has_them_and_are_refused_where_they_do_not_fit(name, ends):
+    z = np.random.default_rng(5).choice(np.array([*ends, 3], name), (3, 4))
+    wide = np.pad(z, 1, mode="edge")
+    jax.config.update("jax_enable_x64", True)
+    try:
+        for made, pick in ((erosion(z, 1, 1), np.minimum), (dilation(z, 1, 1), np.maximum)):
+            cross = (wide[1:-1, 1:-1], wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:])
+            np.testing.assert_array_equal(made, functools.reduce(pick, cross))
+            assert made.dtype == name
+        np.testing.assert_array_equal(opening(z, 1, 1), dilation(erosion(z, 1, 1), 1, 1))
+    finally:
+        jax.config.update("jax_enable_x64", False)
+    if name != "float64":
+        with pytest.raises(jf.InputError, match=rf"z holds .*{z.max()}: more than u?int32"):
+            dilation(z, 1, 1)
+
+
+@pytest.mark.parametrize("call", [*OPENED.values(), lambda z, element: morphology.run_minima(z, 1, 1, 0)])
+def test_what_is_no_grid_of_numbers_is_refused_by_name(call):
+    wrong = [np.zeros(shape) for shape in ((0, 0), (0, 5), (5, 0), (4,), (2, 3, 4))]
+    wrong += [np.ones((2, 3), kind) for kind in (bool, complex, object, "U3", "M8[s]")]
+    wrong += [
+        np.ma.array(np.ones((2, 2)), mask=np.eye(2, dtype=bool)),
+        np.array([[1.0, np.nan]]),
+        jnp.array([[jnp.nan]]),
+    ]
+    for z in wrong:
+        with pytest.raises(jf.InputError, match=r"^z "):
+            call(z, "disk")
+    with pytest.raises(jf.InputError, match=r"^z is bool"):
+        jax.jit(jax.vmap(lambda z: call(z, "disk")))(np.ones((2, 3, 4), bool))
+
+
+def test_lists_are_arrays_and_other_arguments_are_refused_by_name():
+    assert dilation([[0, 5, 0]], 1, reach=1).tolist() == [[5, 5, 5]]
+    np.testing.assert_array_equal(opening([[0.0, 5.0, 0.0]], 1, 1, valid=[[True, True, False]]), [[0.0, 0.0, 0.0]])
+    z = np.zeros((2, 3), np.float32)
+    for arguments, name in (
+        ({"radius": 1.5}, "radius"), ({"radius": [1]}, "radius"), ({"radius": None}, "radius"), ({"radius": 2**40}, "radius"),
+        ({"reach": -1}, "reach"), ({"reach": 1.0}, "reach"), ({"reach": True}, "reach"), ({"element": 3}, "element"),
+        ({"valid": np.ones((2, 3), int)}, "valid"), ({"valid": np.ones((3, 2), bool)}, "valid"),
+    ):  # fmt: skip
+        with pytest.raises(jf.JaxfilterError, match=f"^{name}"):
+            opening(z, **{"radius": 1, "reach": 1} | arguments)
+    with pytest.raises(jf.InputError, match=r"^z is int64"):  # their differences need not fit
+        morphology.raised_cells(z.astype(int), z == 0, [1], [0.5], reach=1)
+    with pytest.raises(jf.InputError, match=r"^heights of shape \(2,\).*here \(1\)"):
+        morphology.raised_cells(z, z == 0, [1], [0.5, 1.0], reach=1)

@@ -1,5 +1,7 @@
 """Switches for other readings of the papers, each against its definition; and that they keep what all filters owe."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -99,3 +101,59 @@ def test_without_a_reach_references_are_found_across_any_void(rng):
     near, far = jf.PPDF(**given)(cloud), jf.PPDF(**given, reach=np.inf)(cloud)
     assert np.isnan(near.elevation[-2:]).all() and not near.ground[-2:].any()
     assert far.ground[-2] and not far.ground[-1] and far.elevation[-1] == pytest.approx(6.0, abs=0.05)
+
+
+# Settings of JAX by which careful users find mistakes. SMRF's soft labels have a short test in test_inpaint.py.
+CAREFUL = {"jax_numpy_rank_promotion": "raise", "jax_numpy_dtype_promotion": "strict", "jax_debug_nans": True}
+SOFT = [
+    pytest.param(jf.SMRF(window=4.0), ("slope", "threshold"), marks=pytest.mark.slow),
+    pytest.param(jf.PMF(max_window=9.0), ("slope", "initial_distance"), marks=pytest.mark.slow),
+    (jf.MSF(), ("initial_distance",)),
+]
+
+
+def carefully(call):
+    """What a call gives as it is, and with careful settings of JAX."""
+    expected, before = call(), {name: getattr(jax.config, name) for name in CAREFUL}
+    try:
+        for name, value in CAREFUL.items():
+            jax.config.update(name, value)
+        return expected, call()
+    finally:
+        for name, value in before.items():
+            jax.config.update(name, value)
+
+
+@pytest.mark.parametrize("name", sorted(jf.FILTERS))
+def test_careful_settings_of_jax_change_no_label(hills, name):
+    expected, found = carefully(lambda: jf.FILTERS[name]()(hills))
+    assert 0.1 < expected.ground.mean() < 0.99
+    for field in ("ground", "height", "margin"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+
+
+@pytest.mark.parametrize("filter_, fields", SOFT)
+def test_careful_settings_of_jax_change_no_soft_label_no_gradient_no_batch_and_no_sweep(hills, filter_, fields):
+    cloud = jf.PointCloud.from_arrays(hills, reference=np.arange(len(hills)) % 2 == 0)
+    points = filter_.points_of(cloud)
+    cells, xyz = filter_.cells(points), jnp.asarray(points.xyz)
+    sets = {field: [getattr(filter_, field), 1.2 * getattr(filter_, field)] for field in fields}
+
+    def total(at):
+        one = filter_.replace(**dict(zip(fields, at, strict=True)))
+        return jf.soft_labels(one, cells, xyz, width=0.1).sum()
+
+    def everything():
+        at = jnp.asarray([values[0] for values in sets.values()], jnp.float32)
+        batch = jf.batch({"whole": cloud, "half": hills[:1200]}, filter_, blocks=1)
+        return (
+            jax.value_and_grad(total)(at),
+            batch.ground(sets),
+            batch.soft(),
+            jf.sweep(filter_, cloud, sets).ground.values,
+        )
+
+    expected, found = map(jax.tree.leaves, carefully(everything))
+    assert np.abs(expected[1]).min() > 0
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)

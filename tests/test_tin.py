@@ -1,5 +1,8 @@
 """The growing triangulation against the one made anew of all its vertices, in any order, batches, history and threads."""
 
+import json
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -10,10 +13,11 @@ from scipy.spatial import Delaunay
 from triangulation import Mesh, in_circle, power, triangulation, turn
 
 from jaxfilter.core.cloud import QUANTUM
+from jaxfilter.core.errors import InputError
 from jaxfilter.core.points import morton
 from jaxfilter.engines.tin import flips, predicates
 from jaxfilter.engines.tin import triangulation as tin_module
-from jaxfilter.engines.tin.triangulation import Tin
+from jaxfilter.engines.tin.triangulation import Tin, triangulated
 
 FAR = 2**26
 """Half of the largest distance along an axis that is tried, in quanta."""
@@ -613,3 +617,72 @@ def test_bad_inputs_make_few_triangles(kind, pool, rng, monkeypatch):
     assert len(calls) < 200, (
         "a call makes 10,000 triangles: those are 50 for a node, and nodes squared would be 160,000 calls"
     )
+
+
+ON_A_LINE = {
+    "one": [[3.0, 4.0]],
+    "two": [[0.0, 0.0], [1.0, 1.0]],
+    "equal": [[2.0, 2.0]] * 5,
+    "along x": [[x, 1.0] for x in range(5)],
+    "along y": [[1.0, y] for y in range(5)],
+    "diagonal": [[x, 2.0 * x] for x in range(3)],
+    "diagonal, far": [[65000.0 + x, 32000.0 - x] for x in range(40)],
+    "repeated": [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]],
+}
+
+
+def test_positions_on_a_line_are_an_error_and_do_not_hang():
+    """In a process of its own, since compiled code does not heed an interrupt."""
+    script = (
+        "import sys, json, numpy as np\n"
+        "from jaxfilter.engines.tin.triangulation import triangulated\n"
+        "for name, xy in json.loads(sys.argv[1]).items():\n"
+        "    try:\n"
+        "        triangulated(np.pad(np.array(xy, np.float32), ((0, 0), (0, 1))), 1)\n"
+        "    except Exception as error:\n"
+        "        print(name, '-', type(error).__name__, error)\n"
+    )
+    arguments = [sys.executable, "-c", script, json.dumps(ON_A_LINE)]
+    said = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=True).stdout.splitlines()
+    assert said == [
+        f"{name} - InputError xyz of {len(xy)} points: they are on one line: at least three positions are needed that are not"
+        for name, xy in ON_A_LINE.items()
+    ]
+
+
+SQUARE = np.array([[0, 0, 1], [4, 0, 2], [4, 4, 3], [0, 4, 5]], np.float32)
+
+
+@pytest.mark.parametrize(
+    "xyz, words",
+    [
+        (SQUARE[:0], "shape"),
+        (SQUARE[:, :2], "shape"),
+        (SQUARE.ravel(), "shape"),
+        (SQUARE.astype(int), "int64"),
+        (SQUARE.astype(object), "object"),
+        (SQUARE.tolist() + [[1]], "array"),
+        (np.where(SQUARE == 5, np.nan, SQUARE), "NaN"),
+        (np.where(SQUARE == 4, np.nan, SQUARE), "NaN"),
+        (np.where(SQUARE == 4, np.inf, SQUARE), "4 points.*2097 km"),
+        (np.where(SQUARE == 4, 1e30, SQUARE), "4 points.*2097 km"),
+        (np.where(SQUARE == 4, 2e5, SQUARE), "4 points.*140 km"),
+        (
+            np.concatenate([SQUARE, SQUARE[1:2] + [[0, 0, 9]]]),
+            "5 points: node 4 is at the position of a vertex: give each",
+        ),
+        (np.concatenate([SQUARE, SQUARE[1:2] + 1e-5]), "5 points: node 4 is at the position of a vertex"),
+    ],
+)
+def test_what_cannot_be_triangulated_is_refused_by_name(xyz, words):
+    with pytest.raises(InputError, match=rf"^xyz\b.*{words}"):
+        triangulated(xyz)
+
+
+@pytest.mark.parametrize(
+    "xyz", [SQUARE, SQUARE.astype(float), SQUARE.tolist(), SQUARE + [[65000, 65000, 0]], SQUARE[:3]]
+)
+def test_few_points_that_are_not_on_a_line_have_the_triangles_of_scipy(xyz):
+    corners = triangulated(xyz).facets()[0]
+    assert len(corners) == len(Delaunay(np.array(xyz)[:, :2]).simplices)
+    assert set(corners.ravel()) == set(range(len(xyz)))

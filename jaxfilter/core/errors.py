@@ -90,7 +90,7 @@ def check_positive(unit: str = "", **values: float | None) -> None:
             raise ParameterError(f"{name}={value!r}: must be a positive number{unit}, {SIZES[0]:g} to {SIZES[1]:g}")
 
 
-def check_whole(least: int = 1, most: Any = float("inf"), **values: Any) -> None:
+def check_whole(least: int = 1, most: Any = float("inf"), /, **values: Any) -> None:
     """Raises: ParameterError for what is no whole number, below ``least``, or above ``most``."""
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least or value > most:

@@ -57,7 +57,9 @@ def period(*sides: float) -> float:
     (30.0, 10.0)
     """
     found = (times * max(sides) for times in range(1, 11))
-    return next((length for length in found if all(abs(length / s - round(length / s)) < 1e-6 for s in sides)), sides[0])
+    return next(
+        (length for length in found if all(abs(length / s - round(length / s)) < 1e-6 for s in sides)), sides[0]
+    )
 
 
 def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0)) -> Grid:

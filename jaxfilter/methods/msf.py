@@ -128,4 +128,4 @@ class MSF(LowOutlierFilter):
         limits = jnp.stack([*map(jnp.float32, (self.initial_distance, self.slope, self.max_height, self.window))])
         reach = math.ceil(self.window / self.cell + math.sqrt(2))
         top = cone_limits(xyz, lowest, place, surface.frame, surface.extent, limits, reach)
-        return held._replace(above=xyz[:, 2] - top)
+        return held._replace(above=jnp.subtract(xyz[:, 2], top))

@@ -226,7 +226,7 @@ def _opened(cells: Cells, surface: jax.Array, reach: jax.Array | int, most: int,
     drops = jnp.where(valid, steepest_drops(cut, valid, reach, most), 0)
     counted = {"cells": valid, "empty_cells": valid & ~cells.seen, "low_cells": low}
     counts = {name: number.sum(dtype=jnp.int32) for name, number in counted.items()}
-    return Opened(cells, surface, jnp.where(net, jnp.inf, drops), cells.seen & ~low & ~net, counts)
+    return Opened(cells, surface, jnp.where(net, jnp.inf, drops), ~low & ~net & cells.seen, counts)
 
 
 @jax.jit

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..core.arrays import operation, takes
+
 _DEGENERATE = 1e-6  # share of the squared spread below which positions count as lying on a line
 
 
@@ -41,6 +43,7 @@ class Planes(NamedTuple):
         return jnp.rad2deg(jnp.arctan(jnp.linalg.norm(self.gradient, axis=-1)))
 
 
+@takes(count="number[B]", xx="f32[B]", xy="f32[B]", yy="f32[B]", xz="f32[B]", yz="f32[B]")
 def gradient_of(
     count: jax.Array, xx: jax.Array, xy: jax.Array, yy: jax.Array, xz: jax.Array, yz: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -52,13 +55,13 @@ def gradient_of(
     return jnp.where(determined[:, None], scaled / jnp.where(determined, determinant, 1)[:, None], 0), determined
 
 
-@jax.jit
+@operation(xyz="f32[B, N, 3]", mask="bool[B, N]")
 def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     """Planes with the least sum of squared vertical residuals, in closed form about the mean of each block.
 
     Args:
         xyz: f32[B, N, 3], local metres.
-        mask: bool[B, N], the points that count; the others (padding) may hold any finite value.
+        mask: bool[B, N], the points that count; the others (padding) may hold any finite value. No block is empty.
 
     >>> from jaxfilter.steps import planes
     >>> xyz = jnp.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 2.0], [0.0, 2.0, 1.0], [2.0, 2.0, 2.0]]])
@@ -77,7 +80,7 @@ def fit_planes(xyz: jax.Array, mask: jax.Array) -> Planes:
     return Planes(centre, gradient, determined)
 
 
-@jax.jit
+@operation(xyz="f32[B, N, 3]")
 def plane_residuals(planes: Planes, xyz: jax.Array) -> jax.Array:
     """f32[B, N], signed distance of points f32[B, N, 3] to the plane of their block, metres along the normal, up > 0.
 

@@ -193,17 +193,17 @@ def local_planes(xyz: np.ndarray, query: np.ndarray, row: np.ndarray) -> tuple[n
     def around(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         return xyz[row[rows]] - xyz[query[rows]][:, None], row[rows] >= 0
 
-    found = in_chunks(_plane_below, around, len(query), _BLOCK)
+    none = (row < 0).all(axis=1, keepdims=True)
+    found = np.where(none, np.float32(np.nan), in_chunks(_plane_below, around, len(query), _BLOCK))
     return found[:, 0], found[:, 1], found[:, 2]
 
 
 @jax.jit
 def _plane_below(reference: jax.Array, known: jax.Array) -> jax.Array:
-    """f32[q, 3]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin."""
+    """f32[q, 3]: distance, height and slope of the plane through f32[q, 4, 3], for a point at the origin; of no point, any."""
     planes = fit_planes(reference, known)
     square = jnp.where(known, (reference[..., :2] ** 2).sum(axis=-1), jnp.inf)
     nearest_one = jnp.take_along_axis(reference, jnp.argmin(square, axis=1)[:, None, None], axis=1)[:, 0]
     planes = planes._replace(centre=jnp.where(planes.determined[:, None], planes.centre, nearest_one))
     distance = -(planes.centre * planes.normal).sum(axis=1)
-    answers = jnp.stack([distance, distance / planes.normal[:, 2], planes.slope], axis=1)
-    return jnp.where(known.any(axis=1, keepdims=True), answers, jnp.nan)
+    return jnp.stack([distance, distance / planes.normal[:, 2], planes.slope], axis=1)

@@ -27,7 +27,7 @@ from ..core.params import declared
 from ..core.reading import Reading
 from ..core.version import __version__
 from ..files.copc import check_format, is_copc
-from ..files.disk import Identity, Seal
+from ..files.disk import Identity, Seal, is_there
 from ..files.sources import fingerprint
 from ..methods import FILTERS
 from .area import area_of, meeting
@@ -130,7 +130,9 @@ class Survey:
                 if targets.in_place:
                     self._check_inputs()
             except BaseException as error:
-                if len(plan) == 1 and (targets.in_place or not run.report.files):  # there is nothing to go on with
+                if len(plan) == 1 and (
+                    targets.in_place or not any(map(is_there, targets.places))
+                ):  # nothing to go on with
                     targets.discard()
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ...core.arrays import GRID, MASK, operation
 from ..grid.inpaint import fill_nearest, running
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "nearest"))
+@operation(xyz="f32[n, 3]", carries="bool[n]", frame="f32[3]", extent="int[2]", shape=1, nearest=(False, True))
 def lowest_below(
     xyz: jax.Array,
     carries: jax.Array,
@@ -26,7 +25,7 @@ def lowest_below(
     nearest to it, of equally near ones the lowest.
 
     Args:
-        xyz: f32[n, 3], local metres; carries: bool[n], the points that count.
+        xyz: f32[n, 3] without NaN, local metres; carries: bool[n], the points that count.
         frame: f32[3], x and y of particle (0, 0), and the distance between particles, metres.
         extent: i32[2], true numbers of rows and columns; ``shape`` is padded.
 
@@ -44,14 +43,14 @@ def lowest_below(
     return jnp.where(carried, lowest, 0), carried
 
 
-@jax.jit
+@operation(z=GRID, known=MASK, inside=MASK)
 def fill_along_lines(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
     """Give every unknown node the value of the next known one in its row or column.
 
     The next to the right is taken, else to the left, else below, else above; where row and column are empty, the nearest
     known node. As in the program of Zhang et al. (2016).
 
-    Args: z f32 (metres), known bool, inside bool (nodes that exist), each [rows, columns].
+    Args: z f32 without NaN (metres), known bool, inside bool (nodes that exist), each [rows, columns].
     Returns: f32[rows, columns].
 
     >>> from jaxfilter.engines.cloth import surface

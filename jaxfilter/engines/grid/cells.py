@@ -6,13 +6,14 @@ nearly equal size share one compilation; the true number of rows and columns is 
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...core.arrays import operation, takes
 
+
+@takes(n=0)
 def padded_length(n: int) -> int:
     """The padded number of rows or columns that holds ``n``: the next multiple of 256; from 1024 on of 128, 256 from 2048, 512
     from 4096, so that a large grid is never padded by more than an eighth of its side.
@@ -21,6 +22,7 @@ def padded_length(n: int) -> int:
     return -(-max(n, 1) // step) * step
 
 
+@takes(shape=0, least=0)
 def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tuple[int, int]:
     """:func:`padded_length` of rows and columns, or of ``least`` where that is more; up to 512 cells a side, a square.
 
@@ -30,6 +32,7 @@ def padded_shape(shape: tuple[int, int], least: tuple[int, int] = (1, 1)) -> tup
     return (max(rows, columns),) * 2 if max(rows, columns) <= 512 else (rows, columns)
 
 
+@takes(shape=0, extent="int[2]")
 def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     """bool[rows, columns] of the padded ``shape``: True for the cells of the true ``extent``, i32[2] (rows, columns).
 
@@ -41,12 +44,12 @@ def inside(shape: tuple[int, int], extent: jax.Array | np.ndarray) -> jax.Array:
     return (row < extent[0]) & (column < extent[1])
 
 
-@functools.partial(jax.jit, static_argnames="columns")
+@operation(xy="f32[n, 2+]", corner="f32[2]", cell="number[]", extent="int[2]", columns=1)
 def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Array, columns: int) -> jax.Array:
     """Row-major cell of every point in a padded grid; points outside the extent go to the nearest cell.
 
     Args:
-        xy: f32[n, >=2], local metres.
+        xy: f32[n, >=2] without NaN, local metres.
         corner: f32[2], x and y of the lower left corner of cell (0, 0), metres.
         cell: f32[], side of a cell, metres.
         extent: i32[2], true number of rows and columns.
@@ -65,17 +68,17 @@ def cell_index(xy: jax.Array, corner: jax.Array, cell: jax.Array, extent: jax.Ar
     return row * columns + column
 
 
-@functools.partial(jax.jit, static_argnames="cells")
+@operation(index="int[n]", z="f32[n]", cells=1)
 def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array, jax.Array]:
     """Lowest elevation of every cell, and the first point that has it.
 
     Args:
         index: i32[n], cell of every point.
-        z: f32[n], metres; +inf for points that do not count (padding).
+        z: f32[n] without NaN, metres; +inf for points that do not count (padding).
         cells: number of cells of the padded grid.
 
     Returns: f32[cells], +inf in empty cells, and i32[cells], the lowest index among equally low points, ``n`` in empty
-        cells. With points in canonical order the choice depends on coordinates alone.
+        cells. With points in canonical order the choice depends on coordinates alone. Raises: InputError for other arrays.
 
     >>> from jaxfilter.engines.grid import cells
     >>> lowest, first = cells.block_minima(jnp.array([0, 2, 2]), jnp.array([5.0, 4.0, 3.0]), cells=3)
@@ -89,7 +92,7 @@ def block_minima(index: jax.Array, z: jax.Array, cells: int) -> tuple[jax.Array,
     return lowest, first
 
 
-@functools.partial(jax.jit, static_argnames="cells")
+@operation(index="int[n]", counted="bool[n]", cells=1)
 def block_counts(index: jax.Array, counted: jax.Array, cells: int) -> jax.Array:
     """i32[cells]: number of points per cell, of those with ``counted``, bool[n]; ``index`` is i32[n]."""
     return jnp.zeros(cells, jnp.int32).at[index].add(counted.astype(jnp.int32))

@@ -13,11 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ...core.arrays import GRID, operation, takes
 from .cells import cell_index
 
 _AT_ONCE = 4  # offsets per step of the loop
 
 
+@takes(reach=0)
 @functools.cache
 def disk_offsets(reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Offsets i32[n, 2] (rows, columns) within ``reach`` cells, nearest first, and their lengths f32[n] in cells.
@@ -34,12 +36,12 @@ def disk_offsets(reach: int) -> tuple[np.ndarray, np.ndarray]:
     return offsets.astype(np.int32), lengths.astype(np.float32)
 
 
-@functools.partial(jax.jit, static_argnames="reach")
+@operation(z=GRID, slope="number[]", radius="number[]", reach=0)
 def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) -> jax.Array:
     """The lowest of ``z`` + ``slope`` x distance over the cells around every cell.
 
     Args:
-        z: f32[rows, columns], metres; +inf in cells that set no limit. Cells beyond the border set none.
+        z: f32[rows, columns] without NaN, metres; +inf in cells that set no limit. Cells beyond the border set none.
         slope: f32[], metres per cell of distance between centres.
         radius: f32[], cells; further cells set no limit, nor do any beyond ``reach``.
         reach: the largest radius that this compilation serves.
@@ -58,17 +60,25 @@ def cone_erosion(z: jax.Array, slope: jax.Array, radius: jax.Array, reach: int) 
 
     def step(i: jax.Array, out: jax.Array) -> jax.Array:
         for k in range(_AT_ONCE):
-            row, column = shifts[_AT_ONCE * i + k]
             distance = distances[_AT_ONCE * i + k]
-            allowance = jnp.where(distance <= radius, slope * distance, jnp.inf)
+            near = (distance <= radius) & (distance < jnp.inf)
+            row, column = jnp.where(near, shifts[_AT_ONCE * i + k], 0)  # the cell itself, which is there already
             there = lax.dynamic_slice(border, (reach + row, reach + column), z.shape)
-            out = jnp.minimum(out, there + allowance)
+            out = jnp.minimum(out, there + jnp.where(near, slope * distance, 0))
         return out
 
     return lax.fori_loop(0, (taken + _AT_ONCE - 1) // _AT_ONCE, step, z)
 
 
-@functools.partial(jax.jit, static_argnames="reach")
+@operation(
+    xy="f32[n, 2+]",
+    lowest=GRID,
+    place="f32[rows, columns, 2]",
+    frame="f32[3]",
+    extent="int[2]",
+    limits="f32[4]",
+    reach=0,
+)
 def cone_limits(
     xy: jax.Array,
     lowest: jax.Array,

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
+from ...core.arrays import GRID, MASK, operation, takes
 from .cells import padded_length
 
 _COARSEST = 48  # rows and columns at which coarsening stops
@@ -260,7 +261,7 @@ def _dot(a: _Pair, b: _Pair) -> jax.Array:
     return _sum(_each(one, a, b))
 
 
-@functools.partial(jax.jit, static_argnames="max_rounds")
+@operation(z=GRID, known=MASK, inside=MASK, tolerance="number[]", max_rounds=0)
 def fill_membrane(
     z: jax.Array,
     known: jax.Array,
@@ -274,7 +275,7 @@ def fill_membrane(
     computed in one instruction; a grid that is done stays as it is until the others are.
 
     Args:
-        z: f32[rows, columns]; values of unknown cells are ignored but must not be NaN.
+        z: f32[rows, columns] without NaN, finite in known cells; values of unknown cells are ignored.
         known: bool[rows, columns], the cells that are kept.
         inside: bool[rows, columns], the cells that exist; the membrane ends at their border, without force. Every
             connected part of them needs a known cell.
@@ -375,14 +376,14 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
         step = put(step, _each(lambda f, p, t: (f + p) / t, force, pulls(red), black_total))
         new_product = _dot(force, at(step))
         turn = jnp.where(open_, new_product / product, 0)
-        direction = put(direction, _each(lambda s, d: s + turn * d, at(step), at(direction)))
+        direction = put(direction, _each(lambda s, d: s + turn[None] * d, at(step), at(direction)))
         red = reds(direction, red)
         pull = _each(lambda h, t, d, p: jnp.where(h, t * d, 0) - p, black_hole, black_total, at(direction), pulls(red))
         length = new_product / jnp.maximum(_dot(at(direction), pull), jnp.finfo(z.dtype).tiny)
         length = jnp.where(open_, length, 0)
         error = jnp.where(open_, jnp.maximum(*_each(lambda s: jnp.abs(s).max(axis=0), step)), before)
-        x = put(x, _each(lambda x, d: x + length * d, at(x), at(direction)))
-        force = _each(lambda f, p: f - length * p, force, pull)
+        x = put(x, _each(lambda x, d: x + length[None] * d, at(x), at(direction)))
+        force = _each(lambda f, p: f - length[None] * p, force, pull)
         return x, force, direction, step, red, new_product, error, rounds + 1, goal
 
     def refine(k: jax.Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -402,12 +403,14 @@ def _fill(z: jax.Array, known: jax.Array, inside: jax.Array, tolerance: jax.Arra
     return Membrane(_whole(at(black), at(red), shape)[:rows, :columns], error, rounds)
 
 
+@takes(a="real?[rows, columns]", axis=(0, 1))
 def running(
     pick: Callable[[jax.Array, jax.Array], jax.Array], a: jax.Array, axis: int = 0, *, reverse: bool = False
 ) -> jax.Array:
     """``pick`` (``jnp.minimum``, ``jnp.maximum``) of each cell and all before it along an axis, or all after it.
 
-    ``a`` is of any type, [rows, columns]. On a processor 20 times as fast as ``lax.cummax`` along the same axis.
+    ``a``: [rows, columns] of integers or floating-point numbers of any width. On a processor 20 times as fast as ``lax.cummax``
+    along the same axis.
     """
 
     def step(last: jax.Array, line: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -418,7 +421,7 @@ def running(
     return jnp.moveaxis(lax.scan(step, lines[-1 if reverse else 0], lines, reverse=reverse)[1], 0, axis)
 
 
-@jax.jit
+@operation(z=GRID, known=MASK, inside=MASK)
 def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array:
     """Give every hole the value of a nearest known cell, by Euclidean distance between cell centres.
 
@@ -426,7 +429,7 @@ def fill_nearest(z: jax.Array, known: jax.Array, inside: jax.Array) -> jax.Array
     distance found, block by block, so that only blocks in wide voids look far. Of equally near cells the one with the
     smaller column offset is taken (left before right), then the one in the lower row.
 
-    Args: z f32, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
+    Args: z f32 without NaN, known bool, inside bool, each [rows, columns], as for :func:`fill_membrane`.
     Returns: f32[rows, columns]; unknown cells are unchanged if there is no known cell, outside cells always.
 
     >>> from jaxfilter.engines.grid import inpaint

@@ -23,9 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from ...core.arrays import MASK, operation, takes
+
 T = TypeVar("T")
 _ROWS_AT_ONCE = 2
 _RIM_AT_ONCE = 4
+_REAL, _ELEMENTS = "real[rows, columns]", ("disk", "square", "diamond")
 _CROSS = ((0, 0), (0, -1), (0, 1), (-1, 0), (1, 0))
 _STRIP = 2**19  # cells that a processor keeps close while it goes over them again and again
 
@@ -35,22 +38,12 @@ def _ordered(z: jax.Array, dtype: Any = None) -> jax.Array:
 
     Processors take the lower of two integers in one step, of two floating-point numbers, with NaN in mind, in several.
     """
-    if z.dtype == dtype or (dtype is None and not jnp.issubdtype(z.dtype, jnp.floating)):
+    if not jnp.issubdtype(dtype or z.dtype, jnp.floating):
         return z
     size = 8 * z.dtype.itemsize
     bits = lax.bitcast_convert_type(z, jnp.dtype(f"int{size}")) if dtype is None else z
     bits ^= (bits >> (size - 1)) & jnp.iinfo(bits.dtype).max
     return bits if dtype is None else lax.bitcast_convert_type(bits, dtype)
-
-
-def _check_grid(z: jax.Array, valid: jax.Array | None = None) -> None:
-    """Raises: ValueError, which names the shape."""
-    if jnp.ndim(z) != 2:
-        raise ValueError(
-            f"z of shape {jnp.shape(z)}: a grid [rows, columns] is needed; jax.vmap goes over several grids"
-        )
-    if valid is not None and jnp.shape(valid) != jnp.shape(z):
-        raise ValueError(f"valid of shape {jnp.shape(valid)}: the shape of z is needed, {jnp.shape(z)}")
 
 
 def _isqrt(n: jax.Array) -> jax.Array:
@@ -131,10 +124,11 @@ def _along(axis: int, step: jax.Array) -> tuple[jax.Array, jax.Array]:
     return (step, jnp.int32(0)) if axis == 0 else (jnp.int32(0), step)
 
 
+@takes(z=_REAL, length="int[]", longest=1, axis=(0, 1))
 def run_minima(z: jax.Array, length: jax.Array, longest: int, axis: int) -> jax.Array:
     """Lowest of each cell and the ``length`` - 1 cells that follow it along an axis, as far as there are any.
 
-    Args: z: f32[rows, columns]; length: i32[], 1 <= length <= longest. Returns: f32[rows, columns].
+    Args: z: as for :func:`erosion`; length: i32[], 1 <= length <= longest. Returns: [rows, columns] of the type of z.
 
     >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.array([[4.0, 2.0, 3.0, 5.0, 1.0]])
@@ -168,9 +162,7 @@ def _eroded(z: jax.Array, radius: jax.Array, reach: int, element: str) -> jax.Ar
     """:func:`erosion` of integers."""
     if element in ("disk", "diamond"):
         return _erode_round(z, radius, reach, element == "diamond")
-    if element == "square":
-        return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
-    raise ValueError(f"element={element!r}: use 'disk', 'square' or 'diamond'")
+    return _erode_run(_erode_run(z, radius, reach, 1), radius, reach, 0)
 
 
 def _dilated(z: jax.Array, radius: jax.Array, reach: int, element: str, valid: jax.Array) -> jax.Array:
@@ -226,6 +218,7 @@ def _grown(eroded: jax.Array, z: jax.Array, radius: jax.Array, reach: int) -> ja
     return lax.fori_loop(starts[radius] // _RIM_AT_ONCE, starts[radius + 1] // _RIM_AT_ONCE, rim, out)
 
 
+@takes(reach=0)
 def roomy(reach: int) -> int:
     """The next of 1, 2, ... 8, 10, 12, 14, 16, 20, ...: a ``reach`` that many radii share, so that each need not be compiled.
 
@@ -237,29 +230,28 @@ def roomy(reach: int) -> int:
     return -(-reach // step) * step
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@operation(z=_REAL, radius="int[]", reach=0, element=_ELEMENTS)
 def erosion(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Lowest value under a flat structuring element centred on every cell.
 
     Args:
-        z: f32[rows, columns] without NaN.
+        z: [rows, columns] without NaN, of integers or floating-point numbers of any width; not bool.
         radius: i32[], cells, 0 <= radius <= reach (not checked, since traced).
         reach: the largest radius that this compilation serves, below 4096.
         element: "disk" takes the cells within the Euclidean distance ``radius`` (radius 1 is the cross of five cells),
             "square" those within ``radius`` rows and columns, "diamond" those within ``radius`` steps along rows and columns.
 
-    Returns: f32[rows, columns]. Raises: ValueError for another element, and for arrays that are no grid of two dimensions.
+    Returns: [rows, columns] of the type of z. Raises: ParameterError for another element, InputError for other arrays.
 
     >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[2, 2].set(-3.0)
     >>> morphology.erosion(z, 1, reach=4).astype(int).tolist()[2]
     [0, -3, -3, -3, 0]
     """
-    _check_grid(z)
     return _ordered(_eroded(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@operation(z=_REAL, radius="int[]", reach=0, element=_ELEMENTS)
 def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk") -> jax.Array:
     """Highest value under a flat structuring element centred on every cell; arguments as for :func:`erosion`.
 
@@ -268,10 +260,10 @@ def dilation(z: jax.Array, radius: jax.Array | int, reach: int, element: str = "
     >>> morphology.dilation(z, 1, reach=4).astype(int).tolist()[2]
     [0, 3, 3, 3, 0]
     """
-    return -erosion(-z, radius, reach, element)
+    return _ordered(~_eroded(~_ordered(z), jnp.asarray(radius, jnp.int32), reach, element), z.dtype)
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@operation(z=_REAL, radius="int[]", reach=0, element=_ELEMENTS, valid=MASK)
 def opening(
     z: jax.Array, radius: jax.Array | int, reach: int, element: str = "disk", valid: jax.Array | None = None
 ) -> jax.Array:
@@ -286,10 +278,10 @@ def opening(
     0.0
     """
     there = jnp.ones(jnp.shape(z), bool) if valid is None else valid
-    _check_grid(z, there)
     return _ordered(_opened(_ordered(z), jnp.asarray(radius, jnp.int32), reach, element, there), z.dtype)
 
 
+@takes(z=_REAL, valid=MASK, radii="int[n]", reach=0, element=_ELEMENTS, count="int[]")
 def progressive_opening(
     z: jax.Array,
     valid: jax.Array,
@@ -304,7 +296,7 @@ def progressive_opening(
     """Openings with one radius after the other, each of the surface that the one before has left.
 
     Args:
-        z: f32[rows, columns] without NaN.
+        z: as for :func:`erosion`.
         valid: bool[rows, columns], the cells that exist, as for :func:`opening`; a rectangle.
         radii: i32[openings], cells, 0 <= radius <= reach, none smaller than the one before.
         look: called as ``look(k, before, opened, found)`` for each opening, with its number i32[], the surfaces before and
@@ -313,7 +305,7 @@ def progressive_opening(
         reach, element: as for :func:`erosion`.
         count: i32[], how many of the radii are used; by default all.
 
-    Returns: the last surface, f32[rows, columns], and what the last call of ``look`` has returned.
+    Returns: the last surface, [rows, columns] of the type of z, and what the last call of ``look`` has returned.
 
     >>> from jaxfilter.engines.grid import morphology
     >>> z = jnp.zeros((5, 5)).at[1:4, 1:4].set(3.0)
@@ -325,7 +317,6 @@ def progressive_opening(
     """
 
     z, radii = jnp.asarray(z), jnp.asarray(radii, jnp.int32)
-    _check_grid(z, valid)
     if len(radii) == 0:
         return z, found
 
@@ -349,13 +340,13 @@ def progressive_opening(
     return _ordered(last, z.dtype), found
 
 
-@functools.partial(jax.jit, static_argnames=("reach", "element"))
+@operation(z="f32[rows, columns]", valid=MASK, radii="int[n]", heights="number[n]", reach=0, element=_ELEMENTS)
 def raised_cells(
     z: jax.Array, valid: jax.Array, radii: jax.Array, heights: jax.Array, *, reach: int, element: str = "disk"
 ) -> jax.Array:
     """Cells that one of the progressive openings lowers by more than its height.
 
-    Args: as for :func:`progressive_opening`; ``heights``: f32[openings], in the unit of ``z``.
+    Args: as for :func:`progressive_opening`, z f32; ``heights``: f32[openings], in the unit of ``z``.
     Returns: bool[rows, columns], False where not ``valid``.
     """
 

@@ -8,9 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...core.arrays import takes
+
 Corners = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
+@takes(at="f32[n, 2]", extent="int[2]", columns=1)
 def corners(
     at: jax.Array, extent: jax.Array | np.ndarray, columns: int
 ) -> tuple[Callable[[jax.Array], Corners], jax.Array, jax.Array]:
@@ -31,6 +34,7 @@ def corners(
     (u, v), (column, row) = (at - low.astype(at.dtype)).T, low.T
     right, above = jnp.minimum(column + 1, last[0]), jnp.minimum(row + 1, last[1])
 
+    @takes(grid=f"f32?[rows, {columns}]")
     def values(grid: jax.Array) -> Corners:
         flat = grid.reshape(-1)
         south, north = row * columns, above * columns

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from ...core.arrays import GRID, MASK, operation
+
 _State = tuple[jax.Array, jax.Array, jax.Array]
 """Elevations, cells that have one, and rounds done."""
 
@@ -17,14 +19,14 @@ def _sum_of_nine(a: jax.Array) -> jax.Array:
     return a[:, :-2] + a[:, 1:-1] + a[:, 2:]
 
 
-@jax.jit
+@operation(z=GRID, seen=MASK, valid=MASK, rounds="int[]")
 def fill_from_neighbours(
     z: jax.Array, seen: jax.Array, valid: jax.Array, rounds: jax.Array | int
 ) -> tuple[jax.Array, jax.Array]:
     """Give empty cells the mean of those of their eight neighbours that have a value, ring by ring.
 
     Args:
-        z: f32[rows, columns], metres; of empty cells any finite value.
+        z: f32[rows, columns] without NaN, metres; of empty cells any value.
         seen: bool[rows, columns], cells with a value; valid: bool[rows, columns], cells that exist.
         rounds: i32[], how often at most; each round reaches one cell further. Values made in a round serve the next one.
 

@@ -8,14 +8,14 @@ The windows are assembled from the minima of square blocks whose side measures b
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ...core.errors import ParameterError
+from ...core.arrays import GRID, operation
+from ...core.errors import ParameterError, check_positive
 
 _RESOLUTION = 1000  # window and stride count in millimetres
 
@@ -53,6 +53,7 @@ def window_layout(extent: tuple[float, float], window: float, stride: float) -> 
     >>> layout.width, layout.blocks, layout.counts
     (2, (10, 9), (9, 8))
     """
+    check_positive(" of metres", window=window, stride=stride)
     w, s = round(window * _RESOLUTION), round(stride * _RESOLUTION)
     if not 0 < stride <= window:
         raise ParameterError(f"stride={stride!r}: must be > 0 and at most window={window!r} metres")
@@ -99,15 +100,15 @@ def _slide(z: jax.Array, index: jax.Array, count: jax.Array, width: int, stride:
     )
 
 
-@functools.partial(jax.jit, static_argnames=("width", "stride"))
+@operation(lowest=GRID, first="int[rows, columns]", counts="int[2]", width=1, stride=1)
 def window_minima(
     lowest: jax.Array, first: jax.Array, counts: jax.Array, width: int, stride: int
 ) -> tuple[jax.Array, jax.Array]:
     """Lowest elevation in every window, and the point that has it.
 
     Args:
-        lowest: f32[rows, columns], metres, block minima as from :func:`jaxfilter.engines.grid.cells.block_minima`; +inf
-            where empty or padding.
+        lowest: f32[rows, columns] without NaN, metres, block minima as from
+            :func:`jaxfilter.engines.grid.cells.block_minima`; +inf where empty or padding.
         first: i32[rows, columns], the points they belong to.
         counts: i32[2], number of windows (rows, columns).
         width, stride: window size and stride in blocks.

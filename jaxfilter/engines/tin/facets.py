@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...core.arrays import operation, takes
 from ...core.result import Decision
 
 _FLAT_AREA = (
@@ -118,6 +119,7 @@ def _least(values: Vector) -> jax.Array:
     return jnp.minimum(jnp.minimum(values[0], values[1]), values[2])
 
 
+@takes(p="f32?[3]", corners="f32?[3, 3]")
 def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
     """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres."""
     a, b, c = ([corner[k] - p[k] for k in range(3)] for corner in corners)  # exact in float32 for quantised coordinates
@@ -152,6 +154,7 @@ def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
     return jax.tree.map(lambda limit: limit[nodes] if np.ndim(limit) > 0 else limit, rule)
 
 
+@takes(two_sided="bool[]", p="f32?[3]", corners="f32?[3, 3]")
 def judge_one(rule: Any, two_sided: jax.Array, p: jax.Array, corners: jax.Array) -> Verdict:
     """Apply a rule to one point f32[3] over one facet f32[3, 3]; see :func:`judge`."""
     verdict: Verdict = rule.verdict(facet_score(p, corners), two_sided)
@@ -162,6 +165,7 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
+@takes(two_sided="bool[n]", points="f32?[3, n]", corners="f32?[3, 3, n]")
 @functools.partial(jax.jit, static_argnames="names")
 def judge(
     rule: Any,
@@ -180,6 +184,8 @@ def judge(
         two_sided: bool[N], points that are tested on both sides of the facet whatever the rule says.
         names: which of :data:`QUANTITIES` to return; what is not named is not computed.
 
+    Points with NaN, and those over facets with NaN, are not accepted. Raises: InputError for other types and shapes.
+
     Returns: arrays [N] by name: ``accepted`` bool, ``decision`` (:class:`jaxfilter.Decision`), ``margin`` in the unit of the
         deciding test; ``distance``, ``height`` and ``elevation`` in metres, ``angle`` and ``slope`` in degrees, ``level`` its
         cosine; ``planar`` bool, False for facets without a plane and for vertical ones.
@@ -197,7 +203,7 @@ def judge(
     return {name: found[name] for name in names}
 
 
-@jax.jit
+@operation(points="f32?[n, 3]", corners="f32?[n, 3, 3]", about_highest="bool[]")
 def mirrored(points: jax.Array, corners: jax.Array, about_highest: jax.Array) -> jax.Array:
     """Mirror points f32[N, 3] about a vertex of their facets f32[N, 3, 3], local metres, in the plane; the elevation stays.
 

@@ -14,7 +14,9 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 
+from ...core.arrays import takes
 from ...core.cloud import QUANTUM
+from ...core.errors import InputError
 from ...core.points import pieces
 from ..neighbours import tree_of
 
@@ -64,8 +66,8 @@ class Tin:
     ) -> None:
         """Triangulate ``vertices`` (i64, ascending; every sheet has three or more, not on a line) and locate the rest.
 
-        The vertices are at positions of their own. Raises: ValueError for positions more than 140 km
-        apart, or too far from zero.
+        The vertices are at positions of their own. Raises: ValueError for positions more than 140 km apart, too far from zero, on
+        one line or repeated.
         """
         from . import flips, walks  # these import Numba, which takes longer than all the rest
         from .predicates import SPAN
@@ -115,6 +117,8 @@ class Tin:
         far = int(np.argmax(x * x + y * y))
         turn = x[far] * y - y[far] * x
         off = int(np.argmax(np.abs(turn)))
+        if turn[off] == 0:
+            raise ValueError("they are on one line: at least three positions are needed that are not")
         return vertices[[0, far, off] if turn[off] > 0 else [0, off, far]]
 
     def _spread(self, count: int, work: Callable[[slice], None], least: int | None = None) -> None:
@@ -168,7 +172,7 @@ class Tin:
             some, before = (nodes[: done + CHUNK], fresh, left), done
             done = self._flips.insert(*self._tables, *own, *some, low, high, done, self.now, _MADE, room)
             if done < 0:
-                raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex")
+                raise ValueError(f"node {nodes[-1 - done]} is at the position of a vertex: give each position once")
             if done == before:
                 room = np.empty((2 * len(room), 7), np.int32)
         return left
@@ -301,11 +305,18 @@ class Tin:
         return corner[order], rank[np.take_along_axis(self.neighbours[rows], turn, axis=1)[order]]
 
 
+@takes(xyz="f32[points, 3]")
 def triangulated(xyz: np.ndarray, workers: int | None = None) -> Tin:
-    """The triangulation of positions of their own, f32[k, 3], in one sheet, not on a line. ``workers``: threads, None = cores."""
+    """The triangulation of positions of their own, f32[points, 3], in one sheet. ``workers``: threads, None = cores.
+
+    Raises: InputError for positions that are on one line (as fewer than three are), repeated, not finite or too far apart.
+    """
     threads, every = workers or os.cpu_count() or 1, np.arange(len(xyz))
-    with ThreadPoolExecutor(threads) as pool:
-        tin = Tin(xyz, np.zeros(len(xyz), np.int32), every, pool, threads)
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            tin = Tin(xyz, np.zeros(len(xyz), np.int32), every, pool, threads)
+    except ValueError as error:
+        raise InputError(f"xyz of {len(xyz):,} points: {error}") from error
     tin.workers = 1  # the others have gone
     return tin
 
