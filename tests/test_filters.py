@@ -526,13 +526,13 @@ def alone(request, small):
     first = jf.FILTERS[request.param]()
     others = {field.name: moved(first, field.name) for field in declared(first) if not field.metadata["static"]}
     sets = [first, *(first.replace(**{name: value}) for name, value in others.items()), first.replace(**others)]
-    cloud = jf.PointCloud.from_arrays(rough(small[0]), reference=small[1])
+    cloud = jf.PointCloud.from_arrays(noisy(small[0]), reference=small[1])
     found = Alone(cloud, sets, np.array([one(cloud).ground for one in sets]))
     assert len(np.unique(found.ground, axis=0)) > 2, "sets with the same labels show nothing"
     return found
 
 
-def rough(xyz):
+def noisy(xyz):
     """So that points lie near every limit."""
     return xyz + np.random.default_rng(2).normal(0, [0, 0, 0.3], xyz.shape).round(2)
 
@@ -624,7 +624,7 @@ def test_an_edited_file_is_what_runs_from_then_on(name, small, request, tmp_path
     files = {Path(path): Path(path).read_text() for path in request.config.getoption("--filter-file")}
     code = {part.__code__.co_filename for part in vars(jf.FILTERS[name]).values() if hasattr(part, "__code__")}
     (source,) = (text for path, text in files.items() if str(path) in code)
-    np.save(tmp_path / "rough.npy", rough(small[0][:2000]))
+    np.save(tmp_path / "rough.npy", noisy(small[0][:2000]))
     (tmp_path / "edited.txt").write_text(edited(source))
     script = """
 import sys

@@ -1,0 +1,233 @@
+"""Commands that are stopped at a change of a file, at every one in turn, and then resumed: the files are those of a run that
+nobody has disturbed."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import sys
+
+import geopandas
+import laspy
+import numpy as np
+import pytest
+import shapely
+
+import jaxfilter as jf
+
+pytestmark = [
+    pytest.mark.usefixtures("compilation_cache", "state"),
+    pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
+]
+FILTER = jf.PMF(max_window=10.0, low_clusters=False)
+CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+
+
+class Killed(BaseException):
+    """Nothing that the process does after it changes a file."""
+
+
+class Stops:
+    """Counts the changes of files below a folder, and ends the process, or what is like it, before the change number ``at``.
+
+    ``killed``: no later change succeeds, not those of clean-ups either. ``stopped``: as by Ctrl-C, after which clean-ups work.
+    ``full``: no file can be opened to be written from then on, since the disk is full.
+    """
+
+    def __init__(self) -> None:
+        self.folder, self.count, self.at, self.kind = None, 0, 0, ""
+        sys.addaudithook(self.hear)
+
+    def hear(self, event, arguments):
+        if self.folder is None or not (event in CHANGES or event == "open"):
+            return
+        name = arguments[0]
+        if isinstance(name, (str, bytes, os.PathLike)) and os.path.isabs(name):
+            if not os.fsdecode(name).startswith(self.folder):
+                return
+        elif event == "open" or isinstance(name, int):
+            return
+        if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
+            return
+        self.count += 1
+        if self.kind == "killed" and self.count >= self.at:
+            raise Killed
+        if self.kind == "stopped" and self.count == self.at:
+            raise KeyboardInterrupt
+        if self.kind == "full" and self.count >= self.at and event in ("open", "os.mkdir"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    @contextlib.contextmanager
+    def below(self, folder, kind="", at=0):
+        """A block in which changes below the folder count."""
+        self.folder, self.kind, self.at, self.count = str(folder), kind, at, 0
+        try:
+            yield
+        except (Killed, KeyboardInterrupt, jf.OutputError):
+            if not kind:
+                raise
+        finally:
+            self.folder = None
+
+
+STOPS = Stops()
+
+
+@pytest.fixture
+def state(tmp_path, monkeypatch):
+    """What programs keep for this user lies beside the files, and counts."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "work" / "state"))
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """West and east of a small scene with a house on a slope; some points have classes that are not judged."""
+    folder = tmp_path_factory.mktemp("survey")
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 80, 1.25) + 0.2, np.arange(0, 40, 1.25) + 0.2))
+    house = (x > 30) & (x < 42) & (y > 15) & (y < 27)
+    z = 50 + 0.1 * x + np.where(house, 6.0, 0.0)
+    classes = np.where(house, 6, 5).astype(np.uint8)
+    classes[::40], classes[7::40] = 9, 2
+    for name, rows in (("west", x < 40), ("east", x >= 40)):
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.scales, las.header.offsets = np.full(3, 0.01), np.array([500_000, 5_400_000, 0])
+        las.x, las.y, las.z = x[rows] + 500_000, y[rows] + 5_400_000, z[rows]
+        las.classification = classes[rows]
+        las.write(folder / f"{name}.laz")
+    return folder
+
+
+def run_of(**options):
+    return jf.RunOptions(workers=1, tile=30.0, wide_halos=True, halo=20.0, **options)
+
+
+READING = jf.Reading(units="m")
+
+
+def in_place(function, *arguments, **options):
+    """A command that writes its inputs: all files, and the east one alone, which is one tile."""
+
+    def of(many):
+        def act(folder, **how):
+            what = folder if many else folder / "east.laz"
+            run = run_of(in_place=True, **how) if many else jf.RunOptions(workers=1, in_place=True, **how)
+            return function(what, None, *arguments, reading=READING, run=run, **options)
+
+        return act
+
+    return of
+
+
+def into(function, *arguments, **options):
+    """A command that writes other files."""
+
+    def of(many):
+        def act(folder, **how):
+            what, out = (folder, folder / "out") if many else (folder / "east.laz", folder / "out.laz")
+            run = run_of(**how) if many else jf.RunOptions(workers=1, **how)
+            more = {name: folder / file for name, file in options.items() if name == "review"}
+            return function(what, out, *arguments, reading=READING, run=run, **(options | more))
+
+        return act
+
+    return of
+
+
+def verdicts(many):
+    shape = shapely.box(500_028, 5_400_013, 500_045, 5_400_029)
+    table = geopandas.GeoDataFrame({"verdict": ["ground"]}, geometry=[shape], crs="EPSG:25832")
+
+    def act(folder, **how):
+        reading = jf.Reading(units="m", crs="EPSG:25832")
+        return jf.apply_survey(
+            table, folder if many else folder / "west.laz", reading=reading, run=jf.RunOptions(workers=1, **how)
+        )
+
+    return act
+
+
+def products(many):
+    def act(folder, **how):
+        what = [folder / "west.laz", folder / "east.laz"] if many else folder / "east.laz"
+        run = run_of(**how) if many else jf.RunOptions(workers=1, **how)
+        only = ["dtm", "hillshade"]
+        return jf.products(what, folder / "made", FILTER, only=only, cell=4.0, reading=READING, run=run)
+
+    return act
+
+
+USGS = jf.Classes.preset("usgs")
+COMMANDS = {
+    "ground-in-place": in_place(jf.ground, FILTER),
+    "ground-in-place-usgs": in_place(jf.ground, FILTER, classes=USGS),
+    "ground-in-place-las14": in_place(jf.ground, FILTER, classes=jf.Classes.preset("las14")),
+    "ground-in-place-reset": in_place(jf.ground, FILTER, classes=jf.Classes(reset="all", noise_class=7)),
+    "heights-in-place-of-z": in_place(jf.heights, FILTER, replace_z=True),
+    "heights-in-place": in_place(jf.heights),
+    "ground": into(jf.ground, FILTER, classes=USGS, review="places.geojson"),
+    "heights": into(jf.heights, FILTER, replace_z=True),
+    "apply": verdicts,
+    "products": products,
+}
+SLOW = ("ground-in-place", "ground-in-place-las14", "ground-in-place-reset", "heights-in-place")
+"""Others do the same with more."""
+FEW, MORE = 3, 9
+"""Without --slow so many changes of a run are tried, and more where a stop did the greatest harm; with it all are."""
+
+
+def contents(folder):
+    """What the files hold that a user sees; of the log of verdicts what does not change with the time."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.is_dir() or any(part.startswith(".") for part in path.parts) or name.startswith("state"):
+            continue
+        if path.name == "verdicts.json":
+            found[name] = json.loads(path.read_text())["verdicts"]
+        elif path.suffix not in (".json", ".png", ".html"):
+            found[name] = path.read_bytes()
+    return found
+
+
+def left_over(folder):
+    """Hidden files and folders that a run in place has left."""
+    return [path for path in folder.rglob(".*") if "out" not in path.parts and "made" not in path.parts]
+
+
+@pytest.mark.parametrize("kind", ["killed", "stopped", "full"])
+@pytest.mark.parametrize("many", [True, False], ids=["tiles", "one"])
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in COMMANDS]
+)
+def test_a_run_that_is_stopped_at_any_change_of_a_file_and_resumed_has_the_files_of_another(
+    survey, tmp_path, request, command, many, kind
+):
+    act, work = COMMANDS[command](many), tmp_path / "work"
+    slow = request.config.getoption("--slow")
+
+    def anew():
+        shutil.rmtree(work, ignore_errors=True)
+        shutil.copytree(survey, work)
+
+    anew()
+    with STOPS.below(work):
+        act(work)
+    changes, expected, before = STOPS.count, contents(work), contents(survey)
+    assert changes > 10 and expected != before
+    tried = changes if slow else MORE if kind == "killed" and "in-place" in command else FEW
+    for at in sorted({round(one) for one in np.linspace(1, changes, tried)}):
+        anew()
+        with STOPS.below(work, kind, at):
+            act(work)
+        if "in-place" in command and not all(path.exists() for path in (work / "west.laz", work / "east.laz")):
+            pytest.fail(f"an input is gone at change {at}")
+        act(work, resume=True)
+        assert contents(work) == expected, f"{kind} before change {at} of {changes}"
+        if "in-place" in command or command == "apply":
+            assert left_over(work) == [], f"{kind} before change {at} of {changes}"
+        act(work, resume=True)  # what is complete stays as it is
+        assert contents(work) == expected, f"{kind} before change {at} of {changes}, resumed twice"
