@@ -19,7 +19,7 @@ import shapely
 import jaxfilter as jf
 
 pytestmark = [
-    pytest.mark.usefixtures("compilation_cache", "state"),
+    pytest.mark.usefixtures("state"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 FILTER = jf.PMF(max_window=10.0, low_clusters=False)
