@@ -197,7 +197,9 @@ def test_copies_of_points_change_no_label(method, rough, rng):
 def by_lattice(method):
     """A filter of which all cells count from the anchor: without low clusters, and not by a measured spacing."""
     own = {"low_clusters": False, "low_points": 0, "spacing": 1.0}
-    return method(**{name: value for name, value in own.items() if name in {f.name for f in dataclasses.fields(method)}})
+    return method(
+        **{name: value for name, value in own.items() if name in {f.name for f in dataclasses.fields(method)}}
+    )
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -436,7 +438,11 @@ def test_points_of_one_elevation_coincide_in_one_place_only(rng):
     place = np.argwhere(np.ones((20, 20))).repeat(2, axis=0)
     cloud = jf.PointCloud.from_arrays(rng.permutation(np.column_stack([place, np.full(800, 5.0)])))
     points = canonical_points(cloud)
-    assert len(points) == 400 and (np.bincount(points.member) == 2).all() and (points.xyz[points.member] == cloud.xyz).all()
+    assert (
+        len(points) == 400
+        and (np.bincount(points.member) == 2).all()
+        and (points.xyz[points.member] == cloud.xyz).all()
+    )
 
 
 def test_points_that_were_sorted_for_the_parameters_are_not_sorted_again(small, monkeypatch):
