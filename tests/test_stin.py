@@ -35,10 +35,7 @@ def scene(seed, n=5000, side=90.0):
 
 
 def lowest(xyz, rows, cell):
-    """The lowest of these rows in each cell counted from zero; of equals the first by x, then y.
-
-    The upper edge is in the last cell.
-    """
+    """The lowest of these rows in each cell counted from zero; of equals the first by x, then y."""
     last = np.ceil(xyz[:, :2].max(0) / cell) - 1
     key = np.minimum(np.floor(xyz[rows, :2] / cell), last) @ (10000, 1)
     order = np.lexsort((*xyz[rows].T[[1, 0, 2]], key))

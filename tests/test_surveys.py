@@ -58,7 +58,7 @@ def las_of(folder):
         pytest.param(jf.SMRF(window=9.0), marks=pytest.mark.slow),
         pytest.param(PMF, marks=pytest.mark.slow),
         jf.PTD(seed_cell=12.0, low_clusters=False),
-        jf.STIN(seed_cell=12.0),
+        jf.STIN(seed_cell=10.0),
         pytest.param(jf.OST(window=6.0, landscape=8.0), marks=pytest.mark.slow),
     ],
     ids=lambda one: type(one).__name__,

@@ -190,7 +190,8 @@ class Filter:
         raise TypeError(f"{type(self).__name__} does not define halo()")
 
     def lattice(self) -> float:
-        """Side of the squares that the method begins with, metres: tiles that end at multiples of it cut none of them.
+        """Period, metres, of all squares of the method that count from the anchor: tiles that end at multiples of it cut none of
+        them, and points that are shifted by multiples of it have the labels that they had (docs/conventions.md says where not).
 
         >>> jf.SMRF(cell=2.0).lattice()
         2.0

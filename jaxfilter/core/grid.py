@@ -56,10 +56,10 @@ def period(*sides: float) -> float:
     >>> period(1.5, 10.0), period(10.0, 0.37)
     (30.0, 10.0)
     """
-    found = (times * max(sides) for times in range(1, 11))
-    return next(
-        (length for length in found if all(abs(length / s - round(length / s)) < 1e-6 for s in sides)), sides[0]
-    )
+    for length in max(sides) * np.arange(1, 11):
+        if all(abs(length / side - round(length / side)) < 1e-6 for side in sides):
+            return float(length)
+    return sides[0]
 
 
 def lattice_over(xy: np.ndarray, cell: float, offset: tuple[float, float] = (0.0, 0.0)) -> Grid:

@@ -214,8 +214,7 @@ def _spread_across(xy: np.ndarray) -> float:
 
 
 def by_position(xyz: np.ndarray) -> np.ndarray:
-    """i64[n]: the order of points f32[n, >=2] by x, then by y, which no shift of the coordinates changes: of equally low points
-    the first counts."""
+    """i64[n]: the order of points f32[n, >=2] by x, then by y, which no shift changes: of equally low ones the first counts."""
     return np.lexsort((xyz[:, 1], xyz[:, 0]))
 
 

@@ -241,11 +241,7 @@ class OST(Filter):
 
     def lattice(self) -> float:
         """The cells, and whole ones of those that plants are looked for in, where the spacing is given."""
-        return period(self.cell, self._plants(self.spacing or 0.0))
-
-    def _plants(self, spacing: float) -> float:
-        """Side of the cells that plants are looked for in, metres."""
-        return max(self.cell, cell_for(spacing, PLANTS))
+        return period(self.cell, max(self.cell, cell_for(self.spacing or 0.0, PLANTS)))
 
     def classify(self, points: Points, *, key: Any, workers: int | None, progress: Progress, trace: bool) -> Labels:
         spacing = points.spacing() if self.spacing is None else self.spacing
@@ -398,7 +394,7 @@ class OST(Filter):
 
     def hidden(self, points: Points, spacing: float, low: np.ndarray) -> np.ndarray:
         """bool[m]: points where plants hide the ground, by cells without the points ``low``, bool[m]."""
-        cells = lowest_cells(points, self._plants(spacing), "OST(cell)", barred=low)
+        cells = lowest_cells(points, max(self.cell, cell_for(spacing, PLANTS)), "OST(cell)", barred=low)
         return look_up(points.xyz, cells, veiled(points, cells, BESIDE).astype(np.float32))[0] > 0.5
 
     def low(self, points: Points) -> np.ndarray:

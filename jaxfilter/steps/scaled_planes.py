@@ -70,9 +70,7 @@ def progressive_planes(points: Points, counted: np.ndarray, draws: jax.Array, se
         grid = grid_over(xyz, cell, points.offset(cell), "cell of the planes")
         at = grid.flat(xyz[rows])
         fitted = counted[rows]
-        order = np.lexsort(
-            (*xyz[rows[fitted]].T[::-1], at[fitted])
-        )  # hypotheses go by the order in a cell: by x, y and z
+        order = np.lexsort((*xyz[rows[fitted]].T[::-1], at[fitted]))  # hypotheses go by x, y and z
         owner, members = at[fitted][order], rows[fitted][order]
         cells, count = np.unique(owner, return_counts=True)
         enough = count >= min_points

@@ -49,10 +49,10 @@ def lowest_per_window(points: Points, window: float, stride: float, barred: np.n
     z = np.where(barred, np.float32(np.inf), points.xyz[:, 2])
     frame, blocks = np.array([*corner, layout.block], np.float32), np.array(layout.blocks, np.int32)
     shape = padded_shape(layout.blocks, points.least_shape(layout.block))
-    lowest, first, order = lowest_points(points.xyz, z, frame, blocks, shape)
+    lowest, first, found = lowest_points(points.xyz, z, frame, blocks, shape)
     pair, counts = (lowest.reshape(shape), first.reshape(shape)), np.array(layout.counts, np.int32)
-    found = np.unique(np.asarray(window_minima(*pair, counts, layout.width, layout.stride)[1]))
-    return np.sort(order[found[found < len(order)]])
+    number = np.unique(np.asarray(window_minima(*pair, counts, layout.width, layout.stride)[1]))
+    return np.sort(found[number[number < len(found)]])
 
 
 def lowest_per_cell(points: Points, cell: float, barred: np.ndarray) -> np.ndarray:

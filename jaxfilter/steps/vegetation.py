@@ -54,9 +54,7 @@ def on_planes(cloud: PointCloud, rows: np.ndarray, height: np.ndarray) -> np.nda
     out = np.zeros(len(rows), bool)
     if len(high) < _LEAST:
         return out
-    side = max(
-        _SIDE, round(2 * _SPACINGS * canonical_points(cloud).spacing()) / 2
-    )  # the same for all parts of a survey
+    side = max(_SIDE, round(2 * _SPACINGS * canonical_points(cloud).spacing()) / 2)  # the same for all parts
     xyz = cloud.xyz[rows[high]].astype(np.float64)
     grid = grid_over(xyz, side, cloud.grid_offset(side), name="cells of roofs")
     cell = grid.flat(xyz)

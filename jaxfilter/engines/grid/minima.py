@@ -47,8 +47,6 @@ def lowest_points(
         cells.append(at[rows])
     rows = np.concatenate(found)
     order = by_position(xyz[rows])
-    first = np.full(len(lowest), len(rows), np.int32)
-    first[np.concatenate(cells)[order[::-1]]] = np.arange(len(rows))[
-        ::-1
-    ]  # of repeated cells the last one written stays
+    first, last = np.full(len(lowest), len(rows), np.int32), np.arange(len(rows))[::-1]
+    first[np.concatenate(cells)[order[last]]] = last  # of repeated cells the last one written stays
     return lowest, first, rows[order]

@@ -193,8 +193,7 @@ class _Choice:
         self.level, self.vertex = np.full(count, np.inf, np.float32), np.full(count, -1, np.int32)
 
     def lowest(self, nodes: np.ndarray) -> np.ndarray:
-        """The lowest of nodes, ascending, that may be vertices, in each square: they are its vertices. Of equals the first by
-        position is."""
+        """The lowest of nodes, ascending, that may be vertices, in each square (of equals :func:`by_position`): its vertices."""
         assert self.square is not None
         at, z = self.square[nodes], self.network.xyz[nodes, 2]
         np.minimum.at(self.level, at, z)

@@ -30,9 +30,9 @@ def border_positions(
 ) -> np.ndarray:
     """f32[b, 2]: the nodes of the block grid on the perimeter of the extent, and its corners (Li et al. 2021, Sec. II-D).
 
-    They stand :data:`PAD` outside the extent, and the sides bulge by a few centimetres, so that no three are collinear
-    and every point lies inside their hull. The nodes are multiples of the size from the anchor; ``corner``, f64[2], metres, says
-    how far the zero of local coordinates is from it. Blocks of :func:`block_networks` begin at the lowest point instead.
+    They stand :data:`PAD` outside the extent, on straight lines, so that every point lies inside their hull. The nodes are
+    multiples of the size from the anchor; ``corner``, f64[2], metres, says how far the zero of local coordinates is from it.
+    Blocks of :func:`block_networks` begin at the lowest point instead.
 
     Raises: InputError, which calls the size ``name``, where nodes would be more than :data:`_MOST`, or fall together.
     """
