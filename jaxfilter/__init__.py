@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from .files.reading import Classes, class_changes, info, read, write
     from .methods import AGPTD, ATIN, CSF, FILTERS, FPTD, IPTD, MSF, OST, PMF, PPDF, PTD, PTDF, SMRF, SPF, STIN
     from .methods.default import default_filter
-    from .pdal import from_pdal
     from .reports import ReportOptions, report, review
     from .scoring import Scores, evaluate
     from .steps.batch import Batch
@@ -50,7 +49,7 @@ _HOMES = {
     "InputError", "JaxfilterError", "JaxfilterWarning", "OutputError", "ParameterError"), "core.filter": ("Filter",),
     "core.result": ("Decision", "FilterResult", "GroundFilter", "Status"), "methods": ("AGPTD", "ATIN", "CSF", "FILTERS", "FPTD",
     "IPTD", "MSF", "OST", "PMF", "PPDF", "PTD", "PTDF", "SMRF", "SPF", "STIN"), "methods.default": ("default_filter",),
-    "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster": ("Raster",), "pdal": ("from_pdal",),
+    "files.reading": ("class_changes", "Classes", "info", "read", "write"), "terrain.raster": ("Raster",),
     "surveys.options": ("RunOptions",), "steps.grid_filter": ("soft_labels",), "scoring": ("evaluate", "Scores"),
     "sweeps.calibrate": ("calibrate", "Calibration", "CrossValidation", "Study"), "sweeps.comparison": ("compare", "Comparison"),
     "sweeps.fit": ("Fit", "fit"), "sweeps.sweep": ("sweep", "SweepOptions"), "terrain.interpolation": ("Interpolation",),
@@ -69,7 +68,7 @@ __all__ = [
     "ParameterError", "PointCloud", "Raster", "Reading", "ReportOptions", "RunOptions", "SMRF", "SPF", "STIN", "Scores", "Status",
     "Study", "SweepOptions", "accuracy_statement", "apply", "apply_survey", "batch", "breaklines", "calibrate", "chm", "citation",
     "class_changes", "compare", "contours", "count", "datasets", "default_filter", "density", "dsm", "dtm", "dtm_rmse",
-    "evaluate", "fit", "from_pdal", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
+    "evaluate", "fit", "ground", "height_above_ground", "heights", "hillshade", "info", "open", "plots", "products",
     "read", "report", "review", "review_survey", "scenes", "soft_labels", "sweep", "terrain_model", "voids", "write",
 ]  # fmt: skip
 

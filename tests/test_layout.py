@@ -15,7 +15,7 @@ import jaxfilter
 PACKAGE = Path(jaxfilter.__file__).parent
 ROOT = PACKAGE.parent
 FLOORS = {
-    "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4, "citing": 4, "pdal": 4,
+    "core": 0, "engines": 1, "steps": 2, "methods": 3, "files": 4, "scenes": 4, "metrics": 4, "citing": 4,
     "terrain": 5, "scoring": 5, "datasets": 6, "sweeps": 7, "plots": 8, "reports": 9, "surveys": 10, "cli": 11, "__main__": 12,
 }  # fmt: skip
 PATHS = {

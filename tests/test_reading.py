@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+import types
 import warnings
 
 import laspy
@@ -18,7 +19,7 @@ from las_files import OFFSETS, make_las, patch
 
 import jaxfilter as jf
 from jaxfilter.cli import main
-from jaxfilter.core.cloud import Units
+from jaxfilter.core.cloud import Units, as_cloud
 from jaxfilter.core.inputs import COLUMNS
 from jaxfilter.core.units import not_metric
 
@@ -502,6 +503,37 @@ def test_masked_points_are_refused_or_set_aside():
     labels = np.ma.array(np.ones(3, bool), mask=[0, 1, 0])
     with pytest.raises(jf.InputError, match="reference has masked entries"):
         jf.evaluate(np.ones(3, bool), labels)
+
+
+def test_arrays_of_pdal_are_clouds(scene):
+    names = [(name, "f8") for name in "XYZ"] + [("Intensity", "u2"), ("ReturnNumber", "u1"), ("NumberOfReturns", "u1")]
+    points = np.zeros(len(scene), [*names, ("Classification", "u1"), ("Withheld", "u1")])
+    for axis, column in zip("XYZ", scene.cloud.coordinates().T, strict=True):
+        points[axis] = column
+    points["ReturnNumber"], points["NumberOfReturns"] = scene.cloud.return_number, scene.cloud.number_of_returns
+    points["Classification"], points["Withheld"] = scene.classes, np.arange(len(scene)) % 50 == 0
+    cloud = jf.PointCloud.from_structured(points, crs="EPSG:32632")
+    assert cloud.crs.to_epsg() == 32632 and cloud.withheld.sum() == -(-len(scene) // 50)
+    np.testing.assert_array_equal(cloud.reference, scene.classes == 2)
+    np.testing.assert_array_equal(
+        cloud.candidate, scene.cloud.select().candidate & ~cloud.withheld & (scene.classes < 7)
+    )
+    labels = jf.SMRF()(points).ground
+    np.testing.assert_array_equal(labels, jf.SMRF()(cloud).ground)
+    assert labels.any() and jf.dtm(points).values.shape == jf.dtm(cloud).values.shape
+    x, y, z = scene.cloud.coordinates().T
+    echoes = {"return_number": points["ReturnNumber"], "number_of_returns": points["NumberOfReturns"]}
+    likewise = as_cloud(types.SimpleNamespace(x=x, y=y, z=z, intensity=z, **echoes))  # as the points of laspy
+    np.testing.assert_array_equal(likewise.xyz, scene.cloud.xyz)
+    np.testing.assert_array_equal(likewise.candidate, scene.cloud.candidate)
+    wrong = points.astype([(n, "i4" if n == "Classification" else points.dtype[n]) for n in points.dtype.names])
+    wrong["Classification"][7] = 300
+    with pytest.raises(jf.InputError, match=r"classification of point 7 is .*300.*: whole numbers from 0 to 255"):
+        jf.PointCloud.from_structured(wrong)
+    with pytest.raises(jf.InputError, match=r"withheld of point 1 is .*2.*: True or False"):
+        jf.PointCloud.from_arrays(np.zeros((2, 3)), withheld=[1, 2])
+    with pytest.raises(jf.InputError, match="there is no field Z"):
+        jf.SMRF()(points[["X", "Y", "Intensity"]])
 
 
 def test_every_array_that_the_docstring_allows_is_taken_and_others_are_refused():

@@ -1,4 +1,4 @@
 """The ``jaxfilter`` command."""
 
-from . import demo, pdal, report, surveys, sweeps, terrain, verdicts  # noqa: F401
+from . import demo, report, surveys, sweeps, terrain, verdicts  # noqa: F401
 from .commands import main as main

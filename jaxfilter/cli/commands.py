@@ -1,8 +1,8 @@
 """The ``jaxfilter`` command: ground, evaluate, methods.
 
 Rasters, products and heights are in ``terrain.py``, sweeps and calibration in ``sweeps.py``, info in ``surveys.py``, pages in
-``report.py``, pipelines of PDAL in ``pdal.py``, the demonstration in ``demo.py``. Options that they share are in
-``options.py``, what they print in ``output.py``, and how they begin and end in ``session.py``.
+``report.py``, the demonstration in ``demo.py``. Options that they share are in ``options.py``, what they print in
+``output.py``, and how they begin and end in ``session.py``.
 
 Results go to standard output, progress and messages to standard error. Exit codes: 0 done, 1 the run failed, 2 wrong
 usage (which is found before any file is read), 128 and the number of the signal that stopped it. What needs JAX is imported

@@ -13,7 +13,6 @@ from ..core.errors import ParameterError
 from ..core.filter import Filter
 from ..core.params import declared
 from ..methods import FILTERS
-from ..pdal import aliases
 from .session import BadUsage
 from .values import Number
 
@@ -31,15 +30,12 @@ def fields(method: type[Filter]) -> dict[str, dataclasses.Field[Any]]:
 
 
 def options(method: type[Filter]) -> list[click.Option]:
-    """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool. Fields that PDAL has
-    under another name have that as well: ``--scalar`` for ``scaling``."""
-    made, other = [], aliases(method.__name__.lower())
+    """One option per field of the filter: ``--max-angle`` for ``max_angle``, ``--x/--no-x`` for a bool."""
+    made = []
     for name, field in fields(method).items():
         flag, kind = _flag(name), _kind(method, field)
-        names = [flag, *([_flag(other[name])] if name in other else [])]
-        if kind is click.BOOL:
-            names = [f"{flag}/--no-{flag[2:]}"]
-        made.append(click.Option([*names, name], type=kind, default=None, help=describe(field)))
+        words = f"{flag}/--no-{flag[2:]}" if kind is click.BOOL else flag
+        made.append(click.Option([words, name], type=kind, default=None, help=describe(field)))
     return made
 
 

@@ -62,7 +62,7 @@ def terrain(cloud: jf.PointCloud, result: jf.FilterResult) -> float:
 
 
 def from_elsewhere(points: np.ndarray, raster: jf.Raster) -> jf.Filter:
-    one: jf.Filter = jf.from_pdal({"type": "filters.smrf", "cell": 2.0}, units="ft")
+    one: jf.Filter = jf.SMRF(cell=2.0)
     cloud = jf.PointCloud.from_structured(points, units="us-ft", crs="EPSG:2263")
     result = one(cloud)
     jf.write("out.laz", cloud, result, noise_class=7)
