@@ -6,29 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.cloud import QUANTUM
-
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 _BATCH, _ENTRIES = 1 << 18, 1 << 22
 """Points that ask a KD-tree at a time, and neighbours that they get together."""
-
-
-def perturbed(xy: np.ndarray) -> np.ndarray:
-    """f64[n, 2] of local f32[n, >=2]: each position moved by less than half a quantum, decided by the position.
-
-    Of the moved positions no two are equally near to a third one, so that the nearest is one and the same in any order.
-    """
-    lattice = np.rint(xy[:, :2].astype(np.float64) / QUANTUM).astype(np.int64).view(np.uint64)
-    h = lattice[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ lattice[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
-    out = np.empty((len(xy), 2))
-    for axis in range(2):  # finaliser of splitmix64: every input bit reaches every output bit
-        h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        h ^= h >> np.uint64(31)
-        out[:, axis] = xy[:, axis] + ((h >> np.uint64(11)) * 2.0**-53 - 0.5) * QUANTUM
-    return out
 
 
 def tree_of(xyz: np.ndarray) -> cKDTree:

@@ -10,10 +10,11 @@ import numpy as np
 import scipy
 
 from ..core.errors import ParameterError
+from ..core.frame import perturbed
 from ..core.grid import lattice_over
 from ..core.points import Points, canonical_points, pieces
 from ..engines.grid.sparse import CellSet
-from ..engines.neighbours import batches, groups, nearest, perturbed, tree_of
+from ..engines.neighbours import batches, groups, nearest, tree_of
 from ..engines.tin.growth import Outliers
 from .surfaces import Cells, look_up
 from .trend import low_trend

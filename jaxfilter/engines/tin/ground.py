@@ -20,11 +20,10 @@ import jax
 import numpy as np
 
 from ...core.compilation import on_processor
-from ...core.frame import QUANTUM
+from ...core.frame import QUANTUM, perturbed
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
-from ..neighbours import perturbed
 from .facets import judge, mirrored
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.frame import QUANTUM
+from ...core.frame import QUANTUM, perturbed
 from ...core.points import Points
-from ..neighbours import perturbed, tree_of
+from ..neighbours import tree_of
 from .growth import Network, Outliers
 
 PAD = 0.25
