@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ...core.arrays import operation, takes
 from ...core.result import Decision
@@ -141,6 +142,16 @@ def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
         level=jnp.where(planar, n[2], 0.0),
         planar=planar,
     )
+
+
+def single(rule: Any) -> Any:
+    """A rule, a pytree of limits, with its limits in single precision: f32 each."""
+    return jax.tree.map(np.float32, rule)
+
+
+def of_nodes(rule: Any, nodes: np.ndarray) -> Any:
+    """The rule of some nodes, i64[n]: limits f32[k] become f32[n], others are those of all."""
+    return jax.tree.map(lambda limit: limit[nodes] if np.ndim(limit) > 0 else limit, rule)
 
 
 @takes(two_sided="bool[]", p="f32?[3]", corners="f32?[3, 3]")

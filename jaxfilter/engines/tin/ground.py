@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, Self
 
-import jax
 import numpy as np
 
 from ...core.compilation import on_processor
@@ -24,7 +23,7 @@ from ...core.frame import QUANTUM, perturbed
 from ...core.result import Decision
 from ..chunks import in_chunks
 from ..ground import GroundNodes
-from .facets import judge, mirrored
+from .facets import judge, mirrored, of_nodes, single
 from .growth import SCORES, Growth, LowestPerCell, Mirror, Network, Spaced
 from .triangulation import Tin
 
@@ -77,7 +76,7 @@ class GroundTin(GroundNodes):
     def __init__(self, network: Network, growth: Growth) -> None:
         waiting = network.open & ~network.seed
         self._open = waiting & ~network.late
-        super().__init__(network.seed.copy(), np.flatnonzero(self._open), _single(growth.rule))
+        super().__init__(network.seed.copy(), np.flatnonzero(self._open), single(growth.rule))
         choice = LowestPerCell if growth.vertices.grids else Spaced
         self.net, self.growth, self.choice = network, growth, choice(network, growth.vertices)
         k = len(network.xyz)
@@ -99,7 +98,7 @@ class GroundTin(GroundNodes):
 
     def change(self, rule: Any, but: np.ndarray | None = None) -> None:
         """Go on with another rule: all that may still become ground are tested by it, without those in ``but``, bool[k]."""
-        self.rule = _single(rule)
+        self.rule = single(rule)
         rest = self.rest
         self.todo = rest if but is None else rest[~but[rest]]
 
@@ -200,7 +199,7 @@ class GroundTin(GroundNodes):
         found = self._over_ground() if of_ground else self._over_neighbours()
         if len(found["distance"]) == 0:
             return False
-        before, self.rule = self.rule, _single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
+        before, self.rule = self.rule, single(adaptive.rule(np.abs(found["distance"]), np.abs(found["angle"])))
         return any(float(new) > float(old) for new, old in zip(self.rule, before, strict=True))
 
     def _over_ground(self) -> dict[str, np.ndarray]:
@@ -331,7 +330,7 @@ class GroundTin(GroundNodes):
         def given(rows: slice) -> tuple[Any, ...]:
             here = np.take(self.net.xyz, nodes[rows], axis=0) if xyz is None else xyz[rows]
             at = self.tin.planes(facet[rows]) if facet.ndim == 1 else np.moveaxis(self.tin.xyz[facet[rows]], 0, 2)
-            return _of_nodes(self.rule, nodes[rows]), self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
+            return of_nodes(self.rule, nodes[rows]), self.net.late[nodes[rows]], np.ascontiguousarray(here.T), at
 
         with on_processor():
             tested = partial(judge, names=names)
@@ -357,13 +356,3 @@ def _together(some: np.ndarray, others: np.ndarray) -> np.ndarray:
         return some
     nodes = np.sort(np.append(some, others), kind="stable")  # merges what is sorted
     return nodes[np.append(True, nodes[1:] != nodes[:-1])]
-
-
-def _single(rule: Any) -> Any:
-    """A rule with its limits in single precision, f32 each."""
-    return jax.tree.map(np.float32, rule)
-
-
-def _of_nodes(rule: Any, nodes: np.ndarray) -> Any:
-    """The rule of some nodes, i64[n]: limits f32[k] become f32[n], others are those of all."""
-    return jax.tree.map(lambda limit: limit[nodes] if np.ndim(limit) > 0 else limit, rule)
