@@ -169,7 +169,7 @@ class Targets:
                 f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
                 "pass resume=True, which ends that, before anything else is done with them"
             )
-        with contextlib.suppress(InputError):  # nothing is known of a run whose record is damaged
+        with contextlib.suppress(InputError, OutputError):  # nothing is known of a run whose record is damaged
             self.store.load()
         for folder in self._folders():
             check_own(folder)
