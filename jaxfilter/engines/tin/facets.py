@@ -118,7 +118,7 @@ def _least(values: Vector) -> jax.Array:
 
 
 def facet_score(p: jax.Array, corners: jax.Array) -> FacetScore:
-    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres."""
+    """Score one point f32[3] against one facet f32[3, 3] (rows are vertices), local metres; or, along a last axis, many."""
     a, b, c = ([corner[k] - p[k] for k in range(3)] for corner in corners)  # exact in float32 for quantised coordinates
     u, v = _minus(b, a), _minus(c, a)
     n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
@@ -151,6 +151,17 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
+_scores = jax.jit(facet_score, inline=True)
+"""Traced once for all rules and names, as :func:`_verdicts` is for all names, since that takes longer than to run them."""
+
+
+@functools.partial(jax.jit, inline=True)
+def _verdicts(rule: Any, scores: FacetScore, two_sided: jax.Array) -> Verdict:
+    each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
+    found: Verdict = jax.vmap(lambda one, *of: one.verdict(*of), in_axes=(each, 0, 0))(rule, scores, two_sided)
+    return found
+
+
 @functools.partial(jax.jit, static_argnames="names")
 def judge(
     rule: Any,
@@ -180,8 +191,7 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    each = type(rule)(*(0 if jnp.ndim(limit) > 0 else None for limit in rule))
-    verdict = jax.vmap(judge_one, in_axes=(each, 0, 1, 2))(rule, two_sided, points, corners)
+    verdict = _verdicts(rule, _scores(points, corners), two_sided)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 
