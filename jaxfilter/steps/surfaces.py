@@ -13,7 +13,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.grid import grid_over
-from ..core.points import Points
+from ..core.points import Points, pieces
 from ..engines.chunks import in_chunks
 from ..engines.grid.cells import cell_index, padded_shape
 from ..engines.grid.minima import cell_minima, places_in
@@ -155,7 +155,13 @@ def hold_against(xyz: np.ndarray, test: Callable[[np.ndarray], tuple[jax.Array, 
 
 def look_up(xyz: np.ndarray, cells: Cells, *surfaces: jax.Array | np.ndarray) -> list[np.ndarray]:
     """f32[n] each: the value of every surface, f32[rows, columns], in the cells of points f32[n, 3]."""
-    return hold_against(xyz, lambda chunk: cell_values(chunk, surfaces, cells.frame, cells.extent))
+    tables, columns = [np.asarray(surface).reshape(-1) for surface in surfaces], surfaces[0].shape[1]
+    found = [np.empty(len(xyz), table.dtype) for table in tables]
+    for part in pieces(len(xyz)):
+        at = places_in(xyz[part], np.asarray(cells.frame), np.asarray(cells.extent), columns)
+        for out, table in zip(found, tables, strict=True):
+            out[part] = table[at]
+    return found
 
 
 @functools.partial(jax.jit, static_argnames=("most", "element"))

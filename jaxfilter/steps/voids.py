@@ -8,7 +8,6 @@ import numpy as np
 
 from ..engines.grid.extremes import highest, lowest
 from ..engines.grid.inpaint import fill_nearest
-from ..engines.grid.morphology import erosion
 from ..engines.tin.triangulation import Tin
 from .surfaces import Cells
 
@@ -28,7 +27,7 @@ def filled_by(tin: Tin, cells: Cells, reach: int, longest: float) -> tuple[np.nd
     z, seen = np.array(cells.lowest), np.array(cells.seen)
     rows, columns = (int(n) for n in cells.extent)
     x0, y0, cell = (float(v) for v in cells.frame)
-    low = np.asarray(erosion(np.where(seen, z, np.float32(np.inf)), reach, reach, "square"))
+    low = lowest(np.where(seen, z, np.float32(np.inf)), 2 * reach + 1)
     x, y = ((tin.xyz[:, axis].astype(np.float64) - corner) / cell - 0.5 for axis, corner in enumerate((x0, y0)))
     column = np.clip(np.rint(x).astype(np.int64), 0, columns - 1)
     row = np.clip(np.rint(y).astype(np.int64), 0, rows - 1)

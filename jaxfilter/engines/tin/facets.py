@@ -165,6 +165,19 @@ QUANTITIES = ("accepted", "decision", "margin", *FacetScore._fields)
 """What is known of a point after its test: the fields of :class:`Verdict` and of its :class:`FacetScore`."""
 
 
+@functools.partial(jax.jit, inline=True)
+def _scores(points: jax.Array, corners: jax.Array) -> FacetScore:
+    """Traced once for all rules and names, as :func:`_verdicts` is for all names, since that takes longer than to run them."""
+    return jax.vmap(facet_score, in_axes=(1, 2))(points, corners)
+
+
+@functools.partial(jax.jit, inline=True)
+def _verdicts(rule: Any, scores: FacetScore, two_sided: jax.Array) -> Verdict:
+    each = jax.tree.map(lambda limit: 0 if jnp.ndim(limit) > 0 else None, rule)
+    found: Verdict = jax.vmap(lambda one, *of: one.verdict(*of), in_axes=(each, 0, 0))(rule, scores, two_sided)
+    return found
+
+
 @takes(two_sided="bool[n]", points="f32?[3, n]", corners="f32?[3, 3, n]")
 @functools.partial(jax.jit, static_argnames="names")
 def judge(
@@ -197,8 +210,7 @@ def judge(
     >>> found["distance"].tolist(), found["accepted"].tolist()
     ([0.5], [True])
     """
-    each = jax.tree.map(lambda limit: 0 if jnp.ndim(limit) > 0 else None, rule)
-    verdict = jax.vmap(judge_one, in_axes=(each, 0, 1, 2))(rule, two_sided, points, corners)
+    verdict = _verdicts(rule, _scores(points, corners), two_sided)
     found = {**verdict._asdict(), **verdict.score._asdict()}
     return {name: found[name] for name in names}
 
