@@ -6,6 +6,7 @@ import os
 import runpy
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,16 @@ def scene():
     from jaxfilter import scenes
 
     return scenes.make("mixed", size=(60.0, 60.0), density=1.0, seed=3)
+
+
+@pytest.fixture
+def private_folder():
+    """A folder that only the user may write to or replace: those in the system's temporary folder are none, and not used for
+    compiled code."""
+    home = platformdirs.user_cache_path("jaxfilter")
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=home) as folder:
+        yield Path(folder)
 
 
 @pytest.fixture

@@ -484,9 +484,9 @@ def demo(folder, cache, *arguments):
 
 
 @pytest.mark.slow
-def test_demo_runs_again_from_the_compilation_cache(tmp_path):
+def test_demo_runs_again_from_the_compilation_cache(tmp_path, private_folder):
     """The second process spends less than a fifth of the first one's compile time."""
-    first, second = (json.loads(demo(tmp_path / "demo", tmp_path / "cache", "--json").stdout) for _ in range(2))
+    first, second = (json.loads(demo(tmp_path / "demo", private_folder, "--json").stdout) for _ in range(2))
     assert first["compilations"]["count"] > 0
     assert second["compilations"]["seconds"] < first["compilations"]["seconds"] / 5
     assert first["scores"] == second["scores"] and first["scores"]["kappa"] > 50
