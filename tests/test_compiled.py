@@ -16,7 +16,6 @@ import pytest
 import jaxfilter as jf
 from jaxfilter import JaxfilterWarning
 from jaxfilter.core import compilation
-from jaxfilter.engines import compiled as module
 from jaxfilter.engines.compiled import compiled
 
 
@@ -213,8 +212,30 @@ def test_code_is_made_anew_when_a_function_changes_that_it_calls(tmp_path, monke
         for name in ("calling", "called"):
             sys.modules.pop(name, None)
         importlib.invalidate_caches()
-        module._digest.cache_clear()
         assert importlib.import_module("calling").outer(7) == 7 * factor
+
+
+def test_code_is_kept_of_the_source_that_was_loaded(tmp_path, monkeypatch):
+    """An edit and a reload in one process; and an edit after the import and before the first call, which compiles."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+
+    def write(factor):
+        text = f"from jaxfilter.engines.compiled import compiled\n@compiled\ndef times(n):\n    return n * {factor}\n"
+        (tmp_path / "edited.py").write_text(text)
+        importlib.invalidate_caches()
+
+    write(2)
+    edited = importlib.import_module("edited")
+    assert edited.times(7) == 14
+    write(3)
+    edited = importlib.reload(edited)
+    assert edited.times(7) == 21
+    write(4)
+    assert edited.times(0.5) == 1.5, "compiled of what was loaded"
+    assert importlib.reload(edited).times(0.5) == 2.0
+    monkeypatch.delitem(sys.modules, "edited")
 
 
 def test_what_is_compiled_is_kept_where_the_user_says(tmp_path):

@@ -66,12 +66,16 @@ class _Interruptible(CPUDispatcher):  # type: ignore[misc]
 
 
 class _Kept(NullCache):  # type: ignore[misc]
-    """Machine code of a function on disk: a file for the types of its arguments."""
+    """Machine code of a function on disk: a file for the types of its arguments.
+
+    ``sources``: digests of the files of the function and of those that it calls, as they are when it is made: they may have been
+    edited when it is compiled.
+    """
 
     def __init__(self, function: Any) -> None:
         self.function = function
         used: Any = (one._cache for one in function.__globals__.values() if isinstance(one, _Interruptible))  # type: ignore[attr-defined]
-        self.sources = {function.__code__.co_filename}.union(*(one.sources for one in used))
+        self.sources = {_digest(function.__code__.co_filename)}.union(*(one.sources for one in used))
 
     @property
     def cache_path(self) -> str | None:
@@ -81,8 +85,9 @@ class _Kept(NullCache):  # type: ignore[misc]
 
     @functools.cached_property
     def stamp(self) -> bytes:
-        versions = (numba.__version__, sys.version)
-        return sha256(repr((versions, [_digest(path) for path in sorted(self.sources)])).encode()).digest()
+        if b"" in self.sources:
+            raise FileNotFoundError(f"no such file: {self.function.__code__.co_filename}")
+        return sha256(repr((numba.__version__, sys.version, sorted(self.sources))).encode()).digest()
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         if (folder := self.cache_path) is None:
@@ -111,6 +116,13 @@ class _Kept(NullCache):  # type: ignore[misc]
             write_kept(path, self.stamp, dumps(result._reduce()))
 
 
-@functools.cache
 def _digest(path: str) -> bytes:
+    """SHA-256 of a file; b"" where there is none."""
+    with contextlib.suppress(OSError):
+        return _digest_at(path, os.stat(path).st_mtime_ns)
+    return b""
+
+
+@functools.cache
+def _digest_at(path: str, _: int) -> bytes:
     return sha256(Path(path).read_bytes()).digest()

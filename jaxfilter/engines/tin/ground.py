@@ -344,7 +344,9 @@ class GroundTin(GroundNodes):
             nodes = np.flatnonzero(self.net.real)
             tin.locate(nodes)
         self.locate_outside()
-        final = self._judge(nodes, tin.where[nodes], ("height", "slope"))
+        kept = self.growth.kept  # with these there is a program already
+        names = ("accepted", *kept) if {"height", "slope"} <= {*kept} else ("height", "slope")
+        final = self._judge(nodes, tin.where[nodes], names)
         self.height[nodes], self.slope[nodes] = final["height"], final["slope"]
         vertices = nodes[tin.vertex[nodes]]
         self.height[vertices] = self.net.xyz[vertices, 2] - tin.xyz[vertices, 2]
