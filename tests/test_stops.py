@@ -7,9 +7,11 @@ import contextlib
 import errno
 import json
 import os
+import re
 import shutil
 import sys
 
+import fsspec
 import geopandas
 import laspy
 import numpy as np
@@ -231,3 +233,78 @@ def test_a_run_that_is_stopped_at_any_change_of_a_file_and_resumed_has_the_files
             assert left_over(work) == [], f"{kind} before change {at} of {changes}"
         act(work, resume=True)  # what is complete stays as it is
         assert contents(work) == expected, f"{kind} before change {at} of {changes}, resumed twice"
+
+
+def test_a_complete_run_in_place_is_not_begun_anew_and_new_files_are_not_passed_over(survey, tmp_path):
+    work = tmp_path / "work"
+    shutil.copytree(survey, work)
+    act = COMMANDS["heights-in-place-of-z"](True)
+    act(work)
+    done = contents(work)
+    assert act(work, resume=True).was_complete and contents(work) == done
+    shutil.copy(survey / "east.laz", work / "new.laz")
+    with pytest.raises(jf.InputError, match=r"new\.laz: is new or was changed"):
+        act(work, resume=True)
+    (work / "new.laz").unlink()
+    for name in ("west.laz", "east.laz"):  # all files are others: the run is a new one
+        shutil.copy(survey / name, work / name)
+    assert not act(work, resume=True).was_complete and contents(work) == done
+    shutil.copy(survey / "east.laz", work / "east.laz")
+    with pytest.raises(jf.InputError, match=r"east\.laz: is new or was changed"):
+        act(work, resume=True)
+
+
+def test_an_input_that_changes_after_all_is_written_is_not_replaced(survey, tmp_path):
+    work = tmp_path / "work"
+    shutil.copytree(survey, work)
+    act = COMMANDS["heights-in-place-of-z"](True)
+    with STOPS.below(work):
+        act(work)
+    changes = STOPS.count
+    for at in range(1, changes + 1):
+        shutil.rmtree(work)
+        shutil.copytree(survey, work)
+        with STOPS.below(work, "killed", at):
+            act(work)
+        if (work / ".jaxfilter-run" / "done.json").exists() and las_is(work / "east.laz", survey / "east.laz"):
+            break
+    other = (work / "east.laz").read_bytes()[:-1] + b"?"
+    (work / "east.laz").write_bytes(other)
+    with pytest.raises(jf.InputError, match=r"east\.laz: was changed after the run in place"):
+        act(work, resume=True)
+    with pytest.raises(jf.OutputError, match="pass resume=True"):
+        act(work, overwrite=True)
+    assert (work / "east.laz").read_bytes() == other
+
+
+def las_is(one, other):
+    return one.read_bytes() == other.read_bytes()
+
+
+def test_inputs_in_a_store_are_replaced_once(survey, tmp_path):
+    store = fsspec.filesystem("memory")
+    store.pipe("/in-place/east.laz", (survey / "east.laz").read_bytes())
+    local = tmp_path / "work"
+    shutil.copytree(survey, local)
+    COMMANDS["heights-in-place-of-z"](False)(local)
+
+    def act(**how):
+        run = jf.RunOptions(workers=1, in_place=True, **how)
+        return jf.heights("memory://in-place/east.laz", None, FILTER, replace_z=True, reading=READING, run=run)
+
+    assert act().complete
+    assert store.cat_file("/in-place/east.laz") == (local / "east.laz").read_bytes()
+    assert act(resume=True).was_complete
+    assert store.cat_file("/in-place/east.laz") == (local / "east.laz").read_bytes()
+
+
+def test_room_for_all_outputs_is_needed_before_one_is_written(survey, tmp_path, monkeypatch):
+    work = tmp_path / "work"
+    shutil.copytree(survey, work)
+    needed, usage = sum(path.stat().st_size for path in survey.iterdir()), shutil.disk_usage(work)
+    free = needed // 2
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: usage._replace(free=free))
+    words = f"{needed / 1e9:.3g} GB, {free / 1e9:.3g} GB are free, {(needed - free) / 1e9:.3g} GB are missing"
+    with pytest.raises(jf.OutputError, match=re.escape(words)):
+        COMMANDS["heights-in-place-of-z"](True)(work)
+    assert contents(work) == contents(survey)

@@ -287,9 +287,8 @@ def watched(filter_: _Filter) -> tuple[_Filter, set[str]]:
     (12, ['cell', 'reach', 'window'])
     """
     one, own, names = object.__new__(type(filter_)), _own(filter_), {field.name for field in declared(filter_)}
-    read = (
-        names if own.keys() - names - {"_read"} else set()
-    )  # what was made of the fields before has read who knows what
+    made_before = own.keys() - names - {"_read"}  # of fields that nobody has watched
+    read = names if made_before else set[str]()
     _own(one).update(own, _read=read)
     return one, read
 
@@ -421,7 +420,7 @@ def check_resources(workers: int | None, memory: float = 1.0, key: Any = None) -
     if workers is not None:
         check_whole(1, 4096, workers=workers)
     if not 0 < memory < 1e18:
-        raise ParameterError(f"memory={memory!r}: must be a finite number of bytes > 0")
+        raise ParameterError(f"memory={memory!r}: must be a number of bytes > 0, below 1e18")
     try:
         if key is not None:
             jax.eval_shape(jax.random.bits, key)

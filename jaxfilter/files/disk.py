@@ -316,7 +316,7 @@ def _check(folder: Path, facts: os.stat_result) -> None:
         (mode & ~known.st_mode & writers, "may be written to by others"),
     ):
         if wrong:
-            raise OutputError(f"{folder}: {what}: remove it if nobody needs it, name another output, or pass work=...")
+            raise OutputError(f"{folder}: {what}: remove it if nobody needs it, or name another output")
 
 
 @contextlib.contextmanager

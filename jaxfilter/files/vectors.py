@@ -55,7 +55,10 @@ def _check_source(place: Path) -> None:
     parts = (place, *place.rglob("*"), *place.parent.glob(f"{place.name}-wal"))
     if sum(part.stat().st_size for part in parts) > _MOST:
         raise ValueError(f"it has more than {_MOST >> 20} MB: save what is needed as a file of its own")
-    head = place.read_bytes()[: 1 << 16] if place.is_file() else b""
+    head = b""
+    if place.is_file():
+        with place.open("rb") as file:
+            head = file.read(1 << 16)
     if head.startswith(b"PK\3\4") or b"<OGR" in head or b"gdal_streamed_alg" in head:
         raise ValueError("it packs or names other files, and these are not followed: pass the file itself")
     if head.startswith(b"SQLite format 3"):

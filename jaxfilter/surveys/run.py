@@ -112,15 +112,9 @@ class Survey:
         if self.options.dry_run:
             return self._forecast(kind, settings)
         targets, store = self.targets, self.targets.store
-        files = [str(place) for place in targets.places]
         with targets.claimed(self.options):
-            if targets.complete(self.options):
-                return kind.REPORT(files=files, was_complete=True)
-            if targets.in_place and self.options.resume and (store.done or not store.begun):
-                asked = self._asked(kind(self.reading, None, store, None, self.options.halo, **settings))
-                failed = targets.finish(asked) if store.done else targets.ended(asked)
-                if failed is not None:
-                    return kind.REPORT(files=files, failed=failed, was_complete=True)
+            if (failed := self._done_before(kind, settings)) is not None:
+                return kind.REPORT(files=[str(place) for place in targets.places], failed=failed, was_complete=True)
             product, plan = self._planned(kind, settings)
             self._record(product, plan)
             targets.make_parts()
@@ -129,27 +123,31 @@ class Survey:
                 run()
                 if targets.in_place:
                     self._check_inputs()
+                    targets.replace(self._asked(product), run.report.failed)
+                    return run.report
             except BaseException as error:
-                if len(plan) == 1 and (
-                    targets.in_place or not any(map(is_there, targets.places))
-                ):  # nothing to go on with
+                written = store.done or (not targets.in_place and any(map(is_there, targets.places)))
+                if len(plan) == 1 and not written:  # there is nothing to go on with
                     targets.discard()
                 elif isinstance(error, KeyboardInterrupt):
                     error.add_note("pass resume=True to go on")
                 raise
-            if targets.in_place:
-                try:
-                    targets.replace(self._asked(product), run.report.failed)
-                except KeyboardInterrupt as error:
-                    error.add_note("pass resume=True to go on")
-                    raise
-                return run.report
             if targets.folder is not None:
                 run.report.write(targets.folder / REPORT)
                 run.report.draw(targets.folder / MAP)
             if run.report.complete:
                 store.discard() if targets.folder is None else store.drop_index()
         return run.report
+
+    def _done_before(self, kind: type[Product], settings: dict[str, Any]) -> list[dict[str, str]] | None:
+        """If ``resume`` finds that an earlier run has done all, but for renames: what that could not do. None if it has not."""
+        targets, store = self.targets, self.targets.store
+        if targets.complete(self.options):
+            return []
+        if not (targets.in_place and self.options.resume and (store.done or not store.begun)):
+            return None
+        asked = self._asked(kind(self.reading, None, store, None, self.options.halo, **settings))
+        return targets.finish(asked) if store.done else targets.ended(asked)
 
     def _forecast(self, kind: type[Product], settings: dict[str, Any]) -> RunReport:
         """A report with nothing but the forecast. What is found out about inputs on the way is not kept."""

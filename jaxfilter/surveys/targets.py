@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError, JaxfilterError, OutputError, ParameterError
+from ..core.errors import DAMAGED, InputError, JaxfilterError, OutputError, ParameterError
 from ..files.copc import SUFFIX as COPC
 from ..files.copc import is_copc
 from ..files.disk import Identity, Seal, check_own, existing, is_there, new_file, output_errors, remove_dead, sync
@@ -164,7 +164,9 @@ class Targets:
 
     def _drop_parts(self) -> None:
         """Remove those of an earlier run. Raises: OutputError if they have begun to take the places of inputs."""
-        if self.store.done and (left := [place for _, place, part in self._entries() if part.exists()]):
+        if self.store.done and (
+            left := [place for _, place, part in _entries(self.store.load_done()) if part.exists()]
+        ):
             raise OutputError(
                 f"{left[0]}: a run in place was stopped while its outputs took the places of the inputs: repeat its command and "
                 "pass resume=True, which ends that, before anything else is done with them"
@@ -201,43 +203,39 @@ class Targets:
         for number, place in enumerate(self.places):
             if (part := self.part(number)) is not None and part.exists():
                 seal = (self.store.seal(number) or {"seal": dataclasses.asdict(Seal.of(part))})["seal"]
-                before = dataclasses.asdict(Identity.of(place)) if is_there(place) else None
-                files.append({"file": str(place), "part": str(part), "before": before} | seal)
-        self.store.put_done({"facts": facts, "failed": failed, "files": files})
-        self.finish(facts)
+                files.append({"file": str(place), "part": str(part), "before": _identity(place)} | seal)
+        self.store.put_done({"facts": facts, "failed": failed, "names": self._names(), "files": files})
+        self.finish()
 
     def finish(self, facts: dict[str, Any] | None = None) -> list[dict[str, str]]:
         """Rename what is written and has not its place yet. ``facts``: that tell the command. Returns: what the run could not do.
 
         Raises: InputError if another run was begun, or a file was changed after this one; OutputError.
         """
-        store, done, entries = self.store, self.store.load_done(), self._entries()
+        store, done = self.store, self.store.load_done()
         if facts is not None:
-            store.check_facts(done["facts"], facts)
-        left = [(place, part) for _, place, part in entries if part.exists()]
-        for entry, place, part in entries:
-            if isinstance(place, Remote):  # it appears whole, and may be sent twice
-                continue
-            if part.exists() and entry["before"] != (
-                dataclasses.asdict(Identity.of(place)) if is_there(place) else None
-            ):
+            store.check_facts(done["facts"] | {"names": done["names"]}, facts | {"names": self._names()})
+        for entry, place, part in _entries(done):
+            if not part.exists():
+                wrong = None if isinstance(place, Remote) else Seal(entry["size"], entry["checksum"], ()).broken(place)
+                if wrong is not None:
+                    raise InputError(
+                        f"{place}: {wrong} since the run in place has written it: put it back, and pass resume=True"
+                    )
+            elif isinstance(place, Path) and entry["before"] != _identity(place):
                 raise InputError(
                     f"{place}: was changed after the run in place, whose output {part} was to replace it: remove the one or the "
                     "other, and pass resume=True"
                 )
-            wrong = None if part.exists() else Seal(entry["size"], entry["checksum"], ()).broken(place)
-            if wrong is not None:
-                raise InputError(
-                    f"{place}: {wrong} since the run in place has written it: put it back, and pass resume=True"
-                )
-        for place, part in left:
+        for entry, place, part in _entries(done):
             with output_errors(place):
-                if isinstance(place, Remote):
+                if part.exists() and isinstance(place, Path):
+                    os.replace(part, os.path.realpath(place))
+                elif part.exists() and isinstance(place, Remote):  # it appears whole, and may be sent twice
                     place.put(part)
                     part.unlink()
-                else:
-                    os.replace(part, os.path.realpath(place))
-        for folder in {part.parent for _, _, part in entries}:
+                entry["after"] = _identity(place)
+        for folder in self._folders():
             with contextlib.suppress(OSError):  # not every system can
                 sync(folder.parent)
         with contextlib.suppress(OutputError), new_file(self._record(), overwrite=True) as kept:
@@ -250,30 +248,48 @@ class Targets:
         """What the last run in place on these files could not do, if it was that of this command and is complete; else None.
 
         Without this, a complete run would be begun anew by ``resume``, on what it has written. Raises: InputError if some of the
-        files were changed since.
+        files are as that run left them, and others are not.
         """
         try:
             done = json.loads(self._record().read_text())
-            broken = [Seal(one["size"], one["checksum"], ()).broken(place_of(one["file"])) for one in done["files"]]
-        except (OSError, ValueError, KeyError, TypeError, OutputError):
+            if json.loads(json.dumps(facts)) != done["facts"]:
+                return None
+            known = {entry["file"]: _changed_since(entry, place) for entry, place, _ in _entries(done)}
+            left = [name for name in self._names() if known.get(name, name not in done["names"])]
+        except DAMAGED:
             return None
-        if json.loads(json.dumps(facts)) != done["facts"] or None not in broken:
+        if len(left) == len(self.places):
             return None
-        for one, wrong in zip(done["files"], broken, strict=True):
-            if wrong is not None:
-                raise InputError(
-                    f"{one['file']}: {wrong} since the run in place was complete, and other files are as it left them: name only "
-                    "what is new, and leave out resume="
-                )
+        if left:
+            raise InputError(
+                f"{left[0]}: is new or was changed since the run in place was complete, and other files were not: name "
+                "only what is to be done, and leave out resume="
+            )
         return list(done["failed"])
+
+    def _names(self) -> list[str]:
+        return [str(place) for place in self.places]
 
     def _record(self) -> Path:
         """Where it is kept what the last run in place has done. Raises: OutputError."""
         return _of_user() / f"{hashlib.sha256(str(self.store.path.absolute()).encode()).hexdigest()[:32]}.json"
 
-    def _entries(self) -> list[tuple[dict[str, Any], Place, Path]]:
-        """What the record of a run in place says of each output, its place, and the file that was written. Raises: InputError."""
-        return [(entry, place_of(entry["file"]), Path(entry["part"])) for entry in self.store.load_done()["files"]]
+
+def _entries(done: dict[str, Any]) -> list[tuple[dict[str, Any], Place, Path]]:
+    """What the record of a run in place says of each output, its place, and the file that was written."""
+    return [(entry, place_of(entry["file"]), Path(entry["part"])) for entry in done["files"]]
+
+
+def _identity(place: Place) -> dict[str, Any] | None:
+    """Of the file that has this name now. Raises: OSError, InputError."""
+    return dataclasses.asdict(Identity.of(place)) if is_there(place) else None
+
+
+def _changed_since(entry: dict[str, Any], place: Place) -> bool:
+    """Whether an output is another than a run in place has left."""
+    if entry["after"] == _identity(place):
+        return False
+    return isinstance(place, Remote) or Seal(entry["size"], entry["checksum"], ()).broken(place) is not None
 
 
 def check_out(out: str | Path, inputs: Sequence[Any], options: RunOptions) -> None:

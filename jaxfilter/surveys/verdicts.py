@@ -282,8 +282,9 @@ class _Log:
             empty: dict[str, Any] = {"files": {}, "verdicts": []}
             self.facts = json.loads(path.read_text()) if path.exists() else empty
             self._known = {one["key"]: one["files"] for one in self.facts["verdicts"]}
-            for one in self.facts["verdicts"]:
-                shapely.Point(one["x"], one["y"]), "".join((one["verdict"], *one["files"]))
+            for one in self.facts["verdicts"]:  # what is used of it later is a point, a word and names
+                shapely.Point(one["x"], one["y"])
+                "".join((one["verdict"], *one["files"]))
             broken = {name: Seal(**seal).broken(path.parent / name) for name, seal in self.facts["files"].items()}
         except DAMAGED as error:
             raise InputError(f"{path}: is damaged ({error}): remove it, and all verdicts are done anew") from error
