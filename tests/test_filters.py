@@ -205,6 +205,7 @@ def test_copies_of_points_change_no_label(method, rough, rng):
         for one, other in ((method(), method()), (method.for_cloud(cloud), method.for_cloud(copies))):
             assert one == other
             np.testing.assert_array_equal(other(copies).ground, one(cloud).ground[at])
+        assert method().points_of(copies).spacing() == method().points_of(cloud).spacing()
 
 
 def by_lattice(method):

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import fsspec
 import geopandas
@@ -35,13 +36,14 @@ class Killed(BaseException):
 
 class Stops:
     """Counts the changes of files below a folder, and ends the process, or what is like it, before the change number ``at``.
+    ``seen``: those in which a file gets a name that users see.
 
     ``killed``: no later change succeeds, not those of clean-ups either. ``stopped``: as by Ctrl-C, after which clean-ups work.
     ``full``: no file can be opened to be written from then on, since the disk is full.
     """
 
     def __init__(self) -> None:
-        self.folder, self.count, self.at, self.kind = None, 0, 0, ""
+        self.folder, self.count, self.at, self.kind, self.seen = None, 0, 0, "", []
         sys.addaudithook(self.hear)
 
     def hear(self, event, arguments):
@@ -56,6 +58,8 @@ class Stops:
         if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
             return
         self.count += 1
+        if event == "os.rename" and not any(part.startswith(".") for part in Path(arguments[1]).parts):
+            self.seen.append(self.count)
         if self.kind == "killed" and self.count >= self.at:
             raise Killed
         if self.kind == "stopped" and self.count == self.at:
@@ -66,7 +70,7 @@ class Stops:
     @contextlib.contextmanager
     def below(self, folder, kind="", at=0):
         """A block in which changes below the folder count."""
-        self.folder, self.kind, self.at, self.count = str(folder), kind, at, 0
+        self.folder, self.kind, self.at, self.count, self.seen = str(folder), kind, at, 0, []
         try:
             yield
         except (Killed, KeyboardInterrupt, jf.OutputError):
@@ -177,8 +181,9 @@ COMMANDS = {
 }
 SLOW = ("ground-in-place", "ground-in-place-las14", "ground-in-place-reset", "heights-in-place")
 """Others do the same with more."""
-FEW, MORE = 3, 9
-"""Without --slow so many changes of a run are tried, and more where a stop did the greatest harm; with it all are."""
+FEW = 3
+"""Without --slow so many changes of a run are tried, and those beside the names that users see, of runs into other files only
+the first; with it all are."""
 
 
 def contents(folder):
@@ -218,10 +223,11 @@ def test_a_run_that_is_stopped_at_any_change_of_a_file_and_resumed_has_the_files
     anew()
     with STOPS.below(work):
         act(work)
-    changes, expected, before = STOPS.count, contents(work), contents(survey)
+    changes, seen, expected, before = STOPS.count, STOPS.seen, contents(work), contents(survey)
     assert changes > 10 and expected != before
-    tried = changes if slow else MORE if kind == "killed" and "in-place" in command else FEW
-    for at in sorted({round(one) for one in np.linspace(1, changes, tried)}):
+    spread = {round(one) for one in np.linspace(1, changes, changes if slow else FEW)}
+    seen = seen if "in-place" in command else seen[:1]
+    for at in sorted(spread | {change + step for change in seen for step in (0, 1) if change + step <= changes}):
         anew()
         with STOPS.below(work, kind, at):
             act(work)
