@@ -24,9 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 Row = dict[str, Any]
-SPENT = "EXPERIMENTS_SPENT"
-"""Environment variable: seconds that earlier runs, which were interrupted, have spent on a page."""
-_started = time.perf_counter() - float(os.environ.get(SPENT, 0))
+_started = time.perf_counter()
 _spent: dict[Path, float] = {}
 
 
