@@ -1,293 +1,246 @@
-"""Makes the pages of results that are stale: those of other labels than the code's, of another command, or never made.
+"""Makes the pages of results that are stale, and writes the figures that other pages quote.
 
-    python experiments/remake.py [--list] [--only TEXT ...] [--budget MINUTES]
+    python experiments/remake.py [--list] [--only TEXT ...] [--jobs 2]
 
-It runs the command of each stale page, the cheapest first, in a process of its own, and goes on where it was stopped: pages
-that are current are not made again, and most scripts keep their rows. What a command prints goes to ``experiments/out/``. After
-each page the table in ``experiments/README.md``, the page ``docs/results`` and the figures that pages quote are written anew.
+``pages.toml`` lists the pages. A page is stale if the labels of its methods have changed, if its command has, or if it was
+never made. The cheapest page is made first. Pages run side by side, but those that measure time run alone. A page that is
+current is not made again, so that a run may be stopped and repeated; most scripts keep rows, too. Output goes to ``out``.
+
+Figures in the README, the documentation and the READMEs of experiments stand between two comments:
+
+    <!-- = isprs/summary.csv protocol=fixed method=ost total .1f -->3.4<!-- / -->
+    <!-- = ablation "PTD: 30 degrees" - isprs ptd +.1f -->-0.2<!-- / -->
+    <!-- = table tiling/halos.md "Points that differ" -->
+    ...
+    <!-- / -->
+
+``isprs/summary.csv`` is ``experiments/isprs/results/summary.csv``. Conditions choose its rows (``max``: the largest value). The
+mean of the column is shown, with one decimal or in the format. A minus makes a difference of two. The words of :data:`SHORT`
+stand for files that are often quoted. ``table`` is the first table of a page of results, or below that heading.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
+import functools
+import hashlib
+import re
 import shlex
-import signal
+import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from experiments import labels, quoted, report_page
-from experiments.report import SPENT, Row, made, markdown
+import numpy as np
+
+import jaxfilter as jf
+from experiments.report import Column, Row, made, markdown, read_csv
 
 HERE = Path(__file__).parent
-ROOT = HERE.parent
-README = HERE / "README.md"
 START, END = "<!-- made by experiments/remake.py -->", "<!-- end of the table -->"
-TIMES = HERE / "out" / "begun.json"
-"""Pages that were begun and not finished, and seconds spent on them."""
+SCENES = "scenes"  # among the methods of a page that stands on simulated scenes
+SHORT = {
+    "ablation": (["ablations/summary.csv"], ["variant"], "total"),
+    "bench": (["bench/bench.csv", "density=1.0", "points=max"], ["name"], "warm_seconds"),
+    "defaults": (["defaults/means.csv"], ["choice", "alternative"], "mean"),
+    "isprs": (["isprs/summary.csv", "protocol=fixed"], ["method"], "total"),
+    "sample": (["isprs/fixed.csv"], ["sample", "method"], "total"),
+    "tile": (["tiles/tiles.csv"], ["tile", "method"], "total"),
+}
+"""Files with conditions, the columns whose values follow, and the column that is shown where none is named."""
+_FORM = re.compile(r"[+,]*(\.\d)?[dfg%]")
+_FIGURE = re.compile(r"(<!-- = ((?:(?!-->).)+) -->)(.*?)(<!-- / -->)", re.DOTALL)
 
 
-@dataclass(frozen=True)
+@functools.cache
+def clouds() -> list[jf.PointCloud]:
+    """A village at 0.7 points per m2, a steep wood at 9, and one at 4 that hides the ground."""
+    found = []
+    kinds = (100, 0.7, 0.08, 0.25, 0.3), (30, 9, 0.3, 0.2, 0.4), (60, 4, 0.4, 0, 0.97)
+    for side, density, slope, houses, trees in kinds:
+        rng = np.random.default_rng(side)
+        x, y = xy = rng.uniform(0, side, (2, int(density * side**2)))
+        z = slope * (x + 0.4 * y) + 2 * np.sin(x / 15) * np.cos(y / 22) + 1.5 * (y > 0.6 * side + 4 * np.sin(x / 9))
+        block = np.floor(x / 18).astype(int) + 97 * np.floor(y / 18).astype(int)
+        built = (rng.random(1000)[block] < houses) & (np.abs(xy % 18 - 9) < 6).all(axis=0)
+        z += built * (4 + 3 * rng.random(1000)[block]) + rng.normal(0, 0.03, len(x))
+        z += ~built * (rng.random(len(x)) < trees) * rng.uniform(0.2, 14, len(x))
+        pit = np.hypot(x - side / 3, y - side / 4) < 0.8
+        z -= (rng.random(len(x)) < 0.0005) * rng.uniform(2, 9, len(x)) + 3 * pit
+        found.append(jf.PointCloud.from_arrays(np.column_stack([x + 5e5, y + 5.4e6, z + 300]).round(2)))
+    return found
+
+
+@functools.cache
+def counts(name: str) -> str:
+    """Ground points of a method by ``for_cloud`` on :func:`clouds` (the third for OST only), and by "paper" on the first."""
+    if name == SCENES:
+        scenes = [jf.scenes.make(layout, size=60.0, density=0.5, seed=1) for layout in jf.scenes.LAYOUTS]
+        return f"{sum(map(len, scenes))} {sum(int(scene.truth.sum()) for scene in scenes)}"
+    method = jf.FILTERS[name]
+    results = [method.for_cloud(cloud)(cloud) for cloud in clouds()[: 3 if name == "ost" else 2]]
+    results += [method.preset("paper")(clouds()[0])]
+    return " ".join(str(int(result.ground.sum())) for result in results)
+
+
+def word(name: str) -> str:
+    """A short word for :func:`counts`, for rows that a script keeps from run to run: it makes those with another word anew."""
+    return "l" + hashlib.blake2b(counts(name).encode(), digest_size=3).hexdigest()
+
+
+@dataclass
 class Page:
-    """How a page is made.
-
-    ``command``: what follows ``python``. ``minutes``: on two idle cores, until a run has recorded them. ``after``: pages whose
-    results it reads. ``keeps``: its script keeps the rows of methods whose labels have not changed.
-    """
+    """How a page is made; ``pages.toml`` explains the fields."""
 
     command: str
     what: str
     minutes: float
-    after: tuple[str, ...] = ()
-    keeps: bool = False
+    after: Sequence[str] = ()
+    alone: bool = False
+    by_hand: bool = False
 
 
-def _tiling(part: str, options: str = "") -> str:
-    return f"experiments/tiling/run.py {part}{options} --out experiments/tiling/results"
-
-
-ISPRS = "isprs/results/results.md"
-PAGES = {
-    ISPRS: Page("experiments/isprs/run.py --out experiments/isprs/results",
-                "every method on the 15 ISPRS samples under three protocols, and the papers' claims", 25, keeps=True),
-    "isprs/results/places.md": Page("experiments/isprs/places.py", "what the place of the grid decides on the samples", 8),
-    "default/results/results.md": Page("experiments/default/run.py --sets 21", "OST: its constants with sites and sources left "
-                                       "out, what each step gives, other methods beside it", 60, keeps=True),
-    "default/results/doubt.md": Page("-m experiments.default.doubt", "OST: what its doubts are worth", 15),
-    "default/results/flat.md": Page("experiments/default/flat.py", "OST: how flat its later constants are", 12, keeps=True),
-    "defaults/results/results.md": Page("experiments/defaults/run.py", "alternatives to the defaults, on simulated scenes and "
-                                        "tiles", 60, keeps=True),
-    "ablations/results/results.md": Page("experiments/ablations/run.py", "the choices within the methods, one at a time", 25,
-                                         keeps=True),
-    "papers/results/agptd2024/results.md": Page("experiments/papers/agptd2024.py", "the tables of Zheng et al. (2024): AGPTD", 8),
-    "papers/results/li2021/results.md": Page("experiments/papers/li2021.py", "those of Li et al. (2021): FPTD", 10),
-    "papers/results/pingel2013/results.md": Page("experiments/papers/pingel2013.py", "those of Pingel et al. (2013): SMRF", 1),
-    "papers/results/ppdf2023/results.md": Page("experiments/papers/ppdf2023.py", "those of Cai et al. (2023): PPDF", 10),
-    "papers/results/spf2023/results.md": Page("experiments/papers/spf2023.py", "those of Chen et al. (2023): SPF", 3, (ISPRS,)),
-    "papers/results/stin2024/results.md": Page("experiments/papers/stin2024.py", "those of Uray and Varlik (2024): STIN", 8),
-    "tiles/results/results.md": Page("experiments/tiles/run.py --out experiments/tiles/results", "every method on six labelled "
-                                     "tiles of other sensors and densities", 10),
-    "failures/results/results.md": Page("experiments/failures/run.py all", "where methods fail: borders, cliffs, cuts through "
-                                        "clouds, the place of the grid, places that are named", 45, keeps=True),
-    "sensors/results/results.md": Page("experiments/sensors/run.py all", "clouds from photographs, drone lidar and cars", 10),
-    "fits/results/results.md": Page("experiments/fits/run.py", "fits by gradient beside searches, sites left out",
-                                    20),
-    "verdicts/results/results.md": Page("experiments/verdicts/run.py", "errors left after verdicts of people", 15),
-    "verdicts/results/speed.md": Page("experiments/verdicts/speed.py", "what apply takes beside ground", 5),
-    "halls/results/results.md": Page("experiments/halls/run.py", "large halls that methods find", 10),
-    "dikes/results/results.md": Page("experiments/dikes/run.py", "crests of dikes that methods keep", 3),
-    "water/results/results.md": Page("experiments/water/run.py", "water and bridge decks in scenes and tiles", 8),
-    "bench/results/gpu.md": Page("experiments/bench/gpu.py --out experiments/bench/results", "labels and times on a GPU", 6),
-    "bench/results/ops.md": Page("experiments/bench/ops.py", "operations beside those of other libraries", 10),
-    "tiling/results/labels.md": Page(_tiling("labels"), "labels of tiles against those of the whole", 15),
-    "tiling/results/halos.md": Page(_tiling("halos", " --small 300"), "the same by halo", 10),
-    "tiling/results/border.md": Page(_tiling("border", " --methods smrf ost ptd csf"), "places that the border cuts", 1),
-    "tiling/results/scale.md": Page(_tiling("scale"), "memory and time by number of files", 15),
-    "tiling/results/kills.md": Page(_tiling("kills", " --small 300"), "runs that are killed and repeated", 20),
-    "tiling/results/cluster.md": Page(_tiling("cluster"), "a Dask cluster whose worker is killed", 2),
-    "tiling/results/tasks.md": Page(_tiling("tasks", " --tasks 1000 10000 100000"), "tasks through a scheduler", 16),
-    "tiling/results/country.md": Page(_tiling("country", " --densities 2 10 --millions 4 --costs ost smrf fptd"),
-                                      "what a country costs", 20),
-    "tiling/results/tiles.md": Page(_tiling("tiles"), "what tiles cost against single files", 15),
-    "sensitivity/results/results.md": Page("experiments/sensitivity/run.py", "what the parameters decide", 4, (ISPRS,)),
-    "sensitivity/results/speed.md": Page("experiments/sensitivity/speed.py", "how fast sweeps are", 20),
-    "sensitivity/results/batches.md": Page("experiments/sensitivity/batches.py", "many clouds with many sets in one call", 8),
-    "sensitivity/results/agreement.md": Page("experiments/sensitivity/agreement.py --minutes 20", "labels of sweeps against "
-                                             "those of single calls", 21),
-    "sensitivity/results/calibration.md": Page("experiments/sensitivity/calibration.py", "calibration from few labels", 40),
-    "sensitivity/results/calibration_others.md": Page(
-        "experiments/sensitivity/calibration.py --clouds others --shapes patches --draws 3",
-        "the same where its constants were chosen", 10),
-    "outliers/results/results.md": Page("experiments/outliers/run.py --out experiments/outliers/results",
-                                        "the search for clusters of low points", 5),
-    "bench/results/results.md": Page("experiments/bench/run.py --sizes 0.3 1 --densities 1 --out experiments/bench/results",
-                                     "speed and memory, beside other programs", 30),
-    "bench/results/large.md": Page("experiments/bench/run.py --sizes 5 20 --densities 1 --repeats 1 --only fptd smrf "
-                                   "--page large --out experiments/bench/results", "FPTD and SMRF on many points", 15),
-    "bench/results/dense.md": Page("experiments/bench/dense.py --out experiments/bench/results", "OST at high density", 2),
-    "bench/results/report.md": Page("experiments/bench/report.py --methods smrf fptd --out experiments/bench/results/report.md",
-                                    "reports of five million points", 3),
-    "faults/results/results.md": Page("experiments/faults/run.py --out experiments/faults/results", "kills, signals, races, "
-                                      "inputs that change and full disks", 10),
-    "faults/results/surveys.md": Page("experiments/faults/surveys.py", "surveys that are damaged", 5),
-    "faults/results/parameters.md": Page("experiments/faults/parameters.py", "every method with random parameters", 15),
-    "faults/results/adversarial.md": Page("experiments/faults/adversarial.py", "clouds that are made to hurt", 12),
-    "fuzz/results/results.md": Page("experiments/fuzz/run.py --number 10000 --seeds 20264 --out experiments/fuzz/results",
-                                    "20,000 damaged files", 7),
-    "fuzz/results/compressed.md": Page("experiments/fuzz/compressed.py --out experiments/fuzz/results",
-                                       "5,000 LAZ files with damaged layers", 3),
-    "mutations/results/results.md": Page("experiments/mutations/run.py --number 85 --seconds 15", "small changes of the "
-                                         "package, and those that no test notices", 80),
-    "surveys/results/results.md": Page("experiments/surveys/run.py --out experiments/surveys/results",
-                                       "what surveys of a million files cost", 10),
-}  # fmt: skip
-"""All pages of results, by their place in this folder."""
-
-
-def known() -> dict[str, Page]:
-    """:data:`PAGES`, and pages that lie in folders of results and are not listed there: these are made by the command that they
-    name, if any."""
-    found = {path.relative_to(HERE).as_posix(): path for path in sorted(HERE.glob("*/results/**/*.md"))}
-    others = {name: made(path) for name, path in found.items() if name not in PAGES}
-    said = {name: page.command.removeprefix("python ") if page else "" for name, page in others.items()}
-    return PAGES | {name: Page(command, "not listed in `remake.py`", 10) for name, command in said.items()}
+def listed() -> dict[str, Page]:
+    """All pages of results, by their place in this folder."""
+    return {name: Page(**page) for name, page in tomllib.loads((HERE / "pages.toml").read_text()).items()}
 
 
 def stale(name: str, page: Page) -> str:
     """Why a page is stale, in words; empty if it is current."""
     own = made(HERE / name)
     if own is None:
-        return "of unknown labels" if (HERE / name).exists() else "not made yet"
+        return "never made"
+    if page.by_hand:
+        return ""
     if own.command != f"python {page.command}":
         return "of another command"
-    if changed := [method for method, counts in own.labels.items() if not _same(method, counts)]:
+    known = (*jf.FILTERS, SCENES)
+    if changed := [name for name, was in own.labels.items() if name not in known or counts(name) != was]:
         return f"of other labels: {', '.join(changed)}"
-    for other in page.after:
-        read = made(HERE / other)
-        if stale(other, PAGES[other]) or read is None or read.date > own.date:
-            return f"older than {other}"
-    return ""
-
-
-def _same(name: str, counts: str) -> bool:
-    try:
-        return labels.counts(name) == counts
-    except KeyError:  # a method that is no more
-        return False
+    newer = [other for other in page.after if (read := made(HERE / other)) and read.date > own.date]
+    return f"older than {newer[0]}" if newer else ""
 
 
 def seconds(name: str, page: Page) -> float:
-    """What making a page is expected to take: what it took, or its share of stale methods where rows are kept."""
+    """What a page took, or what it is expected to take."""
     own = made(HERE / name)
-    if own is None or own.command != f"python {page.command}":
-        return 60 * page.minutes
-    changed = sum(not _same(method, counts) for method, counts in own.labels.items())
-    return own.seconds * (max(changed, 0.1) / len(own.labels) if page.keeps and own.labels else 1.0)
+    return own.seconds if own and own.command == f"python {page.command}" else 60 * page.minutes
 
 
 def table() -> str:
     """All pages as Markdown: what, command, when, how long, and whether they are current."""
     rows: list[Row] = []
-    for name, page in sorted(known().items()):
+    for name, page in sorted(listed().items()):
         own, why = made(HERE / name), stale(name, page)
         rows.append({
-            "page": f"[{name.replace('/results', '').removesuffix('.md')}]({name})" if (HERE / name).exists() else name,
-            "what": page.what, "command": f"`python {page.command}`" if page.command else None,
-            "date": own.date[:10] if own else None,
-            "took": _long(own.seconds) if own else f"about {_long(60 * page.minutes)}",
-            "state": f"**stale**, {why}" if why else "current",
+            "page": f"[{name.replace('/results', '').removesuffix('.md')}]({name})", "what": page.what,
+            "command": f"`python {page.command}`", "made": own and own.date[:10], "two cores": _long(seconds(name, page)),
+            "state": f"**stale**, {why}" if why else "by hand" if page.by_hand else "current",
         })  # fmt: skip
-    columns = [("page", "page", ""), ("what", "what", ""), ("command", "command", ""), ("date", "made", ""),
-               ("took", "two cores", ""), ("state", "", "")]  # fmt: skip
-    count = sum(row["state"] != "current" for row in rows)
-    return f"{count} of {len(rows)} pages are stale.\n\n{markdown(columns, rows)}"
+    columns: list[Column] = [(key, key, "") for key in ("page", "what", "command", "made", "two cores", "state")]
+    whole = _long(sum(seconds(name, page) for name, page in listed().items() if not page.by_hand))
+    head = f"{sum('stale' in row['state'] for row in rows)} pages are stale. All that can be take {whole}, one by one."
+    return f"{head}\n\n{markdown(columns, rows)}"
 
 
 def _long(spent: float) -> str:
     return f"{spent:.0f} s" if spent < 90 else f"{spent / 60:.0f} min" if spent < 5400 else f"{spent / 3600:.1f} h"
 
 
-def listed(text: str) -> str:
-    """The text of the README with the table as it is now."""
-    before, _, rest = text.partition(START)
-    return f"{before}{START}\n\n{table()}\n\n{END}{rest.partition(END)[2]}"
+def texts() -> dict[Path, str]:
+    """The pages with the figures and the table as they are now. Raises: ValueError for a figure that no file has."""
+    globs = "../README.md", "../docs/*.md", "../docs/filters/*.md", "*/README.md"
+    paths = [path for one in globs for path in HERE.glob(one)]
+    found = {path: _FIGURE.sub(lambda it: it[1] + quoted(it[2]) + it[4], path.read_text()) for path in paths}
+    before, _, rest = (HERE / "README.md").read_text().partition(START)
+    return found | {HERE / "README.md": f"{before}{START}\n\n{table()}\n\n{END}{rest.partition(END)[2]}"}
 
 
 def write() -> None:
-    """The table in the README, ``docs/results``, and the figures that pages quote."""
-    README.write_text(listed(README.read_text()))
-    report_page.main([])
-    quoted.main([])
+    """Write :func:`texts`."""
+    for path, text in texts().items():
+        if text != path.read_text():
+            path.write_text(text)
 
 
-def plan(only: list[str]) -> Iterator[tuple[float, str, Page]]:
-    """Stale pages whose names hold one of these texts, the cheapest first; expected seconds beside each. A page comes after
-    those that it reads."""
-    pages = known()
-    left = {
-        name: seconds(name, page)
-        for name, page in pages.items()
-        if page.command and (not only or any(text in name for text in only)) and stale(name, page)
-    }
-    while left:
-        ready = [name for name in left if not set(pages[name].after) & left.keys()]
-        name = min(ready, key=lambda one: left[one])
-        yield left.pop(name), name, pages[name]
+def quoted(what: str) -> str:
+    """What stands between the comments. Raises: ValueError."""
+    words = shlex.split(what.replace("\n", " "))
+    if words[0] == "table":
+        return f"\n\n{_table(*words[1:])}\n\n"
+    form = words.pop() if _FORM.fullmatch(words[-1]) else ".1f"
+    at = words.index("-") if "-" in words else len(words)
+    return f"{value(words[:at]) - (value(words[at + 1 :]) if words[at:] else 0):{form}}"
 
 
-def make(name: str, page: Page) -> bool:
-    """Run the command of a page; whether the page is current now."""
-    begun = json.loads(TIMES.read_text()) if TIMES.exists() else {}
-    log = TIMES.parent / f"{name.replace('/', '-').removesuffix('.md')}.log"
-    before = begun.get(name, {"spent": 0.0})
-    spent = before["spent"]
-    if "start" in before and log.exists():  # it was killed
-        spent += max(log.stat().st_mtime - before["start"], 0.0)
+def value(words: list[str]) -> float:
+    """The mean of a column over some rows: file, conditions, column. Raises: ValueError."""
+    if words[0] in SHORT:
+        file, keys, column = SHORT[words[0]]
+        given = [f"{key}={text}" for key, text in zip(keys, words[1:], strict=False)]
+        words = [*file, *given, *(words[1 + len(keys) :] or [column])]
+    file, *conditions, column = words
+    rows = read_csv(HERE / file.replace("/", "/results/", 1))
+    for key, text in (condition.split("=", 1) for condition in conditions):
+        wanted = str(max(row[key] for row in rows)) if text == "max" else text
+        rows = [row for row in rows if str(row[key]) == wanted]
+    found = [row[column] for row in rows]
+    if not found or not all(isinstance(one, (int, float)) for one in found):
+        raise ValueError(f"{' '.join(words)}: {'no number' if found else 'no such row'}")
+    return statistics.fmean(found)
 
-    def keep(entry: dict[str, float] | None) -> None:
-        others = {key: value for key, value in begun.items() if key != name}
-        TIMES.write_text(json.dumps(others | ({name: entry} if entry else {})))
 
-    TIMES.parent.mkdir(exist_ok=True)
-    start = time.time()
-    keep({"spent": spent, "start": start})
+def _table(file: str, heading: str = "") -> str:
+    page = (HERE / file.replace("/", "/results/", 1)).read_text()
+    start = rf"^#+ {re.escape(heading)}$.*?" if heading else ""
+    if found := re.search(rf"(?ms){start}^(\|.*?\|)$(?!\n\|)", page):
+        return found[1]
+    raise ValueError(f"{file}: no table below {heading!r}")
+
+
+def make(name: str, page: Page) -> None:
+    """Run the command of a page, and say how it ended."""
+    log, start = HERE / "out" / f"{name.replace('/', '-').removesuffix('.md')}.log", time.time()
+    log.parent.mkdir(exist_ok=True)
     with open(log, "w") as file:
-        process = subprocess.Popen(
-            [sys.executable, *shlex.split(page.command)], cwd=ROOT, env=os.environ | {SPENT: str(spent), "PYTHONUNBUFFERED": "1"},
-            stdout=file, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        try:
-            code = process.wait()
-        except BaseException:
-            process.terminate()
-            process.wait()
-            keep({"spent": spent + time.time() - start})
-            raise
-    why = stale(name, page)
-    keep({"spent": spent + time.time() - start} if why else None)
-    end = "" if not why else f"; it is stale: {why}. See {log}"
-    print(f"  {_long(time.time() - start)}, exit code {code}{end}", flush=True)
-    return not why
+        line = [sys.executable, "-u", *shlex.split(page.command)]
+        code = subprocess.run(line, cwd=HERE.parent, stdout=file, stderr=subprocess.STDOUT, check=False).returncode
+    end = f", it is stale, {why}: see {log}" if (why := stale(name, page)) else ""
+    print(f"{name}: {_long(time.time() - start)}, exit code {code}{end}", flush=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """List or make what is stale; 1 if a page that was made is stale still, 130 after an interruption."""
+    """List or make what is stale; 1 if a page could not be made."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--list", action="store_true", help="write the tables and say what is stale; run nothing")
-    parser.add_argument("--only", nargs="+", default=[], metavar="TEXT", help="pages whose place holds one of these")
-    parser.add_argument("--budget", type=float, default=float("inf"), help="minutes; what takes longer is not begun")
+    parser.add_argument("--list", action="store_true", help="write tables and figures, say what is stale, run nothing")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="pages whose place holds one of these")
+    parser.add_argument("--jobs", type=int, default=2, help="pages that are made side by side [%(default)s]")
     options = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it stops the command that runs, too, as Ctrl-C does
-    end = time.time() + 60 * options.budget
-    todo = list(plan(options.only))
-    print(f"{len(todo)} stale pages, about {_long(sum(expected for expected, _, _ in todo))}:")
-    for expected, name, _ in todo:
-        print(f"  {_long(expected):>8}  {name}", flush=True)
-    failed = 0
-    try:
-        for expected, name, page in [] if options.list else todo:
-            if time.time() + expected > end:
-                print(f"{name} is left: it takes about {_long(expected)}")
-                continue
-            if waits := [other for other in page.after if stale(other, PAGES[other])]:
-                print(f"{name} is left: {waits[0]} is stale")
-                continue
-            print(f"{name}, about {_long(expected)}: python {page.command}", flush=True)
-            failed += not make(name, page)
-            write()
-    except KeyboardInterrupt:
-        print("interrupted; the next run goes on from here")
-        return 130
-    finally:
+    pages, tried = listed(), set[str]()
+    while True:
         write()
-    return int(failed > 0)
+        named = [name for name in pages.keys() - tried if any(text in name for text in options.only)]
+        todo = sorted((seconds(name, pages[name]), name) for name in named if stale(name, pages[name]))
+        ready = [name for _, name in todo if not any(stale(other, pages[other]) for other in pages[name].after)]
+        for expected, name in todo:
+            print(f"{_long(expected):>8}  {name}", flush=True)
+        if options.list or not ready:
+            return int(any(stale(name, pages[name]) for name in tried))
+        together = [name for name in ready if not pages[name].alone] or ready[:1]
+        with ThreadPoolExecutor(options.jobs) as pool:
+            try:
+                for _ in as_completed([pool.submit(make, name, pages[name]) for name in together]):
+                    write()
+            finally:  # after an interruption, which the commands that run have got, too
+                pool.shutdown(cancel_futures=True)
+        tried |= {*together}
 
 
 if __name__ == "__main__":

@@ -24,9 +24,7 @@ __all__ = [
 ]  # fmt: skip
 
 Row = dict[str, Any]
-SPENT = "EXPERIMENTS_SPENT"
-"""Environment variable: seconds that earlier runs, which were interrupted, have spent on a page."""
-_started = time.perf_counter() - float(os.environ.get(SPENT, 0))
+_started = time.perf_counter()
 _spent: dict[Path, float] = {}
 
 
@@ -65,11 +63,12 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
             method are passed over. None for pages on speed or files only.
     """
     global _started
-    from experiments import labels
+    from experiments.remake import SCENES
+    from experiments.remake import counts as labels_of
     from jaxfilter import FILTERS
 
     wanted = set(methods)
-    counts = {name: labels.counts(name) for name in (*sorted(FILTERS), labels.SCENES) if name in wanted}
+    counts = {name: labels_of(name) for name in (*sorted(FILTERS), SCENES) if name in wanted}
     spent, _started = time.perf_counter() - _started, time.perf_counter()
     seconds = _spent[path] = _spent.get(path, 0.0) + spent  # a page may be written again and again
     before = made(path)
@@ -80,7 +79,7 @@ def write_page(path: Path, text: str, command: str, methods: Iterable[str] = ())
     title, _, body = text.partition("\n")
     behind = ", ".join(f"`{name} {numbers}`" for name, numbers in counts.items())
     last = (
-        f"ground points on the clouds of `experiments/labels.py`: {behind}" if behind else "none are behind this page"
+        f"ground points on the clouds of `experiments/remake.py`: {behind}" if behind else "none are behind this page"
     )
     head = f"`{command}`, {date} UTC, {max(seconds, 1):,.0f} s on {machine()}."
     part = path.with_name(path.name + ".part")

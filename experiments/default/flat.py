@@ -26,10 +26,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments import labels
 from experiments.defaults.clouds import Known
 from experiments.failures.run import FILLED, load
 from experiments.isprs import samples
+from experiments.remake import word
 from experiments.report import Column, Row, markdown, read_csv, save_png, write_csv, write_page
 from experiments.water import scenes
 from jaxfilter.core.compilation import keep_compilations
@@ -257,11 +257,11 @@ def measured(small: Small, values: dict[str, float], before: Row | None = None) 
 
 def varied(folder: Path, path: Path) -> list[Row]:
     """A row for each constant, factor and cloud; those that are in the file are not made again."""
-    word = labels.word("ost")
+    now = word("ost")
     kept = {
         (row["constant"], row["factor"], row["cloud"]): row
         for row in (read_csv(path) if path.exists() else [])
-        if row["labels"] == word
+        if row["labels"] == now
     }
     rows: list[Row] = []
     start = time.process_time()
@@ -290,7 +290,7 @@ def varied(folder: Path, path: Path) -> list[Row]:
                         "value": float(f"{value:.4g}"),
                         "cloud": known.name,
                     }
-                    row |= {"kind": known.group, "labels": word, **numbers}
+                    row |= {"kind": known.group, "labels": now, **numbers}
                 rows.append(row)
         write_csv(path, [*rows, *(row for key, row in kept.items() if key[2] not in {r["cloud"] for r in rows})])
         print(f"{known.name}: {time.process_time() - start:.0f} s", file=sys.stderr, flush=True)

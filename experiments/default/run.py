@@ -14,10 +14,10 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments import labels
 from experiments.default import search
 from experiments.defaults import clouds
 from experiments.isprs import samples
+from experiments.remake import word
 from experiments.report import markdown, write_page
 from jaxfilter.core.compilation import keep_compilations
 
@@ -181,7 +181,7 @@ def measured(
 ) -> pd.DataFrame:
     """Counts of errors of filters on clouds, kept as CSV; what is there is not run again."""
     rows = pd.read_csv(path).to_dict("records") if path.exists() else []
-    words = {name: labels.word(name.split(",")[0] if "," in name else "ost") for name in filters}
+    words = {name: word(name.split(",")[0] if "," in name else "ost") for name in filters}
     rows = [row for row in rows if row["set"] in words and row.get("labels") == words[row["set"]]]
     done = {(row["set"], row["cloud"]) for row in rows}
     for name, make in filters.items():
@@ -241,7 +241,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
     """Every layout at four densities: total errors, and the terrain model's root mean square error."""
     path = out / "scenes.csv"
     rows = [] if not path.exists() else pd.read_csv(path).to_dict("records")
-    rows = [row for row in rows if row.get("labels") == labels.word(row["method"])]
+    rows = [row for row in rows if row.get("labels") == word(row["method"])]
     done = {(row["density"], row["layout"], row["method"]) for row in rows}
     for density, layout in itertools.product((0.3, 1.0, 4.0, 15.0), clouds.LAYOUTS):
         missing = [name for name in ("ost", *methods) if (density, layout, name) not in done]
@@ -250,7 +250,7 @@ def scenes(methods: list[str], out: Path) -> list[str]:
             for name in missing:
                 result = jf.FILTERS[name].for_cloud(scene.cloud)(scene.cloud)
                 error = 100 * float((result.ground != scene.truth)[scene.cloud.candidate].mean())
-                rows.append({"layout": layout, "density": density, "method": name, "total": error, "labels": labels.word(name),
+                rows.append({"layout": layout, "density": density, "method": name, "total": error, "labels": word(name),
                              "rmse": jf.dtm_rmse(scene.cloud, result, scene.truth, near=None).rmse})  # fmt: skip
             print(density, layout, file=sys.stderr, flush=True)
     table = pd.DataFrame(rows)

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.stats import qmc
 
 import jaxfilter as jf
-from experiments import labels
 from experiments.defaults import clouds
 from experiments.isprs import samples
+from experiments.remake import word
 
 RANGES: dict[str, tuple[float, float]] = {
     "slope": (0.06, 0.11), "relief": (0.3, 0.6), "landscape": (20.0, 45.0),
@@ -66,7 +66,7 @@ def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
     rows: list[dict[str, str]] = []
     if path.exists():
         with path.open() as file:
-            rows = [row for row in csv.DictReader(file) if row.get("labels") == labels.word("ost")]
+            rows = [row for row in csv.DictReader(file) if row.get("labels") == word("ost")]
     done = {(row["set"], row["cloud"]) for row in rows}
     wanted = list(enumerate(sets(count)))
     known = list(every_cloud(folder))
@@ -82,7 +82,7 @@ def tried(folder: Path, count: int, out: Path) -> list[dict[str, str]]:
                 truth = one.ground[one.scored]
                 row = {
                     "set": number, "cloud": one.name, "group": one.group, "points": len(truth), "ground": int(truth.sum()),
-                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": labels.word("ost"),
+                    "lost": int((truth & ~found).sum()), "wrong": int((~truth & found).sum()), "labels": word("ost"),
                 }  # fmt: skip
                 writer.writerow(row)
                 rows.append({key: str(value) for key, value in row.items()})

@@ -23,10 +23,10 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import jaxfilter as jf
-from experiments import labels
 from experiments.defaults.clouds import Known, tile
 from experiments.failures import cuts, pages, places, spots
 from experiments.isprs import samples
+from experiments.remake import word
 from experiments.report import Row, read_csv, write_csv, write_page
 from jaxfilter.core.compilation import keep_compilations
 from jaxfilter.core.points import canonical_points
@@ -96,7 +96,7 @@ class Rows:
         """Without rows of other labels than now; with ``options.fresh``, without those of its clouds and methods."""
         self._path = path
         rows = read_csv(path) if path.exists() else []
-        self._rows: list[Row] = [row for row in rows if row.get("labels") == labels.word(row["method"])]
+        self._rows: list[Row] = [row for row in rows if row.get("labels") == word(row["method"])]
         if options.fresh:
             self._rows = [
                 row
@@ -117,7 +117,7 @@ class Rows:
     def add(self, *rows: Row) -> None:
         """Keep further rows."""
         self._rows += [
-            {key: _short(value) for key, value in row.items()} | {"labels": labels.word(row["method"])} for row in rows
+            {key: _short(value) for key, value in row.items()} | {"labels": word(row["method"])} for row in rows
         ]
         write_csv(self._path, self._rows)
 

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import jaxfilter as jf
-from experiments import labels
 from experiments.isprs import samples, spaces
+from experiments.remake import word
 from experiments.report import Row, read_csv, write_csv
 
 COLUMNS = ("sample", "set", "parameters", "kept", "lost", "accepted", "rejected", "status")
@@ -37,12 +37,12 @@ def digest(filter_: jf.Filter, thresholds: dict[str, float] | None = None) -> st
     names = {method: name for name, method in jf.FILTERS.items()}
     name = next(names[base] for base in type(filter_).__mro__ if base in names)
     parameters = hashlib.blake2b(f"{filter_!r}{thresholds or ''}".encode(), digest_size=4).hexdigest()
-    return f"p{parameters}-{labels.word(name)}"
+    return f"p{parameters}-{word(name)}"
 
 
 def current(row: Row, methods: Iterable[str] = ()) -> bool:
     """Whether a row that was kept is of the labels of its method, or of one of these, as they are now."""
-    return str(row["parameters"]).partition("-")[2] in {labels.word(name) for name in methods or [row["method"]]}
+    return str(row["parameters"]).partition("-")[2] in {word(name) for name in methods or [row["method"]]}
 
 
 def run(
