@@ -40,7 +40,6 @@ include_patterns = [
 exclude_patterns = [
     ".*",  # virtual environments are large
     "docs/examples",
-    "experiments/isprs/caveats.md",  # part of a page
     "docs/made/*/*.ipynb",
     "docs/made/*/*.py",
     "docs/made/*/sg_execution_times.rst",

@@ -21,7 +21,7 @@ import jaxfilter as jf
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = {"docs/examples/tutorials": "docs/made/tutorials", "docs/examples/plots": "docs/made/plots"}
-RESULTS, TILES = "docs/results/README.md", "experiments/tiles/results/results.md"
+SAMPLES, TILES = "experiments/isprs/results/results.md", "experiments/tiles/results/results.md"
 OWN = "experiments/default/results/results.md"
 log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ def as_markdown(rows: list[tuple[str, ...]]) -> str:
 
 
 def errors(name: str) -> str:
-    """What docs/results and the experiments say of a method: on the samples of ISPRS, and on the labelled tiles."""
+    """What the experiments say of a method: on the samples of ISPRS, and on the labelled tiles."""
     if name == "ost":
         every = [(row["name"], *row["first"].split(" / ")) for row in table(OWN, "## Every sample and tile")]
         about = (
@@ -76,15 +76,15 @@ def errors(name: str) -> str:
     samples = [
         (row["name"], of(row), of(other))
         for row, other in zip(
-            *(table(RESULTS, "## Fixed", f"{kind} per sample") for kind in ("Total error", "Kappa")), strict=True
+            *(table(SAMPLES, f"### {kind} per sample, fixed") for kind in ("Total error", "Kappa")), strict=True
         )
     ]
     both = [{row["name"]: row for row in table(TILES, f"## {kind}, %")}[name] for kind in ("Total error", "Kappa")]
     tiles = [(tile, both[0][tile], both[1][tile]) for tile in list(both[0])[2:-1]]
     about = (
         "Defaults for the cloud, nothing chosen per cloud. Some defaults were chosen on these data or with their errors known: "
-        "[where the defaults come from](../fidelity.md#where-the-defaults-come-from). On the samples of ISPRS, from "
-        "[results](../results/README.md):"
+        "[where the defaults come from](../fidelity.md#where-the-defaults-come-from). On the [samples of ISPRS]"
+        f"(../../{SAMPLES}):"
     )
     return (
         f"\n## Errors\n\n{about}\n"
@@ -95,7 +95,7 @@ def errors(name: str) -> str:
 
 
 def with_stages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Pages of methods get pictures of their stages and their figures from docs/results; that on reports gets one."""
+    """Pages of methods get pictures of their stages and their figures from the experiments; that on reports gets one."""
     if docname == "docs/reports":
         stages.sample_report(Path(app.outdir) / "report.html")
         link = '<a href="../report.html">A report to try</a>, of SMRF on a simulated town.'

@@ -99,7 +99,7 @@ def test_errors_with_the_parameters_for_the_cloud_are_those_of_the_table(sample,
 
 
 def test_fptd_with_the_class_thresholds_of_its_authors_reaches_their_errors_without_manual_edits(samples):
-    """The thresholds of the classes were chosen by the authors on samples 24, 52, 54 and 71; see docs/fidelity.md."""
+    """The thresholds of the classes were chosen by the authors on samples 24, 52, 54 and 71; see docs/filters/fptd.md."""
     table = scores(samples, lambda s: jf.FPTD.preset(CLASSES[s]))
     assert mean(table, "total") <= 6.12 and mean(table, "kappa") >= 79.8
     assert table[24].total <= 17.71 + 3 and table[41].total <= 3.12 + 3

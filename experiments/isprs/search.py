@@ -1,7 +1,7 @@
 """Every method with every set on every sample, once: the table that the class and the oracle protocol choose from.
 
 Rows are appended to ``<out>/<method>.csv`` as they come, so that a run that was cut off goes on where it was. A row counts
-as long as the filter's parameters and the labels of its method (``experiments/labels.py``) are what they were.
+as long as the filter's parameters and the labels of its method (``experiments/remake.py``) are what they were.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def shared_note(methods: Sequence[str]) -> str:
     told = "; ".join(f"{name}: {SHARED[name]}" for name in methods if name in SHARED)
     rest = (
         "The search for clusters of low points (all methods but SMRF) was designed with samples 24 and 41 in view. "
-        "Every default and its origin: docs/fidelity.md."
+        "Where the defaults come from: docs/fidelity.md."
     )
     return f"{MARK} Defaults that share data with the samples. {told}. {rest}" if told else rest
 

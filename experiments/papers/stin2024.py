@@ -110,7 +110,7 @@ def main(given: Sequence[str] | None = None) -> None:
     report.text("\n".join(f"- `{name}`: {text}" for name, text in METHODS.items()))
     report.text(
         "No parameter of the paper was changed, but two readings of it were chosen by their errors on these samples: that "
-        "thresholds are lowered with the cells (to a quantile of 0.97), and that nothing is mirrored (docs/fidelity.md). "
+        "thresholds are lowered with the cells (to a quantile of 0.97), and that nothing is mirrored (docs/filters/stin.md). "
         "`stin_constant` and `stin_mirror` show the other readings."
     )
     tables(report, clouds, by_method, rows)
@@ -202,7 +202,7 @@ def alike(report: paper.Report, by_method: Mapping[str, list[Row]]) -> None:
     report.text(
         "Means over the samples, Table 2 in every row, no mirroring. First the way of the paper, in which both methods take "
         "their thresholds from the data: ATIN in each round, STIN for each cell size (both are reconstructions, "
-        "docs/fidelity.md). Then both with the constant thresholds of Table 2, with and without the outlier test of STIN, "
+        "docs/filters). Then both with the constant thresholds of Table 2, with and without the outlier test of STIN, "
         "which ATIN does not have; in the last row only the vertices differ."
     )
     measured = "; ".join(f"{r['total_atin']:.2f} % against {r['total_stin']:.2f} % ({r['thresholds']})" for r in rows)

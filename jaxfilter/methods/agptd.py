@@ -51,7 +51,7 @@ class AGPTD(OutlierRadius, OutlierFate, TerrainAngle):
     has the printed grid for urban points, with the medians of the angles and distances of Table 1. "samp11" to "samp71"
     have the values of Table 1 for the ISPRS samples, which the authors chose by trial on these samples.
 
-    Departures (docs/fidelity.md): seed cells smaller than buildings, as printed, need a cloud without roofs, which the
+    Departures (docs/filters/agptd.md): seed cells smaller than buildings, as printed, need a cloud without roofs, which the
     outlier tests of the paper cannot provide; removed outliers are tested again instead of being lost; the elevation test
     compares metres with square metres and is replaced; the terrain slope is the largest mean slope of a cell, and
     ``max_terrain_angle`` its upper limit.

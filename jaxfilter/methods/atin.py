@@ -45,7 +45,7 @@ class ATIN(SlopeMirroring, VertexSpacing):
     exceed the user's. With ``mirror="nearest"`` the mirror image of a point about the nearest vertex is tested too over
     facets steeper than a slope. Lengths in metres, angles in degrees, slopes in percent.
 
-    How the limits follow from the data is a reconstruction (docs/fidelity.md): the median plus 15 standard
+    How the limits follow from the data is a reconstruction (docs/filters/atin.md): the median plus 15 standard
     deviations, robustly estimated, of the distances (angles) of vertices over the facets next to theirs. With
     ``thresholds="constant"``, the default, it is PTD with other defaults.
 

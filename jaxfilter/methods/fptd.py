@@ -38,7 +38,7 @@ class FPTD(OutlierRadius, VertexSpacing):
     "D1" flat, "D2" gentle slope, "D3" flat with scarps, "D4" steep: the thresholds of Table I on the recommended
     machinery, since the manual edits behind the paper's Table IV cannot be repeated.
 
-    Departures (docs/fidelity.md), in "paper" too: removed outliers are tested again instead of being lost; the limit of
+    Departures (docs/filters/fptd.md), in "paper" too: removed outliers are tested again instead of being lost; the limit of
     step 1 of II-E follows the growing ground, in which form it never rejects a point that the elevation test would accept.
     Taken literally, both would make the errors of Table IV impossible.
 

@@ -53,7 +53,7 @@ class IPTD(TerrainAngle):
     and Varlik (2024), Table 2, for these ISPRS samples, with the initial grid of the same table as the window, and one
     vertex per 2 m in place of the shortest edge that the programs of this family split.
 
-    Departures (docs/fidelity.md): the planes are not moved down by default.
+    Departures (docs/filters/iptd.md): the planes are not moved down by default.
 
     >>> result = jf.IPTD(window=30.0)(cloud)
     >>> result.info["potential_seeds"] > result.info["removed_seeds"]

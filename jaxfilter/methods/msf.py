@@ -39,9 +39,9 @@ class MSF(LowOutlierFilter):
     "paper" is the plain rule with the thresholds of Cai et al., who name no tolerance for noise. It has no defence against
     low outliers, each of which clears the ground around it up to the window. "recommended" is the default: clusters of low
     points are barred from the cells' minima, and terrain may rise by 30 degrees and 6 m (15 degrees rejects all of a steeper
-    hillside; on steep simulated scenes still more does better, see docs/fidelity.md).
+    hillside; on steep simulated scenes still more does better, see docs/filters/msf.md).
 
-    Departures (docs/fidelity.md): minima of cells instead of all points; distances between cell centres unless
+    Departures (docs/filters/msf.md): minima of cells instead of all points; distances between cell centres unless
     ``distance`` is "points"; one constant slope instead of a function learned from a training area.
 
     >>> mild, steep = (jf.MSF(slope=slope)(cloud) for slope in (0.2, 0.6))

@@ -57,7 +57,7 @@ class PMF(LowOutlierFilter):
     surface around it by a window. "recommended", the default, bars clusters of low points and opens with disks up to 60 m.
     Both take the thresholds of "cai2023" (S. Cai et al. 2023, Forests 14, 498), since the originals are set site by site.
 
-    Departures: docs/fidelity.md.
+    Departures: docs/filters/pmf.md.
 
     >>> result = jf.PMF(max_window=33.0)(cloud)
     >>> bool((result.ground == (result.margin <= 0)).all())

@@ -50,7 +50,7 @@ class PPDF(Filter):
     at the end, seeds that are no references included; (d) planes that an opening of the seeds with disks of up to
     ``window`` lowers too much, as those on roofs, make no seeds; (e) clusters of low outliers are left to the end.
 
-    Departures (docs/fidelity.md): equally good hypotheses are settled by their order and all cells share their random
+    Departures (docs/filters/ppdf.md): equally good hypotheses are settled by their order and all cells share their random
     numbers, so labels depend on the points alone; references farther than ``reach`` do not count.
 
     >>> result = jf.PPDF(max_distance=0.3)(cloud)

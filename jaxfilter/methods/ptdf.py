@@ -24,7 +24,7 @@ class PTDF(PTD):
     "paper", is for forest without large buildings. "paper" also leaves out the search for low clusters, and its simulated
     border points keep their first elevation.
 
-    Departure (docs/fidelity.md): how far below the surface a point may lie is not printed; 0.1 m is ours.
+    Departure (docs/filters/ptdf.md): how far below the surface a point may lie is not printed; 0.1 m is ours.
 
     >>> upward, both = (filter_(cloud).ground.sum() for filter_ in (jf.PTDF(), jf.PTD(max_distance=1.5)))
     >>> bool(upward < both)

@@ -53,8 +53,8 @@ class SMRF(GridFilter):
     "samp11" to "samp71" are the authors' optima per ISPRS sample. They were found with that sample's labels: an upper
     bound for the method, not settings to expect on unseen data.
 
-    Departures (docs/fidelity.md): exactly Euclidean disks; bilinear interpolation at the points. Cells are centred on a lattice
-    that counts from the cloud's anchor, which by default is that of the authors.
+    Departures (docs/filters/smrf.md): exactly Euclidean disks; bilinear interpolation at the points. Cells are centred on a
+    lattice that counts from the cloud's anchor, which by default is that of the authors.
 
     >>> result = jf.SMRF(slope=0.2, threshold=0.5)(cloud)
     >>> result.info["object_cells"] > 0

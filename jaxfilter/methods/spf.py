@@ -50,7 +50,7 @@ class SPF(OutlierFate, TerrainAngle):
     default, and "paper" differ in outliers, which are cut from the histogram of elevations and by their height below their
     neighbours in the paper (Sec. 2.1), and in cells that cannot be interpolated, which get elevation 0.
 
-    Departures (docs/fidelity.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
+    Departures (docs/filters/spf.md): thresholds of "long", "narrow" and of ground clusters are ours; the simulated points
     stand beside the data, not a buffer's width away.
 
     >>> result = jf.SPF(window=30.0)(cloud)

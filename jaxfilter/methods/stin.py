@@ -82,7 +82,7 @@ class STIN(OutlierFate, SlopeMirroring):
     recomputed for each cell size, as the text says, and mirror nothing: with mirror images as a second chance most
     buildings are accepted, and no error in Table 3 can be met.
 
-    Departures (docs/fidelity.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
+    Departures (docs/filters/stin.md): outliers are tested again instead of being lost, unless ``outlier_fate`` is "removed".
 
     >>> result = jf.STIN(seed_cell=30.0)(cloud)
     >>> jf.evaluate(result, cloud).total < 10

@@ -77,7 +77,7 @@ chosen = jf.compare(
 chosen.by_method("total").round(2)
 
 # %%
-# Measured results of all methods on the samples: :doc:`/docs/results/README`.
+# Measured results of all methods on the samples: :doc:`/experiments/isprs/results/results`.
 
 # sphinx_gallery_thumbnail_path = 'experiments/isprs/results/figures/time.png'
 jf.FILTERS.pop("tophat")  # other pages list the methods of the library
