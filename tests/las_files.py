@@ -11,6 +11,7 @@ from pathlib import Path
 import laspy
 import lazrs
 import numpy as np
+import pyproj
 
 OFFSETS = np.array([440000.0, 4750000.0, 100.0])
 SCALES = np.array([0.01, 0.01, 0.001])
@@ -39,8 +40,6 @@ class Effort:
 def make_las(path: Path, point_format: int = 6, version: str | None = None, n: int = 200, *, crs: object = 32632,
              extra: bool = False, seed: int = 0, **fields: np.ndarray) -> laspy.LasData:  # fmt: skip
     """A file in which every dimension of every point has a value of its own; ``fields`` replace some."""
-    import pyproj
-
     rng = np.random.default_rng(seed)
     minor = 2 if point_format < 4 else 3 if point_format < 6 else 4
     header = laspy.LasHeader(version=version or f"1.{minor}", point_format=point_format)
@@ -72,6 +71,24 @@ def make_las(path: Path, point_format: int = 6, version: str | None = None, n: i
     if header.version.minor >= 4:
         las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("someone", 78, "long", bytes(range(256)) * 300)])
     las.write(path)
+    return las
+
+
+def las_of(path: Path | None, xyz: np.ndarray, point_format: int = 6, *, scales: object = 0.01, offsets: object = None,
+           crs: object = None, **fields: object) -> laspy.LasData:  # fmt: skip
+    """A file of these points, single echoes if ``fields`` do not say otherwise; its offsets are whole numbers."""
+    xyz = np.asarray(xyz, float)
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
+    header.scales = np.broadcast_to(scales, 3)
+    header.offsets = np.floor(xyz.min(axis=0)) if offsets is None else np.asarray(offsets, float)
+    if crs is not None:
+        header.add_crs(pyproj.CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.xyz = xyz
+    for name, value in ({"return_number": 1, "number_of_returns": 1} | fields).items():
+        las[name] = np.broadcast_to(value, len(xyz))
+    if path is not None:
+        las.write(path)
     return las
 
 
