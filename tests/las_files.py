@@ -79,7 +79,7 @@ def las_of(path: Path | None, xyz: np.ndarray, point_format: int = 6, *, scales:
     """A file of these points, single echoes if ``fields`` do not say otherwise; its offsets are whole numbers."""
     xyz = np.asarray(xyz, float)
     header = laspy.LasHeader(version="1.4", point_format=point_format)
-    header.scales = np.broadcast_to(scales, 3)
+    header.scales = np.full(3, scales) if np.ndim(scales) == 0 else np.asarray(scales)
     header.offsets = np.floor(xyz.min(axis=0)) if offsets is None else np.asarray(offsets, float)
     if crs is not None:
         header.add_crs(pyproj.CRS.from_user_input(crs))
