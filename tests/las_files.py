@@ -99,6 +99,16 @@ def patch(path: Path, layout: str, at: int, *values: object) -> None:
         file.write(struct.pack("<" + layout, *values))
 
 
+def replace_crs(path: Path, record: bytes) -> None:
+    """Write another WKT or other GeoTIFF keys, which are not longer, in place of those of a file."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"LASF_Projection")
+    length = struct.unpack_from("<H", content, at + 18)[0]
+    assert len(record) <= length
+    content[at + 52 : at + 52 + length] = record.ljust(length, b"\0")
+    path.write_bytes(content)
+
+
 def make_copc(path: Path, n: int = 400, seed: int = 0) -> np.ndarray:
     """A COPC 1.0 file of random points in a root and eight children; returns its records in file order, u8[n, 30]."""
     rng = np.random.default_rng(seed)

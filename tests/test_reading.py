@@ -16,7 +16,7 @@ import numpy as np
 import pyproj
 import pytest
 from click.testing import CliRunner
-from las_files import OFFSETS, las_of, make_las, patch
+from las_files import OFFSETS, las_of, make_las, patch, replace_crs
 
 import jaxfilter as jf
 from jaxfilter.cli import main
@@ -50,16 +50,6 @@ def assert_error(result, *words):
         assert word in line
 
 
-def set_wkt(path, wkt):
-    """Put in a WKT of the same length or shorter."""
-    content = bytearray(path.read_bytes())
-    at = content.index(b"LASF_Projection")
-    number, length = struct.unpack_from("<HH", content, at + 16)
-    assert number == 2112 and len(wkt) < length
-    content[at + 52 : at + 52 + length] = wkt.encode().ljust(length, b"\0")
-    path.write_bytes(content)
-
-
 def hills(n=400, size=60.0, seed=0):
     """f64[n, 3]: gentle ground."""
     x, y = np.random.default_rng(seed).uniform(0, size, (2, n)).round(2)
@@ -73,7 +63,7 @@ def hills(n=400, size=60.0, seed=0):
 def test_absurd_unit_in_the_crs(tmp_path, metres):
     path = tmp_path / "in.las"
     make_las(path)
-    set_wkt(path, UTM.format(metres))
+    replace_crs(path, UTM.format(metres).encode())
     with pytest.raises(
         jf.InputError, match=r"in.las: its CRS \(any\) has .* metres in a unit named 'metre', which cannot"
     ):
@@ -89,7 +79,7 @@ def test_absurd_unit_in_the_crs(tmp_path, metres):
 
 def test_unit_of_a_known_name_and_another_length(tmp_path):
     make_las(tmp_path / "in.las")
-    set_wkt(tmp_path / "in.las", UTM.format(2))
+    replace_crs(tmp_path / "in.las", UTM.format(2).encode())
     with pytest.warns(jf.JaxfilterWarning, match=r"has 2 metres in a metre, which has 1: used"):
         assert jf.read(tmp_path / "in.las").units.xy == 2
 
