@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 import warnings
-from pathlib import Path
 
 import laspy
 import numpy as np
@@ -16,11 +14,10 @@ import jaxfilter as jf
 from jaxfilter.core.reading import Reading
 from jaxfilter.core.units import Stated, Units
 from jaxfilter.files import blocks, records, windows
-from jaxfilter.files.blocks import Blocks
 from jaxfilter.files.classes import Finding, Found
 from jaxfilter.files.disk import Identity
 from jaxfilter.files.sources import describe_file
-from jaxfilter.files.windows import blocks_of, file_cloud, read_window
+from jaxfilter.files.windows import file_cloud, read_window
 from jaxfilter.files.writing import write_cloud
 
 COLUMNS = ("return_number", "number_of_returns", "classification", "withheld", "candidate")
@@ -239,16 +236,6 @@ def test_feet_and_options_as_in_read(tmp_path):
     assert_is_mask(read_window(source_of(path, units="m"), box), path, box, units="m")
 
 
-def test_a_window_is_written_like_a_cut(tmp_path):
-    path, box = tmp_path / "in.laz", (X + 10, Y + 10, X + 60, Y + 70)
-    make_las(path, 7, n=300, extra=True)
-    window = read_window(source_of(path), box)
-    ground = np.arange(len(window.record)) % 2 == 0
-    jf.write(tmp_path / "window.laz", window.cloud, ground)
-    jf.write(tmp_path / "cut.laz", jf.read(path, bounds=box), ground)
-    assert (tmp_path / "window.laz").read_bytes() == (tmp_path / "cut.laz").read_bytes()
-
-
 def test_no_points(tmp_path):
     path = tmp_path / "in.laz"
     make_las(path, 6, n=0)
@@ -285,27 +272,18 @@ def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     assert len(passes) == 1 and first.cloud.xyz.tobytes() == second.cloud.xyz.tobytes()
     (kept,) = index.rglob("*.npz")
     content = kept.read_bytes()
-    for damage in (b"", content[:100], content[: len(content) // 2], b"x" * 500):
-        kept.write_bytes(damage)
+    for damaged in (b"", content[:100], content[: len(content) // 2], b"x" * 500):
+        kept.write_bytes(damaged)
         assert read().record.tobytes() == first.record.tobytes()
     assert len(passes) == 5 and kept.read_bytes() == content
+    for at in range(0, len(content), 29):  # other bits anywhere: what was kept, or nothing
+        kept.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
+        assert read().record.tobytes() == first.record.tobytes()
+    assert len(passes) > 5 + len(content) / 29 / 2
+    passes.clear()
     make_las(path, 6, n=1000, seed=1)
     assert_is_mask(read(), path, (X, Y, X + 50, Y + 50))
-    assert len(passes) == 6 and len(list(index.rglob("*"))) == 2
-
-
-def test_no_damage_to_an_index_is_an_error(tmp_path):
-    """A flipped bit anywhere: what was kept, or nothing."""
-    rng, path = np.random.default_rng(0), tmp_path / "kept.npz"
-    whole = [rng.integers(0, 10**6, 20) for _ in range(4)] + [rng.random((20, 2)) for _ in range(2)] + [np.arange(20)]
-    Blocks(*whole).save(path, "file")
-    content, found = path.read_bytes(), []
-    for at in range(0, len(content), 5):
-        path.write_bytes(content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :])
-        kept = Blocks.load(path, "file")
-        found.append(kept is None)
-        assert kept is None or np.array_equal(np.hstack([kept.low, kept.high]), np.hstack(whole[4:6]))
-    assert sum(found) > len(found) / 2
+    assert len(passes) == 1 and len(list(index.rglob("*"))) == 2
 
 
 def test_points_that_the_header_denies(tmp_path):
@@ -331,16 +309,6 @@ def test_a_file_that_changes_is_refused(tmp_path):
     path.unlink()
     with pytest.raises(jf.InputError, match="no such file"):
         read_window(source, box)
-
-
-@pytest.mark.parametrize("name", ["in.laz", "in.las", "in.copc.laz"])
-def test_a_truncated_file_is_refused(tmp_path, name):
-    path = tmp_path / name
-    make_copc(path) if "copc" in name else make_las(path, 1, n=5000)
-    source = dataclasses.replace(source_of(path), identity="")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-    with pytest.raises(jf.InputError, match=name.replace(".", r"\.")):
-        read_window(source, (X, Y, X + 50, Y + 50))
 
 
 def bytes_read(monkeypatch, call):
@@ -390,14 +358,3 @@ def test_windows_beside_one_another_decode_their_chunk_once(tmp_path, monkeypatc
     assert sum(chunk.nbytes for chunk in chunks._chunks.values()) <= most
     make_las(path, 6, n=n, X=np.arange(n) + 7, Y=np.zeros(n, int))
     assert read_window(source_of(path, units="m"), box, tmp_path / "index").record[0] == start - 7
-
-
-def test_sources_are_small_and_go_to_other_processes(tmp_path):
-    make_las(tmp_path / "in.laz", 6, n=500)
-    source = source_of(tmp_path / "in.laz")
-    sent = pickle.dumps(source)
-    assert pickle.loads(sent) == source and len(sent) < 2500
-    window = read_window(pickle.loads(sent), (X, Y, X + 50, Y + 50))
-    again = read_window(dataclasses.replace(source, identity=""), (X, Y, X + 50, Y + 50))
-    assert window.cloud.xyz.tobytes() == again.cloud.xyz.tobytes()
-    assert len(blocks_of(source.place, Identity.of(source.place))) == 1 and isinstance(source.place, Path)
