@@ -21,7 +21,7 @@ from las_files import las_of
 import jaxfilter as jf
 
 pytestmark = [
-    pytest.mark.usefixtures("state"),
+    pytest.mark.usefixtures("state", "plain_maps"),
     pytest.mark.filterwarnings("ignore::jaxfilter.JaxfilterWarning"),
 ]
 FILTER = jf.PMF(max_window=10.0, low_clusters=False)
