@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import struct
 import tracemalloc
@@ -22,10 +21,9 @@ from jaxfilter.core.errors import InputError, JaxfilterWarning, OutputError, Par
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
 from jaxfilter.core.reading import Reading
-from jaxfilter.core.result import FilterResult
 from jaxfilter.core.units import Units, parse_units
 from jaxfilter.files import records
-from jaxfilter.files.reading import Classes, class_changes, info, read, write
+from jaxfilter.files.reading import info, read, write
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*impossible return numbers")
 
@@ -77,11 +75,11 @@ def assert_same_but_classes(one, other):
 # LAS and LAZ
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("suffix, into", [(".las", ".las"), (".laz", ".laz"), (".las", ".laz")])
 @pytest.mark.parametrize("point_format, version", EVERY)
-def test_only_classes_of_candidates_change(tmp_path, point_format, version, suffix):
-    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
-    las = any_version(source, point_format, version, extra=True, **one_channel(point_format, suffix))
+def test_only_classes_of_candidates_change(tmp_path, point_format, version, suffix, into):
+    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{into}"
+    las = any_version(source, point_format, version, extra=True, **one_channel(point_format, into))
     cloud = read(source)
     local = PointCloud.from_arrays(np.stack([las.x, las.y, las.z], axis=1))
     assert cloud.xyz.tobytes() == local.xyz.tobytes() and cloud.origin.tolist() == local.origin.tolist()
@@ -98,10 +96,11 @@ def test_only_classes_of_candidates_change(tmp_path, point_format, version, suff
     assert not np.array_equal(out.classification, las.classification)
     assert target.read_bytes()[:90] == source.read_bytes()[:90]  # ids, encoding, GUID, version, software
     assert out.header.creation_date == las.header.creation_date
-    assert [v.record_data_bytes() for v in out.vlrs] == [v.record_data_bytes() for v in laspy.read(source).vlrs]
+    kept = [[v.record_data_bytes() for v in one.vlrs if v.record_id != 22204] for one in (out, laspy.read(source))]
+    assert kept[0] == kept[1]
     if version == "1.4":
         assert out.evlrs[0].record_data == las.evlrs[0].record_data
-    if suffix == ".las":  # no byte but those of classes differs
+    if into == ".las":  # no byte but those of classes differs
         old, new = (np.frombuffer(path.read_bytes(), np.uint8) for path in (source, target))
         changed = np.flatnonzero(old != new) - struct.unpack_from("<I", old, 96)[0]
         length = las.point_format.size
@@ -146,18 +145,6 @@ def test_wave_packets_are_written_for_laszip(tmp_path, point_format):
             laspy.read(tmp_path / "out.laz", laz_backend=backend).points.array.tobytes() == las.points.array.tobytes()
         )
     assert len(read(tmp_path / "out.laz")) == len(las.points)
-
-
-@pytest.mark.parametrize("point_format", [0, 3, 5, 6, 7, 10])
-def test_las_to_laz_and_back_is_the_same_file(tmp_path, point_format):
-    source = tmp_path / "in.las"
-    make_las(source, point_format, extra=True, **one_channel(point_format, ".laz"))
-    cloud = read(source)
-    write(tmp_path / "direct.las", cloud, result_of(cloud))
-    write(tmp_path / "packed.laz", cloud, result_of(cloud))
-    packed = read(tmp_path / "packed.laz")
-    write(tmp_path / "unpacked.las", packed, np.zeros(len(packed), bool), reset="none")
-    assert (tmp_path / "unpacked.las").read_bytes() == (tmp_path / "direct.las").read_bytes()
 
 
 def test_internal_waveforms_move_with_their_start(tmp_path):
@@ -209,25 +196,6 @@ def test_classes_of_choice(tmp_path):
     write(tmp_path / "only.las", cloud, ground, only_ground=True)
     only = np.asarray(laspy.read(tmp_path / "only.las").classification)
     np.testing.assert_array_equal(only, np.where(cloud.candidate & ground, 2, old))
-
-
-def test_low_noise_is_barred_below_the_surface_and_no_ground():
-    ground = np.array([False, False, False, False, True, False])
-    one = dataclasses.replace(
-        FilterResult.of_labels(ground, np.array([True, True, True, False, True, True])),
-        low_noise=None,
-        height=np.array([-5.0, 5.0, np.nan, -5.0, -0.1, -9.0], np.float32),
-    )
-    np.testing.assert_array_equal(one.low_noise, [True, False, False, False, False, True])
-    classes = np.array([2, 2, 1, 5, 0, 9], np.uint8)  # water is not judged
-    cloud = PointCloud.from_arrays(np.arange(18.0).reshape(6, 3), classification=classes)
-    kept = {(1, 1): 1, (5, 5): 1, (9, 9): 1, (0, 2): 1}
-    assert class_changes(cloud, one, Classes(noise_class=18)) == {(2, 18): 1, (2, 1): 1, **kept}
-    assert class_changes(cloud, one) == {(2, 1): 2, **kept}
-    with pytest.raises(ParameterError, match="noise_class=7: labels alone"):
-        class_changes(cloud, ground, Classes(noise_class=7))
-    with pytest.raises(ParameterError, match="noise_class=256"):
-        class_changes(cloud, one, Classes(noise_class=256))
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
@@ -331,31 +299,13 @@ def test_from_integers_is_from_arrays(units, anchor, scale):
 # bounds
 
 
-@pytest.mark.parametrize("name", ["in.las", "in.laz", "in.copc.laz", "in.xyz"])
-def test_adjoining_bounds_share_no_point(tmp_path, name):
-    path = tmp_path / name
-    if "copc" in name:
-        make_copc(path)
-    elif name == "in.xyz":
-        xyz = np.random.default_rng(0).integers(0, 10_000, (300, 3)) * 0.01 + OFFSETS
-        np.savetxt(path, xyz, fmt="%.2f")
-    else:
-        make_las(path, 6, n=500)
-    whole = read(path)
-    x, y = OFFSETS[0] + 50.0, OFFSETS[1] + 40.0
-    xy = whole.coordinates()[:, :2]
-    split = np.round(np.sort(xy[:, 0])[len(xy) // 2], 2)  # a coordinate that occurs: it belongs to the upper part only
-    columns, rows = ((x - 500, split), (split, x + 500)), ((y - 500, y), (y, y + 500))
-    parts = [read(path, bounds=(x0, y0, x1, y1)) for x0, x1 in columns for y0, y1 in rows]
-    assert sum(map(len, parts)) == len(whole) and all(map(len, parts))
-    found = np.concatenate([p.coordinates() for p in parts])
-    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(whole.coordinates(), axis=0), atol=1.1e-3)
-
-
-@pytest.mark.parametrize("version, point_format", [("1.2", 1), ("1.4", 6), ("1.4", 1)])
+@pytest.mark.parametrize("version, point_format", [("1.2", 1), ("1.4", 6), ("1.4", 1), ("1.3", 6)])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_cut_is_written_with_its_own_counts(tmp_path, version, point_format, suffix):
-    las = make_las(tmp_path / "in.laz", point_format, version, n=500)
+    las = make_las(tmp_path / "in.laz", point_format, "1.4" if version == "1.3" else version, n=500)
+    if version == "1.3":  # which has no other counts than those of 32 bits
+        patch(tmp_path / "in.laz", "B", 25, 3)
+        patch(tmp_path / "in.laz", "I", 107, 500)
     x, y = OFFSETS[:2] + 30
     cloud = read(tmp_path / "in.laz", bounds=(x, y, x + 40, y + 40))
     keep = (las.x >= x) & (las.x < x + 40) & (las.y >= y) & (las.y < y + 40)
@@ -368,7 +318,10 @@ def test_a_cut_is_written_with_its_own_counts(tmp_path, version, point_format, s
     np.testing.assert_array_equal(out.height, result.height)
     number = np.asarray(las.return_number)[keep]
     assert out.header.point_count == keep.sum()
-    assert out.header.number_of_points_by_return[:5].tolist() == [int((number == i).sum()) for i in range(1, 6)]
+    by_return = [int((number == i).sum()) for i in range(1, 6)]
+    assert out.header.number_of_points_by_return[:5].tolist() == by_return
+    if version in ("1.2", "1.3"):
+        assert struct.unpack_from("<6I", (tmp_path / f"out{suffix}").read_bytes(), 107) == (keep.sum(), *by_return)
     np.testing.assert_allclose(out.header.mins, [las.x[keep].min(), las.y[keep].min(), las.z[keep].min()], atol=1e-9)
     np.testing.assert_allclose(out.header.maxs, [las.x[keep].max(), las.y[keep].max(), las.z[keep].max()], atol=1e-9)
     if version == "1.4":
@@ -417,11 +370,6 @@ def test_copc_cut_is_written_in_the_order_it_was_read(tmp_path):
     make_copc(tmp_path / "in.copc.laz")
     x, y = OFFSETS[:2]
     cloud = read(tmp_path / "in.copc.laz", bounds=(x + 20, y + 20, x + 70, y + 90))
-    with laspy.CopcReader.open(tmp_path / "in.copc.laz") as reader:
-        points = reader.query(laspy.copc.Bounds(np.array([x + 20, y + 20]), np.array([x + 69.99, y + 89.99])))
-    other = np.stack([points.x, points.y, points.z], axis=1)
-    found = cloud.coordinates()
-    np.testing.assert_allclose(found[np.lexsort(found.round(2).T)], other[np.lexsort(other.round(2).T)], atol=1e-3)
     ground = cloud.xyz[:, 2] < np.median(cloud.xyz[:, 2])
     with pytest.warns(JaxfilterWarning, match="COPC"):
         write(tmp_path / "out.laz", cloud, ground)
@@ -602,6 +550,8 @@ def test_arguments_of_write(tmp_path):
         ({"ground_class": 256}, ParameterError, "ground_class=256"),
         ({"extra": ("colour",)}, ParameterError, "extra=.*colour"),
         ({"extra": ("height",)}, ParameterError, "pass the FilterResult"),
+        ({"noise_class": 7}, ParameterError, "noise_class=7: labels alone"),
+        ({"noise_class": 256}, ParameterError, "noise_class=256"),
     ]:
         with pytest.raises(error, match=message):
             write(tmp_path / "out.las", cloud, ground, **options)

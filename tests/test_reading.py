@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 import types
 import warnings
 
@@ -288,25 +287,6 @@ def test_other_counts_than_the_points(tmp_path, name, point_format, version, n, 
         np.testing.assert_array_equal(laspy.read(target).Z, las.Z[:held])
     if n == 200:
         assert re.search(f"announces {words}", ground(path, "--overwrite").stderr)
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_cut_of_las_1_3_with_point_format_6(tmp_path, suffix):
-    """LAS 1.3 has no other counts than those of 32 bits."""
-    las = make_las(tmp_path / "in.las", 6, n=500)
-    patch(tmp_path / "in.las", "B", 25, 3)
-    patch(tmp_path / "in.las", "I", 107, 500)
-    box = (*(OFFSETS[:2] + 20), *(OFFSETS[:2] + 60))
-    keep = (las.x >= box[0]) & (las.x < box[2]) & (las.y >= box[1]) & (las.y < box[3])
-    cloud = jf.read(tmp_path / "in.las", bounds=box)
-    assert len(cloud) == keep.sum() > 50
-    jf.write(tmp_path / f"out{suffix}", cloud, np.zeros(len(cloud), bool), reset="none")
-    numbers = np.asarray(las.return_number)[keep]
-    counts = struct.unpack_from("<6I", (tmp_path / f"out{suffix}").read_bytes(), 107)
-    assert counts == (keep.sum(), *((numbers == i).sum() for i in range(1, 6)))
-    assert jf.read(tmp_path / f"out{suffix}").xyz.tobytes() == cloud.xyz.tobytes()
-    assert ground(tmp_path / "in.las", "--bounds", *box, "--overwrite").exit_code == 0
-    assert struct.unpack_from("<I", (tmp_path / "out.las").read_bytes(), 107)[0] == keep.sum()
 
 
 @pytest.mark.parametrize("point_format", [4, 6])
