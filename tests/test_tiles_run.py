@@ -26,6 +26,7 @@ from jaxfilter.plots import footprints
 from jaxfilter.surveys import dask, tiles
 from jaxfilter.surveys.dask import Cluster
 from jaxfilter.surveys.executors import Outcome, Pool, Task, attempt, carried_out
+from jaxfilter.surveys.plan import HALOS, POINTS, WHOLE, plan_tiles
 from jaxfilter.surveys.product import do_tile
 from jaxfilter.surveys.report import RunReport
 from jaxfilter.surveys.targets import target_names
@@ -675,23 +676,6 @@ def test_the_map_of_one_tile_says_what_was_found(tmp_path, monkeypatch):
     assert ax.get_legend().get_title().get_text() == "1: 8 m2 at 3 4, doubtful points" and len(ax.figure.axes) == 1
 
 
-def test_a_terrain_model_of_tiles_is_that_of_the_whole(done, tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-    out, _ = done
-    report = model(jf.open(str(out)), tmp_path / "dtm.tif", cell=0.5, tile=25.0, executor=Here(width=5))
-    whole = whole_of(out)
-    expected = jf.dtm(whole, whole.classification == 2, cell=0.5)
-    with rasterio.open(tmp_path / "dtm.tif") as file:
-        values = file.read(1, masked=True).filled(np.nan)
-        assert tuple(file.transform)[:6] == expected.transform == report.transform
-        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-    inner = np.s_[40:-40, 40:-40]  # along the edge triangles of the hull may differ
-    assert values.shape == expected.values.shape and np.isfinite(values[inner]).all()
-    assert np.array_equal(values[inner], expected.values[inner])
-    assert report.empty == np.isnan(values).sum() and report.tiles > 12
-    assert [p.name for p in tmp_path.iterdir()] == ["dtm.tif"]
-
-
 def test_a_terrain_model_finds_the_ground_itself(files, done, tmp_path):
     how = {"cell": 1.0, "tile": 40.0}
     found = model(jf.open(str(files)), tmp_path / "a.tif", PMF, executor=Here(), **how)
@@ -840,3 +824,77 @@ def test_a_method_that_looks_at_the_whole_first(files, tmp_path):
     assert np.array_equal(classes_of(tmp_path / "out") == 2, labels)
     report = model(jf.open(str(files)), tmp_path / "dtm.tif", csf, tile=50.0, executor=Here())
     assert report.complete and report.ground == labels.sum()
+
+
+# the plan of tiles: every point has one core, every window its files
+
+
+def boxes(n=60, seed=0):
+    """Boxes of files, some of which overlap, some of them a point or without points, far from zero."""
+    rng = np.random.default_rng(seed)
+    low = rng.uniform(0, 5000, (n, 2)) + [3e5, -4e6]
+    bounds = np.concatenate([low, low + rng.uniform(0, 900, (n, 2))], axis=1)
+    bounds[0, 2:] = bounds[0, :2]
+    counts = rng.integers(1, 10**6, n)
+    counts[1], bounds[1] = 0, np.nan
+    return np.round(bounds, 2), counts
+
+
+@pytest.mark.parametrize("how", [
+    {"halo": 35.0, "lattice": 10.0}, {"halo": 0.0}, {"halo": 60.0, "lattice": 7.0},
+    {"halo": 100.0, "lattice": 1.0, "side": 333.0, "metre": 0.3048},
+])  # fmt: skip
+def test_every_point_has_one_core_and_every_window_all_files_that_meet_it(how):
+    bounds, counts = boxes()
+    plan = plan_tiles(bounds, counts, **{"metre": 1.0, **how})
+    cores = np.array([plan.core(t) for t in range(len(plan))])
+    windows = np.array([plan.window(t) for t in range(len(plan))])
+    rng = np.random.default_rng(1)
+    for file in np.flatnonzero(counts):
+        x0, y0, x1, y1 = bounds[file]
+        xy = np.concatenate([rng.uniform((x0, y0), (x1, y1), (40, 2)), [(x0, y0), (x1, y1), (x0, y1)]])
+        inside = ((xy[:, None] >= cores[:, :2]) & (xy[:, None] < cores[:, 2:])).all(axis=2)
+        assert (inside.sum(axis=1) == 1).all()
+        assert set(inside.argmax(axis=1)) <= set(plan.tiles_of[file])
+        meets = (windows[:, :2] <= (x1, y1)).all(axis=1) & (windows[:, 2:] > (x0, y0)).all(axis=1)
+        near = np.array([file in plan.near[t] for t in range(len(plan))])
+        assert (near >= meets).all() and all(file in plan.home[t] for t in plan.tiles_of[file])
+    metre, lattice = how.get("metre", 1.0), how.get("lattice", 1.0)
+    halo = how["halo"] / metre
+    steps = windows * metre / lattice
+    assert np.allclose(steps, np.round(steps), rtol=0, atol=1e-4), "windows end on the lattice"
+    around = np.concatenate([cores[:, :2] - windows[:, :2], windows[:, 2:] - cores[:, 2:]], axis=1)
+    assert (around >= halo - 1e-4).all() and (around < halo + lattice / metre + 1e-4).all()
+    if "side" not in how:
+        density = counts.sum() / ((bounds[:, 2] - bounds[:, 0]) * (bounds[:, 3] - bounds[:, 1]))[counts > 0].sum()
+        assert len(plan) > 1 and plan.points.max() <= max(POINTS, density * (HALOS * how["halo"]) ** 2)
+    width, height = plan.largest()
+    sides = windows[:, 2:] - windows[:, :2]
+    assert (sides <= np.array([width, height]) + 1e-4).all()
+
+
+def test_points_on_the_upper_edge_need_no_tiles_of_their_own():
+    bounds = np.array([[5.0, 5.0, 1000.0, 1000.0]])
+    assert len(plan_tiles(bounds, np.array([WHOLE]), halo=0.0, lattice=10.0)) == 1
+    assert len(plan_tiles(bounds, np.array([WHOLE + 1]), halo=0.0, lattice=10.0)) == 4
+    assert len(plan_tiles(bounds, np.array([4 * POINTS - POINTS // 5]), halo=0.0, lattice=10.0)) == 4
+
+
+@pytest.mark.parametrize("apart, tiles", [(500.0, 1), (50_000.0, 2)])
+def test_files_far_from_each_other_are_no_single_tile(apart, tiles):
+    """Of few points, in boxes of 250 m."""
+    low = np.array([[3e5, -4e6], [3e5 + apart, -4e6 + apart]])
+    plan = plan_tiles(np.concatenate([low, low + 250], axis=1), np.full(2, 10**6), metre=1.0, halo=100.0)
+    assert len(plan) == tiles and plan.points.sum() == 2 * 10**6
+    assert max(plan.width, plan.height) < 2000
+
+
+def test_what_cannot_be_planned_is_refused():
+    bounds, counts = np.array([[0.0, 0, 1000, 1000]]), np.array([10**9])
+    with pytest.raises(jf.ParameterError, match="halo=inf"):
+        plan_tiles(bounds, counts, halo=np.inf)
+    with pytest.raises(jf.ParameterError, match=r"tile=0\.0"):
+        plan_tiles(bounds, counts, metre=1.0, halo=0.0, side=0.0)
+    with pytest.raises(jf.InputError, match="stray points"):
+        plan_tiles(np.array([[0.0, 0, 1e7, 1e7]]), np.array([10]), metre=1.0, halo=0.0, side=1.0)
+    assert len(plan_tiles(np.full((1, 4), np.nan), np.array([0]), metre=1.0, halo=10.0)) == 0
