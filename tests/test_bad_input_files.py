@@ -203,13 +203,6 @@ def test_truncated_extended_records(tmp_path):
     assert_refused(path, "extended records begin at byte .*, before the end of the points")
 
 
-def test_truncated_copc(tmp_path):
-    path = tmp_path / "in.copc.laz"
-    make_copc(path)
-    path.write_bytes(path.read_bytes()[:-40])
-    assert_refused(path, "extended record")
-
-
 # headers that lie
 
 

@@ -236,24 +236,6 @@ def test_feet_and_options_as_in_read(tmp_path):
     assert_is_mask(read_window(source_of(path, units="m"), box), path, box, units="m")
 
 
-def test_no_points(tmp_path):
-    path = tmp_path / "in.laz"
-    make_las(path, 6, n=0)
-    source = source_of(path)
-    window = read_window(source, (X, Y, X + 1, Y + 1), tmp_path)
-    assert len(window.cloud) == 0 and window.record.shape == (0,) and np.isnan(source.bounds).all()
-
-
-def test_more_points_than_the_header_says(tmp_path):
-    """LAZ whose header announces fewer points than its chunks hold: those that ``read`` gives."""
-    path = tmp_path / "in.laz"
-    make_las(path, 6, n=500)
-    patch(path, "Q", 247, 450)
-    with pytest.warns(jf.JaxfilterWarning, match="450"):
-        window = read_window(source_of(path), (X, Y, X + 1000, Y + 1000))
-    np.testing.assert_array_equal(window.record, np.arange(450))
-
-
 @pytest.mark.parametrize("name", ["in.las", "in.laz"])
 def test_the_pass_is_made_once(tmp_path, monkeypatch, name):
     """The index serves later processes (an empty memory) as long as the file is the same, and is made anew when damaged."""

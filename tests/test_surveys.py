@@ -149,21 +149,17 @@ def test_options_of_one_file_and_of_many(survey, tmp_path, several):
     assert f"{report['ground']:,} of {report['points']:,}" in again.stdout
 
 
-@pytest.mark.parametrize("several", [False, True], ids=["file", "folder"])
-def test_places_to_look_at_are_listed_for_one_file_and_for_many(survey, tmp_path, several):
+def test_places_to_look_at_are_listed_for_a_folder(survey, tmp_path):
     pytest.importorskip("geopandas")
-    where, out = (survey, tmp_path / "out") if several else (survey / "west.las", tmp_path / "west.las")
-    words = ("--window", 6, "--landscape", 8, "--slope", 0.01, "--relief", 0, "--max-angle", 1)  # much ground is lost
-    words += ("--review", tmp_path / "places.geojson")
-    tiles = ("--tile", 60, "--wide-halos", "--workers", 1) if several else ()
-    done = run("ground", "ost", where, out, *words, *tiles, "--json", "--quiet")
+    words = ("ground", "pmf", survey, tmp_path / "out", "--max-window", 3, "--review", tmp_path / "places.geojson")
+    done = run(*words, "--tile", 60, "--wide-halos", "--workers", 1, "--json", "--quiet")
     assert done.exit_code == 0, done.output
     listed = json.loads(done.stdout)["places"]
     places = json.loads((tmp_path / "places.geojson").read_text())["features"]
     assert len(places) == len(listed) > 0
     volumes = [place["properties"]["volume"] for place in places]
     assert volumes == pytest.approx([one["volume"] for one in listed], rel=1e-3)
-    refused = run("ground", "ost", where, tmp_path / "b", *words)
+    refused = run(*words)
     assert refused.exit_code == 2 and "places.geojson exists" in refused.stderr
 
 
@@ -247,18 +243,6 @@ def test_a_run_in_place_that_is_killed_goes_on(survey, tmp_path, function, after
         "west.las",
     ]
     assert function == "do_tile" or [n for name, n in executor.calls if name == "do_tile"] == []
-
-
-def test_an_input_that_changes_behind_a_run_in_place_is_noticed(survey, tmp_path):
-    files = tmp_path / "files"
-    shutil.copytree(survey, files)
-    with pytest.raises(KeyboardInterrupt):
-        in_place(files, executor=Dies("do_tile", 3))
-    las = laspy.read(files / "west.las")
-    las.z[0] += 1.0
-    las.write(files / "west.las")
-    with pytest.raises(jf.InputError, match="begun with other inputs"):
-        in_place(files, resume=True, executor=Here())
 
 
 def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(survey, tmp_path):
