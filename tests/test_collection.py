@@ -268,12 +268,8 @@ def test_items_list_the_dimensions_of_their_point_format(tmp_path):
 
 
 def an_item(href="./a.laz", **properties):
-    facts = {
-        "pc:count": 7,
-        "proj:bbox": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
-        "proj:wkt2": WKT,
-        "datetime": "2013-07-17T00:00:00Z",
-    }
+    facts = {"pc:count": 7, "proj:bbox": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "proj:wkt2": WKT}
+    facts["datetime"] = "2013-07-17T00:00:00Z"
     assets = {"data": {"href": href, "roles": ["data"]}}
     item = {"type": "Feature", "stac_version": "1.0.0", "id": "a", "geometry": None, "links": [], "assets": assets}
     return item | {"properties": {k: v for k, v in (facts | properties).items() if v is not None}}

@@ -22,7 +22,7 @@ from las_files import OFFSETS, las_of, make_las, patch, replace_crs
 import jaxfilter as jf
 from jaxfilter.cli import main
 from jaxfilter.cli.commands import ground_command
-from jaxfilter.core.cloud import Units, as_cloud
+from jaxfilter.core.cloud import as_cloud
 from jaxfilter.core.inputs import COLUMNS
 from jaxfilter.core.units import not_metric
 
@@ -84,12 +84,6 @@ def test_unit_of_a_known_name_and_another_length(tmp_path):
     replace_crs(tmp_path / "in.las", UTM.format(2).encode())
     with pytest.warns(jf.JaxfilterWarning, match=r"has 2 metres in a metre, which has 1: used"):
         assert jf.read(tmp_path / "in.las").units.xy == 2
-
-
-@pytest.mark.parametrize("metres", [0.0, -1.0, 1e300, 1e-300, np.nan, np.inf])
-def test_absurd_units_asked_for(metres):
-    with pytest.raises(jf.InputError, match=r"units: z = .* metres per unit \(mine\)"):
-        Units(1.0, metres, "mine")
 
 
 # extent
@@ -611,17 +605,6 @@ def test_nothing_to_judge_leaves_the_points_as_they_are(tmp_path, fields):
     source = written(tmp_path / "in.las", terrain(), **fields)
     assert_warned(ground(source), "no point is a candidate")
     assert (tmp_path / "out.las").read_bytes() == source.read_bytes()
-
-
-def test_no_crs_and_feet(tmp_path):
-    xyz = terrain()
-    metres = written(tmp_path / "m.las", xyz, crs=None)
-    assert_warned(ground(metres), "metres are assumed", "--units")
-    feet = written(tmp_path / "ft.las", xyz / [1200 / 3937, 1200 / 3937, 0.3048], scales=0.001, crs=None)
-    result = command("ground", "spf", feet, tmp_path / "feet.las", "--units", "us-ft,ft")
-    assert result.exit_code == 0 and "0.3048006096" in result.stdout and "0.3048 " in result.stdout
-    assert "metres are assumed" not in result.stderr
-    assert (labels(tmp_path / "feet.las") == labels(tmp_path / "out.las")).mean() >= 0.999
 
 
 def test_a_stray_point_and_a_cell_that_is_too_fine(tmp_path):

@@ -81,15 +81,8 @@ def files(cloud, tmp_path_factory):
             rows = np.flatnonzero(((xyz[:, 0] < middle[0]) == (i == 0)) & ((xyz[:, 1] < middle[1]) == (j == 0)))
             fields = {"return_number": cloud.return_number[rows], "number_of_returns": cloud.number_of_returns[rows]}
             fields |= {"intensity": rows % 60000, "classification": np.where(rows % 50 == 0, 9, 0)}
-            scale = 0.01 if j else 0.001
-            las_of(
-                folder / f"{i}{j}.laz",
-                xyz[rows],
-                6 if i else 1,
-                scales=scale,
-                offsets=np.floor(xyz.min(axis=0)),
-                **fields,
-            )
+            fields |= {"scales": 0.01 if j else 0.001, "offsets": np.floor(xyz.min(axis=0))}
+            las_of(folder / f"{i}{j}.laz", xyz[rows], 6 if i else 1, **fields)
     return folder
 
 
@@ -447,12 +440,8 @@ def test_points_of_the_overlap_are_counted_and_can_be_set_aside(files, tmp_path)
     names, whole = [str(path) for path in paths], whole_of(paths)
     marked = np.concatenate([laspy.read(paths[0]).classification == 12, laspy.read(paths[1]).overlap == 1])
     labels = PMF(whole).ground
-    counts = {
-        "points": marked.sum(),
-        "judged": (whole.candidate & marked).sum(),
-        "ground": (labels & marked).sum(),
-        "kept": 0,
-    }
+    judged, ground = (whole.candidate & marked).sum(), (labels & marked).sum()
+    counts = {"points": marked.sum(), "judged": judged, "ground": ground, "kept": 0}
     assert run(names, tmp_path / "judged").overlap == counts and counts["ground"] > 100
     report = run(names, tmp_path / "aside", ignore_overlap=True)
     after = classes_of(tmp_path / "aside")
