@@ -69,7 +69,8 @@ class Line:
 
 COMMENTS = [b"#", b"# half way", b'  # 1,2,3 "', b"#;,\t\xff", b'\t#"', b"# x and y", b"", b"  ", b" \t"]
 WORDS = [b"oak", b"caf\xc3\xa9", b"\xe9\xa0\x85\xff", b"5'", b'6"', b"b#7", b"1_000", b"nan", b"1.5", b"\\"]
-QUOTED = [b"oak, old", b"a;b", b"a b", b"a\tb", b'5"" pipe', b'""', b'"",1,""', b"#1", b" ", b"", b"caf\xe9, \x85", b"7"]  # fmt: skip
+QUOTED = [b"oak, old", b"a;b", b"a b", b"a\tb", b'5"" pipe', b'""', b'"",1,""', b"#1", b" ", b"",
+          b"7", b"caf\xe9, \x85"]  # fmt: skip
 NAMES = {"word": [b"intensity", b'"a, b"', b"h\xf6he"], "label": [b"label", b'"Label"'], "x": [b"X", b"x"],
          "class": [b"class", b"Classification"]}  # fmt: skip
 
