@@ -295,13 +295,6 @@ def test_start_of_waveforms_that_is_not_in_the_file(tmp_path, point_format):
     assert laspy.read(tmp_path / "out.las").points.array.tobytes() == las.points.array.tobytes()
 
 
-def test_a_reserved_bit_of_the_point_format_is_kept(tmp_path):
-    make_las(tmp_path / "in.las", 6)
-    patch(tmp_path / "in.las", "B", 104, 0x40 | 6)
-    jf.write(tmp_path / "out.las", jf.read(tmp_path / "in.las"), np.zeros(200, bool), reset="none")
-    assert (tmp_path / "out.las").read_bytes() == (tmp_path / "in.las").read_bytes()
-
-
 # coordinate reference systems
 
 

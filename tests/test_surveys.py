@@ -258,14 +258,15 @@ def test_a_file_that_is_killed_leaves_nothing_that_the_next_run_trips_over(surve
         assert ("do_tile", 0) not in executor.calls or "resume" not in how
 
 
-def test_bounds_in_place_are_refused_since_points_would_be_lost(tmp_path):
-    jf.write(tmp_path / "in.laz", jf.scenes.make("town", size=40, density=1, seed=2).cloud, None)
-    before = (tmp_path / "in.laz").read_bytes()
-    reading = jf.Reading(bounds=(512000, 5403000, 512020, 5403020))
+def test_bounds_in_place_are_refused_since_points_would_be_lost(survey, tmp_path):
+    path = shutil.copy(survey / "west.las", tmp_path)
     for function in (jf.ground, jf.heights):
         with pytest.raises(jf.ParameterError, match="would remove all points outside"):
-            function(tmp_path / "in.laz", None, jf.SMRF(), reading=reading, run=jf.RunOptions(in_place=True))
-    assert (tmp_path / "in.laz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
+            function(path, None, PMF, reading=jf.Reading(bounds=(0, 0, 20, 20)), run=jf.RunOptions(in_place=True))
+    assert (
+        las_of_folder(tmp_path) == {"west.las": (survey / "west.las").read_bytes()}
+        and len(list(tmp_path.iterdir())) == 1
+    )
 
 
 def test_a_dry_run_tells_what_the_run_then_does_and_writes_nothing(survey, tmp_path):
@@ -319,43 +320,17 @@ def held(folder):
     return found
 
 
-def one_file(survey, d):
-    return ["ground", "pmf", survey / "west.las", d / "out.laz"]
-
-
-def folder_of_files(survey, d):
-    return ["ground", "pmf", survey, f"{d}/"]
-
-
-def file_in_place(survey, d):
-    return ["ground", "pmf", shutil.copy(survey / "west.las", d), "--in-place"]
-
-
-def folder_in_place(survey, d):
+def in_folder(survey, d, name=""):
     shutil.copytree(survey, d, dirs_exist_ok=True)
-    return ["ground", "pmf", d, "--in-place"]
+    return ["ground", "pmf", d / name, "--in-place"]
 
 
-def points(survey, d):
-    return ["info", survey, "--vpc", d / "all.vpc"]
-
-
-RUNS = [
-    (".out.laz.jaxfilter-run", one_file), (".jaxfilter-run", folder_of_files),
-    (".west.las.jaxfilter-run", file_in_place), (".jaxfilter-run", folder_in_place),
-]  # fmt: skip
-
-
-def link(place, folder):
-    place.symlink_to(folder)
-
-
-def link_to_nothing(place, folder):
-    place.symlink_to(folder / "missing")
-
-
-def plain_file(place, folder):
-    place.write_text("mine")
+RUNS = {
+    "one": (".out.laz.jaxfilter-run", lambda survey, d: ["ground", "pmf", survey / "west.las", d / "out.laz"]),
+    "folder": (".jaxfilter-run", lambda survey, d: ["ground", "pmf", survey, f"{d}/"]),
+    "one in place": (".west.las.jaxfilter-run", lambda survey, d: in_folder(survey, d, "west.las")),
+    "folder in place": (".jaxfilter-run", in_folder),
+}  # fmt: skip
 
 
 def of_another(place, folder):
@@ -376,20 +351,24 @@ def own_open_to_others(place, folder):
     place.chmod(0o775)
 
 
-KINDS = [link, link_to_nothing, plain_file, of_another, open_to_others, own_open_to_others]
+KINDS = {
+    "link": lambda place, folder: place.symlink_to(folder),
+    "link to nothing": lambda place, folder: place.symlink_to(folder / "missing"),
+    "plain file": lambda place, folder: place.write_text("mine"),
+    "of another": of_another, "open to others": open_to_others, "own, open to others": own_open_to_others,
+}  # fmt: skip
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs owners of files")
 @pytest.mark.parametrize("how", ["", "--resume", "--overwrite"])
-@pytest.mark.parametrize("plant", KINDS)
-@pytest.mark.parametrize("name, words", RUNS)
-def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(
-    survey, tmp_path, elsewhere, name, words, plant, how
-):
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("what", RUNS)
+def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(survey, tmp_path, elsewhere, what, kind, how):
     """Whatever it is, it stays, and so does what it leads to."""
+    name, words = RUNS[what]
     d, (folder, content) = tmp_path / "d", elsewhere
     d.mkdir()
-    plant(d / name, folder)
+    KINDS[kind](d / name, folder)
     command = words(survey, d)
     before, beside = content(), held(d)
     done = run(*command, *filter(None, [how]))
@@ -397,7 +376,9 @@ def test_a_folder_that_no_run_of_ours_has_made_is_refused_by_its_name(
     assert content() == before and held(d) | {".": None} == beside | {".": None}
 
 
-@pytest.mark.parametrize("words", [one_file, file_in_place, points])
+@pytest.mark.parametrize("words", [
+    RUNS["one"][1], RUNS["one in place"][1], lambda survey, d: ["info", survey, "--vpc", d / "all.vpc"],
+], ids=["one", "one in place", "points"])  # fmt: skip
 def test_links_in_place_of_unfinished_files_are_left_alone_and_named(survey, tmp_path, elsewhere, words):
     d, (folder, content) = tmp_path / "d", elsewhere
     d.mkdir()

@@ -368,9 +368,3 @@ def test_no_points(tmp_path, content, expected):
         assert len(read(tmp_path / "out.csv")) == 0
     with pytest.warns(JaxfilterWarning, match="holds no points"):
         assert info(tmp_path / "in.csv")["bounds"] is None
-
-
-def test_cut_to_nothing_can_be_read(tmp_path):
-    with pytest.warns(JaxfilterWarning, match="holds no points within bounds"):
-        _, written = rewrite(tmp_path, NAMED, [], bounds=(8, 8, 9, 9))
-    assert written == b"x,y,z,label\n"

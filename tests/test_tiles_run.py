@@ -498,8 +498,7 @@ def test_a_terrain_model_has_no_heights_where_there_is_neither_ground_nor_water(
 def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
     (tmp_path / "in").mkdir()
     for name, crs in (("m", "EPSG:25832"), ("ft", "EPSG:2263")):
-        cloud = jf.read(files / "00.laz", units="m")
-        jf.write(tmp_path / "in" / f"{name}.laz", jf.PointCloud.from_arrays(cloud.coordinates(), crs=crs), None)
+        las_of(tmp_path / "in" / f"{name}.laz", laspy.read(files / "00.laz").xyz, crs=crs)
     for function in (run, heights, model):
         with pytest.raises(jf.InputError, match="different units"):
             function(tmp_path / "in", tmp_path / "out.tif", executor=Here())
