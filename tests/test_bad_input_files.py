@@ -344,13 +344,10 @@ def test_no_crs(tmp_path):
         read(tmp_path / "in.las", units="m")
 
 
-@pytest.mark.parametrize("crs, point_format, problem", [
-    (4326, 6, "not in a projected system"), (4979, 6, "not in a projected system"), (4326, 1, "not in a projected system"),
-    (4978, 6, "counted from the centre of the Earth"),
-])  # fmt: skip
-def test_angles(tmp_path, crs, point_format, problem):
+@pytest.mark.parametrize("crs, point_format", [(4326, 6), (4979, 6), (4326, 1)])
+def test_angles(tmp_path, crs, point_format):
     make_las(tmp_path / "in.las", point_format, crs=crs)
-    with pytest.raises(InputError, match=rf"in.las: .*{problem} \(WGS 84\).*reproject"):
+    with pytest.raises(InputError, match=r"in.las: .*not in a projected system \(WGS 84\).*reproject"):
         read(tmp_path / "in.las")
     assert len(read(tmp_path / "in.las", units="m")) == 200
 

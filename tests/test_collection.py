@@ -121,13 +121,6 @@ def test_units_and_crs_that_differ(tmp_path):
     assert opened("ft", "none", units="us-ft").metre == pytest.approx(1200 / 3937)
 
 
-def test_a_compound_crs_goes_with_its_horizontal_one():
-    compound = pyproj.CRS.from_epsg(7415)
-    wkts = [compound.to_wkt(), compound.sub_crs_list[0].to_wkt(), pyproj.CRS.from_epsg(28992).to_wkt("WKT1_GDAL")]
-    survey = Collection(tile(f"{k}.laz", wkt=wkt) for k, wkt in enumerate(wkts))
-    assert survey.crs == compound and survey.check().mixed is None
-
-
 @pytest.mark.parametrize("crs, spoil, words", [
     *[(32632, lambda path, largest=largest: patch(path, "2d", 179, largest, OFFSETS[0] + 50),  # largest and smallest x
        "extent in its header is damaged") for largest in (OFFSETS[0], np.inf, 1e300)],
@@ -347,6 +340,7 @@ def spelled(code, kind="WKT1_GDAL", **changes):
     return text
 
 
+COMPOUND = pyproj.CRS.from_epsg(7415)
 LAMBERT = {"Reseau_Geodesique_Francais_1993_v1": "Not_specified", "RGF93 v1 / Lambert-93": "ours"}
 
 
@@ -355,6 +349,7 @@ LAMBERT = {"Reseau_Geodesique_Francais_1993_v1": "Not_specified", "RGF93 v1 / La
     ([spelled(2154, **LAMBERT, **{"298.257222101": "298.2572221"}), spelled(2154), spelled(2154, "WKT1_ESRI")], True),
     ([spelled(2154, **LAMBERT, **{"46.5": "46.5000000000001"}), spelled(2154, "WKT1_ESRI")], True),
     ([spelled(31466), pyproj.CRS(31466).to_wkt()], True),
+    ([COMPOUND.to_wkt(), COMPOUND.sub_crs_list[0].to_wkt(), pyproj.CRS.from_epsg(28992).to_wkt("WKT1_GDAL")], True),
     ([spelled(2154, **LAMBERT, **{"46.5": "46.6"}), spelled(2154)], False),
     ([spelled(2154, **LAMBERT, **{"298.257222101": "298.257223563"}), spelled(2154)], False),
     ([spelled(2154, **LAMBERT), spelled(3942), spelled(2154)], False),
@@ -365,6 +360,7 @@ def test_files_of_one_crs_in_any_order_and_spelling(texts, one):
     for order in itertools.permutations(texts):
         files = Collection([tile(str(k), 10.0 * k, 0.0, wkt=text) for k, text in enumerate(order)])
         assert (files.check().mixed is None) == one
+        assert order[0] != COMPOUND.to_wkt() or files.crs == COMPOUND
 
 
 @pytest.mark.parametrize("base", ["", "memory://all"])

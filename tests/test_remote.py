@@ -11,11 +11,10 @@ import tempfile
 import fsspec
 import numpy as np
 import pytest
-from las_files import OFFSETS, make_copc, make_deep_copc, make_las
+from las_files import OFFSETS, las_of, make_copc, make_deep_copc, make_las
 from servers import Faulty, RangeServer
 from test_cli_runs import run
 from test_places import ROOF, field
-from test_places import write as write_field
 from test_read_window import assert_is_mask, boxes_of
 from test_tiles_run import Here
 
@@ -67,10 +66,6 @@ def test_windows_are_those_of_the_local_file(tmp_path, server, name):
     assert again.xyz.tobytes() == window.cloud.xyz.tobytes()
     whole = jf.read(f"{server.url}/{name}")
     assert whole.xyz.tobytes() == jf.read(path).xyz.tobytes()
-    ground = np.arange(len(whole)) % 2 == 0
-    jf.write(tmp_path / "remote.las", whole, ground)
-    jf.write(tmp_path / "local.las", jf.read(path), ground)
-    assert (tmp_path / "remote.las").read_bytes() == (tmp_path / "local.las").read_bytes()
 
 
 @pytest.mark.parametrize("failures, words", [
@@ -218,7 +213,7 @@ def west_and_east(tmp_path_factory):
     folder, xyz = tmp_path_factory.mktemp("survey"), field(ROOF, (35, 20, 45, 30))
     west = xyz[:, 0] < 30
     for name, rows in (("west", west), ("east", ~west)):
-        write_field(folder / f"{name}.laz", xyz[rows])
+        las_of(folder / f"{name}.laz", xyz[rows])
     return folder
 
 

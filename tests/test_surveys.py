@@ -99,7 +99,8 @@ def test_tiles_depend_neither_on_memory_nor_on_workers(survey, tmp_path, monkeyp
     monkeypatch.setattr("jaxfilter.surveys.plan.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.run.WHOLE", 4000)
     monkeypatch.setattr("jaxfilter.surveys.plan.POINTS", 6000)
-    ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}, "much": {"memory": 1e12}}
+    ways = {"one": {"workers": 1}, "two": {"workers": 2}, "little": {"memory": 4e8}}
+    ways["much"] = {"memory": 1e12, "workers": 1}
     for name, how in ways.items():
         report = jf.ground(survey, tmp_path / name, PMF, run=jf.RunOptions(**how))
         assert report.complete and report.tiles > 1

@@ -505,17 +505,10 @@ def test_feet_among_metres_end_a_run_before_it_begins(files, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
-UNGUARDED = """
-from jaxfilter.surveys.executors import Pool, check_main
-print("begun", flush=True)
-check_main()
-Pool(2).close()
-"""
-
-
 def test_a_script_that_its_workers_would_run_again_is_told_so(tmp_path, monkeypatch):
     script = tmp_path / "script.py"
-    script.write_text(UNGUARDED)
+    begin = "from jaxfilter.surveys.executors import Pool, check_main\nprint('begun', flush=True)\n"
+    script.write_text(begin + "check_main()\nPool(2).close()\n")
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and done.stdout.split() == ["begun"] * 2
     assert "script.py: processes that it starts import it" in done.stderr and 'if __name__ == "__main__"' in done.stderr
@@ -663,7 +656,7 @@ def test_files_that_could_not_be_reached_are_tried_again(files, done, tmp_path, 
 
 
 def test_heights_of_tiles_are_those_of_the_whole_and_go_on_after_a_stop(done, tmp_path):
-    paths, out = sorted(done[0].glob("*.laz")), tmp_path / "out"
+    out = tmp_path / "out"
     first = Here(2, stop_after=7)
     with pytest.raises(KeyboardInterrupt):
         heights(str(done[0]), out, tile=40.0, executor=first)
@@ -679,10 +672,6 @@ def test_heights_of_tiles_are_those_of_the_whole_and_go_on_after_a_stop(done, tm
     np.testing.assert_array_equal(found[inner], expected[inner].astype(np.float32))
     assert inner.mean() > 0.2 and report.heights == pytest.approx((found.min(), found.max()), abs=1e-4)
     assert (report.points, report.ground, report.uncertain) == (len(whole), (whole.classification == 2).sum(), 0)
-    for path in paths:
-        before, after = laspy.read(path), laspy.read(out / path.name)
-        for name in before.point_format.dimension_names:
-            assert np.array_equal(before[name], after[name]), name
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".laz") == LEFT
 
 
