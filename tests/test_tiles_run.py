@@ -256,7 +256,7 @@ def test_points_that_change_behind_a_stopped_run_are_noticed(files, tmp_path, na
     (survey / "01.laz").unlink()
     jf.write(survey / name, jf.read(files / "01.laz"), None)
     with pytest.raises(KeyboardInterrupt):
-        run(survey, out, Here(3, stop_after=13))
+        run(survey, out, Here(3, stop_after=5), tile=50.0)
     before, data = (survey / name).stat(), bytearray((survey / name).read_bytes())
     length, start = struct.unpack_from("<H", data, 105)[0], struct.unpack_from("<I", data, 96)[0]
     if change == "order":
@@ -267,11 +267,11 @@ def test_points_that_change_behind_a_stopped_run_are_noticed(files, tmp_path, na
     (survey / name).write_bytes(data)
     os.utime(survey / name, ns=(before.st_atime_ns, before.st_mtime_ns))
     changed = rf"{name}: the file has changed since its points were first read; .* overwrite=True"
-    report = run(survey, out, resume=True)
+    report = run(survey, out, resume=True, tile=50.0)
     assert [re.search(changed, one["reason"]) is not None for one in report.failed] == [True]
     assert not report.complete and sorted(contents(out)) == ["00.laz", "10.laz", "11.laz"]
-    assert run(survey, out, overwrite=True).complete
-    run(survey, tmp_path / "fresh")
+    assert run(survey, out, overwrite=True, tile=50.0).complete
+    run(survey, tmp_path / "fresh", tile=50.0)
     assert contents(out) == contents(tmp_path / "fresh")
 
 
