@@ -199,14 +199,3 @@ def test_gravity_of_the_program_is_weaker_than_that_of_the_equation():
     same = jf.CSF(gravity="equation", time_step=0.65**2)(scene.cloud)
     assert (same.ground == jf.CSF(gravity="program", time_step=0.65)(scene.cloud).ground).all()
     assert steps[0].ground.sum() > steps[1].ground.sum()
-
-
-def test_barred_clusters_carry_no_cloth():
-    scene = jf.scenes.make("town", size=(80, 80), density=1.0, seed=2)
-    xyz = scene.cloud.xyz[scene.cloud.candidate].astype(float)
-    low = np.array([[40.0, 40.0, xyz[:, 2].min() - 30], [40.2, 40.1, xyz[:, 2].min() - 30.1]])
-    with_low = jf.CSF()(np.concatenate([xyz, low]))
-    assert with_low.barred[-2:].all() and not with_low.ground[-2:].any()
-    assert (with_low.ground[:-2] == jf.CSF()(xyz).ground).mean() > 0.995
-    plain = jf.CSF(low_clusters=False)(np.concatenate([xyz, low]))
-    assert not plain.barred.any()

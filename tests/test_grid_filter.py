@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import ndimage
+from test_pmf import hamlet
 
 import jaxfilter as jf
 from jaxfilter import scenes
@@ -58,27 +59,6 @@ def test_vmap_over_sets_equals_calls_of_the_filter(small, filter_, sets):
     single = [dataclasses.replace(filter_, **fields)(points.cloud).ground[points.index] for fields in each]
     np.testing.assert_array_equal(many, single)
     assert len({one.tobytes() for one in single}) > len(single) / 2  # the sets do differ
-
-
-CSF = jf.CSF(resolution=1.5)
-BARE = [
-    jf.SMRF(window=8.0, cell=1.5),
-    PMF.replace(low_clusters=False),
-    MSF.replace(low_clusters=False),
-    CSF.replace(low_clusters=False),
-]
-
-
-@pytest.mark.parametrize("filter_", BARE, ids=["smrf", "pmf", "msf", "csf"])
-def test_a_shift_by_whole_cells_gives_the_same_labels(filter_):
-    """Grids count from zero of the coordinates, and the search for low clusters has a grid of its own."""
-    scene = scenes.make("town", size=(60, 50), density=1.0, seed=4)
-    xyz, side = scene.cloud.coordinates().round(2), filter_.lattice()
-    expected = filter_(xyz).ground
-    for shift in ((side, 0.0, 0.0), (-7 * side, 3 * side, -40.0), (200_000 * side, -3_000_000 * side, 900.0)):
-        np.testing.assert_array_equal(filter_(xyz + shift).ground, expected)
-    other = filter_(xyz + (side / 3, side / 2, 0.0)).ground
-    assert 0 < (other != expected).mean() < 0.03
 
 
 @pytest.mark.parametrize("filter_", [pytest.param(PMF, marks=pytest.mark.slow), MSF], ids=["pmf", "msf"])
@@ -137,6 +117,21 @@ def test_cells_whose_elevation_is_no_number_count_as_empty(small, filter_):
     found = filter_.model(dataclasses.replace(cells, lowest=jnp.where(gone, odd, cells.lowest)))
     jax.tree.map(np.testing.assert_array_equal, found, filter_.model(without))
     assert not np.array_equal(found.z, filter_.model(cells).z)
+
+
+@pytest.mark.parametrize(
+    "filter_",
+    [jf.PMF(), jf.PMF(reading="points", compare="points"), jf.MSF(), jf.CSF()],
+    ids=["pmf", "pmf-points", "msf", "csf"],
+)
+def test_a_cluster_of_low_points_is_barred_and_changes_no_other_label(filter_):
+    xyz, _ = hamlet()
+    low = np.concatenate([xyz, [[24.3, 24.4, -30.0], [24.5, 24.2, -30.1], [25.1, 24.9, -30.2]]])
+    result, plain = filter_(low), filter_.replace(low_clusters=False)(low)
+    assert result.barred[-3:].all() and (result.decision[-3:] == jf.Decision.LOW).all()
+    assert plain.ground[-3:].all() and not plain.barred.any()
+    assert plain.ground[:-3].sum() < result.ground.sum()  # some are lost around them
+    np.testing.assert_array_equal(result.ground, [*filter_(xyz).ground, False, False, False])
 
 
 @pytest.mark.parametrize("field", ["seen", "valid"])
@@ -198,10 +193,11 @@ def test_gradients_of_soft_labels_are_those_of_finite_differences(small, filter_
 def test_soft_labels_have_no_jumps_in_the_slope(small, filter_):
     """Differences lie between the gradients at both ends, across slopes at which cells become objects."""
     points, truth = small
-    prepared = filter_.prepare(filter_.cells(points).checked())
+    cells = filter_.cells(points)
 
     def soft_error(slope):
-        return ((dataclasses.replace(filter_, slope=slope)._soft(prepared, points.xyz, 0.1) - truth) ** 2).mean()
+        one = dataclasses.replace(filter_, slope=slope)
+        return ((jf.soft_labels(one, cells, points.xyz, width=0.1) - truth) ** 2).mean()
 
     slopes = np.linspace(0.1, 0.2, 41, dtype=np.float32)
     error, gradient = map(np.asarray, jax.lax.map(jax.value_and_grad(soft_error), slopes))
@@ -216,17 +212,6 @@ def test_soft_labels_of_pmf_become_its_labels_where_they_are_sharp(small):
     margin = np.asarray(PMF.test(PMF.model(cells), xyz).margin)
     clear = np.abs(margin) > 1e-3
     np.testing.assert_array_equal(sharp[clear] > 0.5, margin[clear] < 0)
-
-
-def test_sweeps_of_two_and_three_sets_compile_nothing_on_another_cloud_of_the_bucket(small):
-    xyz = small[0].xyz.astype(float)
-    clouds = [jf.PointCloud.from_arrays(one) for one in (xyz, xyz[:2300] * [0.9, 0.95, 1.0])]
-    compilation.watch_compilations()
-    for slopes in ([0.1, 0.2], [0.1, 0.15, 0.2]):
-        jf.sweep(SMRF, clouds[0], {"slope": slopes}, votes=True)
-        before = compilation.compilations()[0]
-        jf.sweep(SMRF, clouds[1], {"slope": slopes}, votes=True)
-        assert compilation.compilations()[0] == before, slopes
 
 
 @pytest.mark.parametrize("extent", [(9, 13), (1, 13), (9, 1)])
