@@ -30,10 +30,6 @@ def each(filter_, sets):
     return [filter_.replace(**dict(zip(sets, values, strict=True))) for values in zip(*sets.values(), strict=True)]
 
 
-def test_clouds_of_another_membrane_stay_apart(smrf):
-    assert len(smrf.blocks) == 2
-
-
 @pytest.mark.parametrize("filter_, sets", [
     pytest.param(jf.PMF(max_window=9.0), {"slope": [0.1, 0.6], "initial_distance": [0.2, 0.5]}, marks=pytest.mark.slow),
     (MSF, {"slope": [0.2, 0.6], "max_height": [2.0, 5.0]}),

@@ -90,18 +90,6 @@ def test_low_points_are_those_with_few_others_as_low_around_them(rng, density, e
     assert not jf.OST(window=window, low_points=0).low(points).any()
 
 
-def test_low_points_of_a_strip_narrower_than_the_window_are_counted_once(rng):
-    xyz = np.column_stack([rng.uniform(0, 8, 600), rng.uniform(0, 200, 600), rng.normal(0, 0.2, 600)])
-    xyz[:40, 2] -= rng.uniform(3, 9, 40)
-    points = canonical_points(jf.PointCloud.from_arrays(xyz))
-    p = points.xyz.astype(np.float64)
-    around = ((p[:, None, :2] - p[:, :2]) ** 2).sum(axis=2) <= 25.0**2
-    below = (around & (p[:, 2] < p[:, None, 2] + 2)).sum(axis=1) - 1
-    expected = (below <= 30) & (around.sum(axis=1) - 1 - below > 30)
-    assert expected.sum() > 30
-    np.testing.assert_array_equal(lowest_few(points, 25.0, 2.0, 30), expected)
-
-
 def test_a_cluster_is_low_and_a_courtyard_and_a_patch_far_away_are_not():
     x, y = (v.ravel() + 0.5 for v in np.mgrid[:100, :100])
     block = (abs(x - 50) < 18) & (abs(y - 50) < 18)  # streets beyond it are within the radius
@@ -139,17 +127,6 @@ def test_one_deep_point_is_low_beside_lower_ground_but_not_under_plants(rng, pla
     assert not jf.OST(sensor="drone lidar").low(points).any()
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, 0.71), (512.25, -331.5)])
-def test_low_points_do_not_depend_on_the_place_of_the_grid(shift):
-    cloud = jf.scenes.make("town", size=120.0, density=1.0, seed=2).cloud
-    xyz = cloud.coordinates()
-    low = []
-    for anchor in ((0.0, 0.0), shift):
-        points = canonical_points(jf.PointCloud.from_arrays(xyz, anchor=anchor))
-        low.append(points.spread(jf.OST(low_points=60).low(points), False))
-    np.testing.assert_array_equal(*low)
-
-
 def test_drawn_elevations_equal_scipy(rng):
     xy, z = rng.uniform(-3, 43, (150, 2)), rng.normal(size=150)
     triangles = Delaunay(xy).simplices.astype(np.int32)
@@ -167,33 +144,6 @@ def test_drawn_elevations_equal_scipy(rng):
         drawn = ~before & np.isfinite(expected)
         assert (seen == (drawn | before)).all() and (values[~drawn] == -99.0).all()
         np.testing.assert_allclose(values[drawn], expected[drawn], atol=1e-4)
-
-
-def test_drawn_elevations_do_not_depend_on_the_order_of_triangles(rng):
-    """Centres of cells on edges, and long triangles beside short ones, which have other elevations."""
-    xy = np.unique(rng.integers(0, 30, (80, 2)), axis=0).astype(np.float64)
-    z, triangles = rng.normal(size=(2, len(xy))).astype(np.float32), Delaunay(xy).simplices.astype(np.int32)
-    drawn = []
-    for _ in range(4):
-        values, seen = np.zeros((30, 30), np.float32), np.zeros((30, 30), bool)
-        turned = [np.roll(corners, rng.integers(3)) for corners in rng.permutation(triangles)]
-        shapes.draw(*xy.T.copy(), np.array(turned), z[0], z[0] - np.float32(5), 4.0, values, seen)
-        drawn.append((values.tobytes(), seen.tobytes()))
-    assert len(set(drawn)) == 1 and seen.sum() > 500
-
-
-def test_segments_of_levels_equal_those_of_scipy(rng):
-    """With whole metres and steps below one, segments are the connected parts of each level."""
-    z = rng.integers(0, 3, (25, 33)).astype(np.float32)
-    found, parts = shapes.segments(z, np.float32(0.5), 1)
-    for level in range(3):
-        labels, count = ndimage.label(z == level)
-        for k in range(1, count + 1):
-            part = labels == k
-            assert (found.ravel()[: np.flatnonzero(part.ravel())[0]] < found[part][0]).all() and np.ptp(
-                found[part]
-            ) == 0
-    assert found.max() == parts == sum(ndimage.label(z == level)[1] for level in range(3))
 
 
 def test_segments_of_slopes_equal_a_flood(rng):
@@ -281,25 +231,6 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     np.testing.assert_allclose(slope, 0.5, atol=0.06 if houses else 1e-3)
     middles = np.stack([column[inside].ravel(), row[inside].ravel(), 0 * slope.ravel()], axis=1) + np.float32(0.5)
     np.testing.assert_allclose(landscape.at(middles), slope.ravel(), atol=1e-5)
-
-
-@pytest.mark.parametrize("cell", [0.5, 2.0])
-def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(monkeypatch, cell):
-    """Single cells stand up from level land, each higher than the one before: the run of their drops is one cell."""
-
-    class Seen(Exception):
-        """Ends the search when the first landscape is asked for."""
-
-    def of(z, cells, objects, sigma):
-        raise Seen(objects)
-
-    monkeypatch.setattr(Landscape, "of", of)
-    cells = cells_of(nodes(40, 0) * np.float32([cell, cell, 0]), cell)
-    slope = np.zeros(cells.lowest.shape, np.float32)
-    slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
-    with pytest.raises(Seen) as seen:
-        jf.OST(cell=cell, window=4 * cell).drops(slope * cell, np.ones((40, 40), bool), cells)
-    np.testing.assert_array_equal(seen.value.args[0], slope > 0.15)
 
 
 def test_faces_are_counted_as_scipy_counts_them(rng):
@@ -880,12 +811,6 @@ def test_no_tree_at_the_border_of_the_data_is_ground():
     border = np.minimum(np.minimum(x, y), np.minimum(x.max() - x, y.max() - y)) < 1
     assert (tree & border).sum() > 300
     assert (ground & tree & border).sum() <= 0.01 * (tree & border).sum()
-
-
-def test_the_lowest_of_each_position():
-    xyz = points_of(np.array([[0, 0, 3], [0, 0, 1], [5, 5, 2], [5, 5, 4], [9, 0, 0]], float))
-    rows = lowest_of_each(xyz, np.arange(5))
-    assert sorted(xyz[rows, 2].tolist()) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("case", ["no seeds left", "few cells", "all low but a line"])
