@@ -85,21 +85,6 @@ def test_adaptive_grid_is_that_of_a_plain_loop(levels, remainder, whole):
     assert levels == 1 or 0 < divided[0] < 30
 
 
-def test_slopes_of_a_cell_do_not_depend_on_the_order_of_its_points(rng):
-    xyz = hills(1000)[0].astype(np.float32)
-    cell = rng.integers(0, 5, 1000).astype(np.int32)
-    counted = rng.random(1000) < 0.9
-    order = rng.permutation(1000)
-    one = cell_slopes(cell, xyz, counted, 8)
-    two = cell_slopes(cell[order], xyz[order], counted[order], 8)
-    for name in ("number", "mean", "least"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    for k in range(5):
-        slopes = slopes_from_lowest(xyz[(cell == k) & counted].astype(float))
-        np.testing.assert_allclose((one.mean[k], one.least[k]), (slopes.mean(), slopes.min()), atol=1e-5)
-    assert (np.asarray(one.number)[5:] == 0).all() and (np.asarray(one.mean)[5:] == 0).all()
-
-
 def test_slopes_of_a_cell_of_a_million_points_are_summed_in_full():
     """As dense as from a drone over a cell as wide as a building."""
     xyz = np.tile(np.float32([1.0, 0.0, 2047 / 65536]), (1_100_000, 1))

@@ -335,33 +335,6 @@ def assert_behind(tin, corners, at):
         assert any(turn(tin.xy[a].tolist(), tin.xy[b].tolist(), p) <= 0 for a, b in edges)
 
 
-def test_a_touched_vertex_stamps_all_triangles_at_it_and_no_other(pool, rng):
-    xyz = nodes(rng, grid(rng, 60), twins=False)
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(len(xyz)), pool)
-    for chosen in (np.arange(len(xyz))[::9], np.arange(0)):
-        tin.now += 1
-        tin.touch(chosen)
-        assert np.array_equal(tin.stamp == tin.now, np.isin(tin.triangles, chosen).any(axis=1))
-
-
-def test_changed_are_watched_nodes_in_a_stamped_triangle_until_they_are_watched_again(pool, rng):
-    xyz = nodes(rng, random(rng, 400), twins=False)
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(0, len(xyz), 4), pool)
-    watched = np.zeros(len(xyz), bool)
-    for start in range(1, 60, 2):
-        chosen = np.arange(start, len(xyz), 60)
-        tin.now += 1
-        tin.remove(inner(tin)[::50]) if start % 8 == 7 else tin.insert(chosen[~tin.vertex[chosen]])
-        others = np.sort(rng.permutation(np.flatnonzero(~tin.vertex))[:90])
-        tin.locate(others)
-        watched[others] = True
-        expected = watched & (tin.stamp[tin.where] == tin.now)
-        assert tin.changed(others).tolist() == np.flatnonzero(expected).tolist() and 5 < expected.sum() < 150
-        assert len(tin.changed(others[:0])) == 0
-        watched &= ~expected
-        tin.locate(np.flatnonzero(expected))
-
-
 @pytest.mark.parametrize("kind", [random, grid, circles, clusters], ids=lambda kind: kind.__name__)
 def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
     """Also if more are nearer that do not count than are asked one by one."""
@@ -378,38 +351,6 @@ def test_the_nearest_vertex_is_that_of_all_pairs(pool, rng, kind):
             square = ((xy[others] - xy[v]) ** 2).sum(axis=1)
             expected.append(others[np.lexsort([*xy[others].T[::-1], square])[0]] if len(others) else -1)
         assert tin.nearest(vertices, counts).tolist() == expected
-
-
-def test_of_vertices_far_away_that_are_equally_near_the_first_is_taken(pool, rng):
-    row, column = np.mgrid[:25, :25]
-    tin = Tin(
-        nodes(rng, np.column_stack([column.ravel(), row.ravel()]), twins=False),
-        np.zeros(625, np.int32),
-        np.arange(625),
-        pool,
-    )
-    middle, *around = (
-        int(np.flatnonzero((tin.xy == at).all(axis=1))[0]) for at in ([12, 12], [20, 12], [12, 4], [4, 12], [12, 20])
-    )
-    for first in (around[2], around[1], around[3], around[0]):  # in order of x, then y
-        counts = np.isin(np.arange(625), around)
-        assert tin.nearest(np.array([middle]), counts).tolist() == [first]
-        around.remove(first)
-
-
-def test_a_network_that_moves_to_other_vertices_is_the_one_made_of_them(pool, rng):
-    xyz = nodes(rng, random(rng, 3000), twins=False)
-    frame = np.flatnonzero(np.abs(xyz[:, :2] - 64).max(axis=1) > 58)  # the hull is among them
-    tin = Tin(xyz, np.zeros(len(xyz), np.int32), frame, pool)
-    for share in (0.5, 0.6, 0.1):
-        vertices = np.union1d(frame, np.flatnonzero(rng.random(len(xyz)) < share))
-        tin.become(vertices)
-        tin.locate(np.flatnonzero(~tin.vertex))
-        fresh = Tin(xyz, np.zeros(len(xyz), np.int32), vertices, pool)
-        for one, other in zip(tin.facets(), fresh.facets(), strict=True):
-            np.testing.assert_array_equal(one, other)
-        rest = np.flatnonzero(~tin.vertex)
-        np.testing.assert_array_equal(tin.corners(tin.where[rest]), fresh.corners(fresh.where[rest]))
 
 
 def test_nodes_outside_the_hull_belong_to_its_nearest_edge_whatever_the_history(pool, rng):
@@ -432,34 +373,6 @@ def test_nodes_outside_the_hull_belong_to_its_nearest_edge_whatever_the_history(
     own = np.sort(tin.triangles[tin.where[outside]], axis=1)[:, 1:]
     at = tin.xy[outside].astype(float)
     np.testing.assert_allclose(distance(at, own), distance(at[:, None], hull[None]).min(axis=1))
-
-
-def test_a_copy_grows_apart_from_its_original(pool, rng):
-    xyz = nodes(rng, np.concatenate([grid(rng, 80), [[-1, -1], [9000, -1], [9000, 9000], [-1, 9000]]]), twins=False)
-    tin = Tin(
-        xyz,
-        np.zeros(len(xyz), np.int32),
-        np.flatnonzero(np.isin(xyz[:, :2], [-QUANTUM, 9000 * QUANTUM]).all(axis=1)),
-        pool,
-    )
-    tin.now += 1
-    tin.insert(np.flatnonzero(~tin.vertex)[::2])
-    names = ("xyz", "sheet", "triangles", "neighbours", "vertex", "where", "stamp")
-    before = {name: getattr(tin, name).copy() for name in names}
-    length, now = len(tin), tin.now
-    other = tin.copied()
-    other.now += 1
-    other.remove(inner(other)[::2])
-    other.insert(np.flatnonzero(~other.vertex & ~tin.vertex))
-    other.xyz[:, 2] = 1.0
-    assert_canonical(other)
-    assert len(tin) == length and tin.now == now
-    for name in names:
-        assert np.array_equal(getattr(tin, name), before[name])
-    tin.insert(np.flatnonzero(~tin.vertex))
-    assert_canonical(tin)
-    assert_canonical(other)
-    assert positions(other) != positions(tin)
 
 
 def corners_and_more(*more):
@@ -549,18 +462,6 @@ def test_the_circle_test_equals_that_in_integers_of_any_size(rng):
             told += 1
         assert predicates.in_circle(*a, *b, *c, *p) == in_circle(a, b, c, p), (a, b, c, p)
     assert ties > 2500 and told > 2500 and wrapped > 500 and largest > 2**60
-
-
-def test_the_symbolic_rule_makes_one_triangulation_of_any_ties(rng):
-    """Of four on a circle exactly one of the two diagonals is right, whichever of the corners asks."""
-    for a, b, c, p in quadruples(rng):
-        if len({a, b, c, p}) == 4 and turn(a, b, c) != 0 and power(a, b, c, p) == 0:
-            order = sorted((a, b, c, p), key=lambda q: np.arctan2(2 * q[1] - a[1] - c[1], 2 * q[0] - a[0] - c[0]))
-            if all(turn(order[k - 2], order[k - 1], order[k]) > 0 for k in range(4)):
-                a, b, c, d = order
-                one = [predicates.in_circle(*a, *b, *c, *d), predicates.in_circle(*c, *d, *a, *b)]
-                two = [predicates.in_circle(*b, *c, *d, *a), predicates.in_circle(*d, *a, *b, *c)]
-                assert one in ([True] * 2, [False] * 2) and two == [not one[0]] * 2
 
 
 def crowd(rng):
