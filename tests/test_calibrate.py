@@ -114,16 +114,14 @@ def test_scores_are_averaged_over_sets_with_similar_parameters_only(scene):
         near = np.flatnonzero(place[:, 1] == place[number, 1])
         assert totals[near].min() <= expected[number] <= totals[near].max()
         assert abs(expected[number] - totals[number]) < 0.3 * np.ptp(totals)
-    mixed = jf.Study(jf.OST(window=15.0), scene.cloud, scene.truth)
-    totals = mixed.evaluate([{"spacing": spacing} for spacing in (None, 1.5, 3.0)])
-    assert np.array_equal(mixed.expected()[0], totals)
-    without_limit = jf.Study(jf.PTDF(seed_cell=30.0, max_below=np.inf), scene.cloud, scene.truth)
-    totals = without_limit.evaluate([{"max_below": limit} for limit in (np.inf, 0.1)])
-    assert np.array_equal(without_limit.expected()[0], totals)
-    few = jf.Study(jf.PMF(), scene.cloud, scene.truth)
-    totals = few.evaluate([{"compare": word, "slope": s} for s in (0.1, 0.2) for word in ("surfaces", "points")])
-    assert np.array_equal(few.expected()[0], totals)
-    assert f"compare={few.result().filter.compare}" in str(few.result())
+    for filter_, sets in (
+        (jf.OST(window=15.0), [{"spacing": spacing} for spacing in (None, 1.5, 3.0)]),
+        (jf.PTDF(seed_cell=30.0, max_below=np.inf), [{"max_below": limit} for limit in (np.inf, 0.1)]),
+        (jf.PMF(), [{"compare": word, "slope": s} for s in (0.1, 0.2) for word in ("surfaces", "points")]),
+    ):
+        study = jf.Study(filter_, scene.cloud, scene.truth)
+        assert np.array_equal(study.evaluate(sets), study.expected()[0])
+    assert f"compare={study.result().filter.compare}" in str(study.result())
 
 
 @pytest.mark.parametrize("seed", [3, 5, 8, 12])

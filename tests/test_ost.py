@@ -25,7 +25,6 @@ from jaxfilter.steps import pruning
 from jaxfilter.steps.ground_rules import AngleRule, HeightRule
 from jaxfilter.steps.landscape import Landscape
 from jaxfilter.steps.objects import Roofs, Segments
-from jaxfilter.steps.overhangs import overhangs
 from jaxfilter.steps.pruning import Scatter, prune
 from jaxfilter.steps.seeds import veiled
 from jaxfilter.steps.sensors import AIRBORNE, MATCHING
@@ -466,20 +465,6 @@ def overhanging(rng):
     xyz = np.column_stack([np.concatenate([rock, hung, crown, boulder, sea]), np.concatenate([*z, np.zeros(len(sea))])])
     kind = np.repeat(np.arange(5), [len(part) for part in (rock, hung, crown, boulder, sea)])
     return xyz, kind
-
-
-def test_rock_above_a_void_is_told_from_crowns_and_from_what_hangs_alone(rng):
-    xyz, kind = overhanging(rng)
-    xyz = xyz.astype(np.float32)
-    cells = cells_of(xyz)
-    rows, columns = cells.lowest.shape
-    bare = np.mgrid[:rows, :columns][1] >= 20
-    found = overhangs(xyz, cells, bare, 0.42, 25)
-    shares = [found[kind == number].mean() for number in range(5)]
-    assert shares[1] > 0.95 and max(shares[0], shares[3], shares[4]) == 0 and shares[2] < 0.1
-    near = overhangs(xyz, cells, bare, 0.42, 2)  # only two cells from the steep terrain
-    assert not near[xyz[:, 0] < 18].any() and near[(kind == 1) & (xyz[:, 0] >= 18)].mean() > 0.95
-    assert not overhangs(xyz, cells, np.zeros_like(bare), 0.42, 25).any()
 
 
 def test_an_overhang_is_ground_and_so_is_what_is_beneath(rng, monkeypatch):

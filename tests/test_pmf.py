@@ -3,12 +3,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from jaxfilter.core.cloud import PointCloud
 from jaxfilter.core.errors import ParameterError
-from jaxfilter.core.points import plain_points
 from jaxfilter.methods.pmf import PMF
 from jaxfilter.scoring import evaluate
-from jaxfilter.steps.point_boxes import PointBoxes
 
 SAMPLES = (11, 12, 21, 22, 23, 24, 31, 41, 42, 51, 52, 53, 54, 61, 71)
 # total errors (%) that PDAL 2.2 filters.pmf and PCL's ProgressiveMorphologicalFilter gave with their default parameters
@@ -128,18 +125,6 @@ def test_the_reading_around_points_equals_brute_force(changes):
     xyz, _ = hamlet()
     f = PMF.preset("pcl", slope=0.21, initial_distance=0.317, **changes)
     np.testing.assert_array_equal(f(xyz).ground, brute_points(xyz, f))
-
-
-@pytest.mark.parametrize("width", [3.0, 5.0, 9.5, 33.0])
-def test_boxes_around_points_are_exact(width):
-    xyz, _ = hamlet(900)
-    xyz = np.concatenate([xyz, xyz[:200], xyz[:100] + [width / 2, -width / 2, 0]])  # repeated, and on a box's edge
-    points = plain_points(PointCloud.from_arrays(xyz))
-    values = np.where(np.arange(len(xyz)) % 7 == 0, np.inf, np.sin(np.arange(len(xyz)))).astype(np.float32)
-    p = points.xyz[:, :2]
-    near = (np.abs(p[:, None] - p[None]) <= width / 2).all(axis=2)
-    boxes = PointBoxes(points, 3.0, 33.0)
-    np.testing.assert_array_equal(boxes.lowest(values, width), np.where(near, values, np.inf).min(axis=1))
 
 
 def test_windows_and_thresholds():

@@ -223,20 +223,6 @@ def test_lowest_seeds_are_the_lowest_points_of_the_cells(rng):
     assert result.info["planes"] == 0
 
 
-def test_planes_through_the_nearest_references_tilt_where_they_stand_on_one_side(rng):
-    """A hollow without seeds on a slope: its points have references all around, but the nearest four are on one side."""
-    xy = rng.uniform(0, 60, (9000, 2)).round(2)
-    z = 0.5 * xy[:, 0] + rng.normal(0, 0.05, 9000)
-    hole = np.hypot(*(xy - 30).T) < 8
-    rows = np.flatnonzero(hole)
-    xyz = np.column_stack([xy, z]).astype(np.float32)
-    spread = []
-    for around in (QuadrantReferences(xyz, rows, 1.0, 30.0), NearestReferences(xyz, rows, 30.0)):
-        around.add(np.flatnonzero(~hole))
-        spread.append(np.sqrt(np.mean(local_planes(xyz, rows, around.row)[1] ** 2)))
-    assert spread[0] < 0.2 and spread[1] > 3 * spread[0]
-
-
 def test_a_wide_roof_is_no_ground_if_the_disk_is_wider(rng):
     xy = rng.uniform(0, 150, (45000, 2)).round(2)
     roof = (np.abs(xy - 75) < 20).all(axis=1)

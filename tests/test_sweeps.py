@@ -100,6 +100,11 @@ SLOPES = np.random.default_rng(2).uniform(0.04, 0.5, 21).tolist()
         case(jf.SPF(window=30.0), **TIN_AXES),
         case(jf.SPF(window=30.0), slow=True, seed_filter=(True, False), max_angle=(6.0, 20.0)),
         case(jf.SPF(window=30.0), slope=(0.5, 0.3)),
+        case(
+            jf.SPF(window=30.0, histogram_margin=0.5, isolated_depth=0.3, outlier_fate="removed"),
+            max_distance=(0.7, 1.4),
+        ),
+        case(jf.AGPTD(radius=2.5, min_neighbours=5, outlier_fate="removed"), max_distance=(0.7, 1.4)),
         case(jf.STIN(seed_cell=30.0), max_angle=(30.0, 18.0)),
         case(jf.IPTD(window=30.0, max_distance=0.05), noise_floor=(0.0, 0.3), max_angle=(30.0, 1.0)),
         case(jf.CSF(), threshold=(0.5, 0.3)),
