@@ -1,8 +1,5 @@
 """The growing triangulation against the one made anew of all its vertices, in any order, batches, history and threads."""
 
-import json
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -520,37 +517,16 @@ def test_bad_inputs_make_few_triangles(kind, pool, rng, monkeypatch):
     )
 
 
-ON_A_LINE = {
-    "one": [[3.0, 4.0]],
-    "two": [[0.0, 0.0], [1.0, 1.0]],
-    "equal": [[2.0, 2.0]] * 5,
-    "along x": [[x, 1.0] for x in range(5)],
-    "along y": [[1.0, y] for y in range(5)],
-    "diagonal": [[x, 2.0 * x] for x in range(3)],
-    "diagonal, far": [[65000.0 + x, 32000.0 - x] for x in range(40)],
-    "repeated": [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]],
-}
-
-
-def test_positions_on_a_line_are_an_error_and_do_not_hang():
-    """In a process of its own, since compiled code does not heed an interrupt."""
-    script = (
-        "import sys, json, numpy as np\n"
-        "from jaxfilter.engines.tin.triangulation import triangulated\n"
-        "for name, xy in json.loads(sys.argv[1]).items():\n"
-        "    try:\n"
-        "        triangulated(np.pad(np.array(xy, np.float32), ((0, 0), (0, 1))), 1)\n"
-        "    except Exception as error:\n"
-        "        print(name, '-', type(error).__name__, error)\n"
-    )
-    arguments = [sys.executable, "-c", script, json.dumps(ON_A_LINE)]
-    said = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=True).stdout.splitlines()
-    assert said == [
-        f"{name} - InputError xyz of {len(xy)} points: they are on one line: at least three positions are needed that are not"
-        for name, xy in ON_A_LINE.items()
-    ]
-
-
+ON_A_LINE = [
+    [[3.0, 4.0]],
+    [[0.0, 0.0], [1.0, 1.0]],
+    [[2.0, 2.0]] * 5,
+    [[x, 1.0] for x in range(5)],
+    [[1.0, y] for y in range(5)],
+    [[x, 2.0 * x] for x in range(3)],
+    [[65000.0 + x, 32000.0 - x] for x in range(40)],
+    [[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]],
+]
 SQUARE = np.array([[0, 0, 1], [4, 0, 2], [4, 4, 3], [0, 4, 5]], np.float32)
 
 
@@ -573,6 +549,7 @@ SQUARE = np.array([[0, 0, 1], [4, 0, 2], [4, 4, 3], [0, 4, 5]], np.float32)
             "5 points: node 4 is at the position of a vertex: give each",
         ),
         (np.concatenate([SQUARE, SQUARE[1:2] + 1e-5]), "5 points: node 4 is at the position of a vertex"),
+        *((np.pad(np.float32(xy), ((0, 0), (0, 1))), f"{len(xy)} points: they are on one line") for xy in ON_A_LINE),
     ],
 )
 def test_what_cannot_be_triangulated_is_refused_by_name(xyz, words):
