@@ -15,7 +15,7 @@ from jaxfilter.engines import neighbours
 from jaxfilter.engines.grid.depressions import Basins
 from jaxfilter.engines.grid.sparse import CellSet
 from jaxfilter.scenes import Kind
-from jaxfilter.steps.outliers import bar_outliers, isolated_low, knn_outliers, low_clusters, radius_outliers
+from jaxfilter.steps.outliers import isolated_low, knn_outliers, low_clusters, radius_outliers
 from jaxfilter.steps.trend import low_trend
 
 
@@ -293,19 +293,6 @@ def test_false_minima_of_scenes_go_and_the_ground_stays(name, density):
     assert barred[ground].mean() < (0.02 if name == "city" else 0.003)  # in the city courtyards, about 1 %
     back = jf.FPTD()(scene.cloud).ground[points.index]
     assert (barred & ~back)[ground].mean() < 0.001  # courtyards pass the second test; a hollow of the quarry does not
-
-
-def test_bar_outliers_joins_both_tests(rng):
-    xyz = hillside(rng, 0.1)
-    low = np.argsort(np.hypot(*(xyz[:, :2] - 80).T))[:12]
-    xyz[low, 2] -= 6
-    xyz = np.concatenate([xyz, [[40, 40, 60.0]]])
-    points = points_of(xyz)
-    barred, late, _ = bar_outliers(points, radius=3.0, min_neighbours=2, clusters=True)
-    assert np.flatnonzero(late[points.member]).tolist() == sorted(low)
-    assert np.array_equal(barred, late | radius_outliers(points.xyz, 3.0, 2))
-    assert barred[points.member][-1] and not late[points.member][-1]
-    assert not any(part.any() for part in bar_outliers(points, radius=0.0, min_neighbours=2, clusters=False)[:2])
 
 
 @pytest.mark.data
