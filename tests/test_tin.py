@@ -381,6 +381,23 @@ def test_nodes_outside_the_hull_belong_to_its_nearest_edge_whatever_the_history(
     np.testing.assert_allclose(distance(at, own), distance(at[:, None], hull[None]).min(axis=1))
 
 
+def test_a_copy_grows_apart_from_its_original(pool, rng):
+    xyz = nodes(rng, random(rng, 300), twins=False)
+    tin = Tin(xyz, np.zeros(len(xyz), np.int32), np.arange(0, len(xyz), 2), pool)
+    before = {name: value.copy() for name, value in vars(tin).items() if isinstance(value, np.ndarray)}
+    other = tin.copied()
+    other.now += 1
+    other.remove(inner(other)[::2])
+    other.insert(np.arange(1, len(xyz), 4))
+    other.locate(np.flatnonzero(~other.vertex))
+    other.xyz[:, 2] = 1.0
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(tin, name), value, err_msg=name)
+    tin.insert(np.arange(1, len(xyz), 2))
+    assert_canonical(tin)
+    assert_canonical(other)
+
+
 def corners_and_more(*more):
     """A square of 9 m with its middle, the middle of its lower side, and further positions in metres."""
     xy = np.array([[0, 0], [9, 0], [9, 9], [0, 9], [4.5, 0], [4.5, 4.5], *more])
