@@ -90,33 +90,20 @@ def test_rules(scene):
 
     same(Rule(max_angle=20, max_elevation=1, signed=1), (angle <= 20) & (elevation <= 1))
     same(Rule(max_angle=20, max_distance=1.5), (np.abs(angle) <= 20) & (np.abs(d) <= 1.5))
-    same(
-        Rule(max_angle=20, max_elevation=1, signed=1, max_below=0.5),
-        (angle <= 20) & (elevation <= 1) & (height >= -0.5),
-    )
-    same(
-        Rule(max_angle=20, max_elevation=1, signed=1, noise_floor=0.3),
-        ((angle <= 20) & (elevation <= 1)) | (np.abs(height) <= 0.3),
-    )
-    both = np.ones(len(points), bool)
-    same(
-        Rule(max_angle=20, max_elevation=1, signed=1),
-        (np.abs(angle) <= 20) & (elevation <= 1) & (np.abs(d) <= 1),
-        late=both,
-    )
+    upward = Rule(max_angle=20, max_elevation=1, signed=1)
+    within = (angle <= 20) & (elevation <= 1)
+    same(upward._replace(max_below=0.5), within & (height >= -0.5))
+    same(upward._replace(noise_floor=0.3), within | (np.abs(height) <= 0.3))
+    both = (np.abs(angle) <= 20) & (elevation <= 1) & (np.abs(d) <= 1)
+    same(upward, both, late=np.ones(len(points), bool))
 
 
 def test_decision_and_margin_name_the_deciding_test():
     facet = np.float32([[0, 0, 0], [8, 0, 0], [0, 8, 0]])
     points = np.float32([[2, 2, 0.25], [2, 2, 2.0], [2, 2, -2.0], [0.25, 0.25, 0.5], [2, 2, -9.0]])
     v = run(Rule(max_angle=20, max_elevation=1, signed=1, max_below=5), points, np.repeat(facet[None], 5, axis=0))
-    assert list(np.asarray(v.decision)) == [
-        Decision.ACCEPTED,
-        Decision.ELEVATION,
-        Decision.ACCEPTED,
-        Decision.ANGLE,
-        Decision.LOW,
-    ]
+    expected = [Decision.ACCEPTED, Decision.ELEVATION, Decision.ACCEPTED, Decision.ANGLE, Decision.LOW]
+    assert np.asarray(v.decision).tolist() == expected
     angle = np.degrees(np.arcsin(0.25 / np.sqrt(8 + 0.0625)))
     np.testing.assert_allclose(v.margin[0], angle - 20, atol=1e-4)
     np.testing.assert_allclose([v.margin[1], v.margin[4]], [1.0, 4.0], atol=1e-5)

@@ -29,19 +29,13 @@ def potential(f, xyz):
 # Schedules, eq. 1 to 3
 
 
-def test_linear_windows():
+def test_linear_windows_and_thresholds_that_follow_slope_and_growth_up_to_the_largest():
     assert jf.SPF(cell=1.0, window=30.0).windows() == [2 * k + 1 for k in range(1, 16)]  # 31 is the first beyond 30
     assert jf.SPF(cell=2.0, window=60.0).windows() == list(range(3, 33, 2))
     assert jf.SPF(cell=2.0, window=10.0).windows() == [3, 5, 7]  # 10 m do not exceed 10 m
-
-
-def test_thresholds_follow_slope_and_growth_up_to_the_largest():
     f = jf.SPF(cell=2.0, window=12.0, slope=0.3, initial_distance=0.4, max_height=9.0)
     np.testing.assert_allclose(f.thresholds(), [0.4, 0.4 + 0.3 * 2 * 2, 0.4 + 0.3 * 2 * 2])
     np.testing.assert_allclose(f.replace(max_height=1.5).thresholds(), [0.4, 1.5, 1.5])
-
-
-def test_a_window_of_too_many_cells_is_an_error():
     with pytest.raises(jf.ParameterError, match="1000 cells"):
         jf.SPF(cell=0.05, window=60.0)
 
