@@ -11,7 +11,6 @@ from test_pmf import hamlet
 
 import jaxfilter as jf
 from jaxfilter import scenes
-from jaxfilter.core import compilation
 from jaxfilter.engines.grid import sampling
 
 SMRF = jf.SMRF(window=8.0)
@@ -73,33 +72,6 @@ def test_vmap_over_clouds_of_one_padded_shape_equals_calls(small, filter_):
     many = jax.jit(jax.vmap(passed, in_axes=(None, 0, 0)))(filter_, stacked, xyz)
     for one, own, ground in zip(clouds, cells, many, strict=True):
         np.testing.assert_array_equal(ground[: len(one)], passed(filter_, own, one.xyz))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("filter_, programs", [(SMRF, 6), (PMF, 6)], ids=["smrf", "pmf"])
-def test_clouds_of_unlike_size_share_few_programs(filter_, programs):
-    """12 clouds of 2,000 to 40,000 points over grids of 90 to 360 cells a side: two shapes, three programs each."""
-    scene = scenes.make("town", size=(362, 358), density=0.32, seed=4)
-    xyz, rng = scene.cloud.coordinates(), np.random.default_rng(0)
-    x, y = (xyz[:, :2] - xyz[:, :2].min(axis=0)).T
-    crops = [xyz[(x < w) & (y < h)] for w, h in (*rng.uniform(90, 360, (10, 2)), (90, 95), (400, 400))]
-    clouds = [jf.PointCloud.from_arrays(crop) for crop in crops]
-    assert len({cells.extent.tobytes() for cells in map(filter_.cells, map(filter_.points_of, clouds))}) == 12
-    assert min(map(len, clouds)) < 5000 and max(map(len, clouds)) > 30_000
-    jax.clear_caches()
-    compilation.watch_compilations()
-    before = compilation.compilations()[0]
-    for cloud in clouds:
-        filter_(cloud)
-    assert compilation.compilations()[0] - before <= programs
-
-
-@pytest.mark.slow
-def test_tighter_padding_makes_the_same_terrain(small):
-    """The number of levels of the membrane does not depend on the padding, nor does what lies outside the extent count."""
-    cells = SMRF.cells(small[0])
-    tight = dataclasses.replace(cells, **{name: getattr(cells, name)[:80, :96] for name in ("lowest", "seen", "valid")})
-    np.testing.assert_allclose(SMRF.model(tight).z, SMRF.model(cells).z[:80, :96], atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.grad, lambda f: lambda x: jax.vmap(f)(x[None])])

@@ -7,7 +7,6 @@ import pytest
 from scipy import ndimage
 
 import jaxfilter as jf
-from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.engines.grid import morphology
 from jaxfilter.engines.grid.morphology import dilation, erosion, opening, progressive_opening
 
@@ -72,16 +71,6 @@ def test_disk_wider_than_the_grid():
     z = surface((5, 8))
     expected = ndimage.grey_erosion(z, footprint=footprint(30, "disk"), mode="constant", cval=np.inf)
     np.testing.assert_array_equal(erosion(z, 30, 49), expected)
-
-
-def test_all_radii_share_one_compilation():
-    watch_compilations()
-    z = surface((33, 35))
-    erosion(z, 1, 7).block_until_ready()
-    before = compilations()[0]
-    for radius in range(8):
-        erosion(z, radius, 7).block_until_ready()
-    assert compilations()[0] == before
 
 
 WHOLE = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]

@@ -78,20 +78,6 @@ def test_limits_are_inclusive_where_declared_and_optional_fields_may_be_none():
     Toy(floor=1e-9, angle=math.pi), Toy(floor=1e9, window=None), Toy(floor=math.inf)
 
 
-def test_a_threshold_does_not_compile_anew_and_a_static_field_does():
-    traces = []
-
-    @jax.jit
-    def scaled(toy: Toy) -> jax.Array:
-        traces.append(toy.window)
-        return jnp.float32(toy.angle) * (toy.window or 0.0)
-
-    assert [float(scaled(Toy(angle=float(a)))) for a in (10, 20, 30)] == [180, 360, 540]
-    assert traces == [18.0]
-    scaled(Toy(window=19.0))
-    assert traces == [18.0, 19.0]
-
-
 @pytest.mark.parametrize("scalar", [np.float32, np.float64, np.array, jnp.float32, jnp.asarray])
 def test_scalars_of_numpy_and_jax_are_numbers(scalar):
     assert type(SMRF(slope=scalar(0.25)).slope) is float and SMRF(slope=scalar(0.25)) == SMRF(slope=0.25)

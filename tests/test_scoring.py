@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jaxfilter.core.cloud import PointCloud
-from jaxfilter.core.compilation import compilations, watch_compilations
 from jaxfilter.core.errors import InputError
 from jaxfilter.core.filter import Labels, expand
 from jaxfilter.core.points import canonical_points
@@ -91,14 +90,6 @@ def test_counts_are_exact_beyond_float32():
     n = 2**24 + 3
     ones = np.ones(n, bool)
     assert int(confusion_counts(ones, ones, ones)[0, 0]) == n
-
-
-def test_a_cloud_of_another_size_compiles_nothing():
-    evaluate(*labels(500, 100, 100, 500))
-    watch_compilations()
-    before = compilations()[0]
-    evaluate(*labels(900, 100, 100, 300))
-    assert compilations()[0] == before
 
 
 def test_unlabelled_and_ignored_points_do_not_count():
