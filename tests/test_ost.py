@@ -235,6 +235,17 @@ def test_the_slope_of_a_landscape_is_that_of_its_plane(houses):
     np.testing.assert_allclose(landscape.at(middles), slope.ravel(), atol=1e-5)
 
 
+@pytest.mark.parametrize("cell", [0.5, 2.0])
+def test_the_first_landscape_is_without_what_drops_more_steeply_than_the_first_slope(cell):
+    """Single cells stand up from level land, each higher than the one before: the run of their drops is one cell."""
+    cells = cells_of(nodes(40, 0) * np.float32([cell, cell, 0]), cell)
+    slope = np.zeros(cells.lowest.shape, np.float32)
+    slope[2:38:4, 2:38:4] = np.linspace(0.01, 2, 81).reshape(9, 9)
+    first = jf.OST(cell=cell, window=4 * cell, landscape=5.0).drops(slope * cell, np.ones((40, 40), bool), cells)[2]
+    expected = Landscape.of(slope * cell, cells, slope > 0.15, 5.0)
+    np.testing.assert_array_equal(first.in_cells(), expected.in_cells())
+
+
 def test_faces_are_counted_as_scipy_counts_them(rng):
     """Over a rough slope, in which three objects stand."""
     column = np.arange(40)
