@@ -128,7 +128,7 @@ def test_a_scene_that_no_pulse_meets_is_empty_and_the_size_has_a_default():
 
 @pytest.mark.parametrize("noise", [0.0, 0.03, 0.2])
 def test_ground_points_are_terrain_plus_noise(noise):
-    scene = scenes.make("mixed", size=300, noise=noise, rounding=0.001)
+    scene = scenes.make("mixed", size=160, noise=noise, rounding=0.001)
     residual = above_terrain(scene)[scene.truth]
     assert residual.std() == pytest.approx(np.hypot(noise, 0.001 / np.sqrt(12)), rel=0.02)
     assert abs(residual.mean()) < 5 * max(noise, 0.001) / np.sqrt(len(residual))
@@ -353,7 +353,7 @@ def test_boats_reeds_and_weirs_stand_on_the_water():
     ({"cutting": 7, "bridge_skew": 45}, 10, 6),
 ], ids=str)  # fmt: skip
 def test_decks_have_their_width_and_join_ramps_without_a_step(shape, width, clear):
-    scene = bare((520, 300), 8, {"noise": 0}, relief=0, **shape)
+    scene = bare((520, 300), 5, {"noise": 0}, relief=0, **shape)
     index, group = components(scene, Kind.BRIDGE, 2.0)
     largest = index[group == 1 + np.bincount(group)[1:].argmax()]
     x, y, z = scene.xyz[largest].T
@@ -415,7 +415,7 @@ def test_buildings_have_many_sizes():
 
 def test_outliers_lie_where_they_are_said_to():
     layout = dataclasses.replace(LAYOUTS["flat"], low_clusters=150.0, low_outliers=1e-4, high_outliers=1e-4)
-    scene = scenes.make(layout, size=600, density=4, noise=0)
+    scene = scenes.make(layout, size=450, density=4, noise=0)
     height = above_terrain(scene)
     low, high = (scene.kind == k for k in (Kind.LOW_OUTLIER, Kind.HIGH_OUTLIER))
     assert -height[low].max() >= 2 - 0.01 and -height[low].min() <= 30.01
