@@ -158,26 +158,19 @@ def test_values_that_are_none_or_words_are_stored_as_words(folder):
     [
         (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
         (("--axis", "slope="), ("slope", "empty")),
-        (("--axis", "slope=0.1,nan"), ("slope", "NaN")),
         (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
         (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
-        (("--axis", "slope=0.1,0.1"), ("slope", "repeats")),
         (("--axis", "slope"), ("'slope'", "FIELD=...")),
         (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
         (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
         (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
         (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
         (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
-        (("--axis", "slope=0.3..0.1", "--design", "random", "--size", 4), ("slope", "low to high")),
-        (("--axis", "slope=0.1..0.3", "--design", "random"), ("size",)),
         (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
-        (("--axis", "slope=0.1,0.2", "--size", 4), ("size=4",)),
-        (("--axis", "slope=0.1,0.2", "--axis", "threshold=1", "--design", "list"), ("slope", "threshold", "as many")),
         (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
         (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
         (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
         (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
-        (("--axis", "slope=0.1", "--units", "parsec"), ("parsec",)),
     ],
 )
 def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, words):
@@ -280,10 +273,7 @@ def test_calibrate_prints_the_command_and_keeps_files(folder):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("--axis", "steepness=0.1..1"), ("steepness", "slope, window")),
         (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
-        (("--axis", "slope=0.2..0.1"), ("slope", "low to high")),
-        (("--axis", "slope=nan..1"), ("slope", "NaN")),
         (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
         (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
         (("--out", "no/such/folder.json"), ("not a folder",)),
@@ -301,9 +291,8 @@ def test_labels_that_cannot_be_used_are_named(folder, scene):
     assert_one_line(calibrate(folder, "--bounds", 0, 0, 1, 1), 1, "bounds 0 0 1 1", "no labelled point")
     moved = scene.xyz[:5] + [0.0, 0.0, 0.5]
     np.savetxt(folder / "moved.txt", np.column_stack([moved, np.arange(5) % 2]), fmt=("%.2f", "%.2f", "%.2f", "%d"))
-    assert_one_line(
-        calibrate(folder, "--labels", folder / "moved.txt"), 1, "moved.txt", "5 of 5", f"{moved[:, 0].min():.2f}"[:-3]
-    )
+    found = calibrate(folder, "--labels", folder / "moved.txt")
+    assert_one_line(found, 1, "moved.txt", "5 of 5", f"{moved[:, 0].min():.2f}"[:-3])
     np.savetxt(folder / "bare.txt", moved, fmt="%.2f")
     assert_one_line(calibrate(folder, "--labels", folder / "bare.txt"), 1, "bare.txt", "neither classes nor labels")
 

@@ -7,11 +7,9 @@ import json
 import shutil
 
 import geopandas
-import laspy
 import numpy as np
 import pytest
 import rasterio
-import shapely
 from commands import done as completed
 from commands import facts, run
 from scipy.interpolate import LinearNDInterpolator
@@ -337,35 +335,6 @@ def test_each_layer_has_a_command_that_makes_the_same_file(survey, done, tmp_pat
         assert options[field.name] == field.default or field.default is None, field.name
 
 
-@pytest.mark.slow
-def test_products_find_the_ground_and_go_on_after_a_stop_anywhere(survey, tmp_path):
-    """Stopped after every few tasks of classifying and of rasters, the outputs are those of an undisturbed run."""
-    how = {"ground": jf.PMF(max_window=9.0, low_clusters=False), "tile": 80.0, "cell": 2.0}
-    whole = make(survey / "in", tmp_path / "whole", **how)
-    assert whole.ground is not None and whole.ground.method == "PMF" and whole.complete
-    tasks, stops = 0, 0
-    while True:
-        executor = Here(seed=stops, width=2, stop_after=4)
-        try:
-            made = make(survey / "in", tmp_path / "out", executor=executor, resume=stops > 0, **how)
-        except KeyboardInterrupt:
-            tasks, stops = tasks + len(executor.calls), stops + 1
-            assert not list((tmp_path / "out").glob("*.tif")), "rasters appear when they are whole"
-            continue
-        break
-    assert stops >= 5 and made.complete and contents(tmp_path / "out") == contents(tmp_path / "whole")
-    las = {path.name: path.read_bytes() for path in (tmp_path / "whole/classified").glob("*.laz")}
-    assert len(las) == 16 and las == {p.name: p.read_bytes() for p in (tmp_path / "out/classified").glob("*.laz")}
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(
-        p.name for p in (tmp_path / "whole").iterdir()
-    )
-    (tmp_path / "out" / "dsm.tif").unlink()
-    with pytest.raises(jf.OutputError, match="pass overwrite=True to replace it, or resume=True to go on"):
-        make(survey / "in", tmp_path / "out", **how)
-    assert make(survey / "in", tmp_path / "out", resume=True, **how).complete
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
-
-
 @pytest.mark.parametrize("point", ["write_mosaic", "write_features", "packed"])
 def test_what_fails_while_files_are_written_leaves_none_half(survey, done, tmp_path, monkeypatch, point):
     names = {"dtm": "dtm.tif", "hillshade": "hillshade.tif", "count": "count.tif", "contours": "contours.gpkg"}
@@ -400,34 +369,11 @@ def test_products_by_command(survey, tmp_path):
     report = facts(*words, "--only", "hillshade, voids", *pmf)
     assert sorted(p.name for p in out.iterdir()) == ["classified", "hillshade.tif", "survey.html", "voids.tif"]
     assert report["classified"]["method"] == "PMF" and report["ground"] == report["classified"]["ground"] > 1000
-    assert run(*words, "--only", "voids").exit_code == 1, "exists"
+    refused = run(*words, "--only", "voids")
+    assert refused.exit_code == 1 and "pass --overwrite to replace it, or pass --resume to go on" in refused.stderr
     shutil.rmtree(out)
     completed(*words, "--only", "count", "--classified", 2)
     assert sorted(p.name for p in out.iterdir()) == ["count.tif", "survey.html"]
-
-
-@pytest.mark.slow
-def test_products_of_an_area_are_cut_from_those_of_the_whole(survey, tmp_path):
-    names, area = ("dtm", "chm"), None
-    for folder in ("whole", "part"):
-        run, reading = jf.RunOptions(executor=Here(width=3), wide_halos=True, tile=60.0), jf.Reading(aoi=area)
-        filter_ = jf.PMF(max_window=9.0, low_clusters=False)
-        made = jf.products(survey / "in", tmp_path / folder, filter_, only=names, reading=reading, run=run)
-        x, y = made.rasters.bounds[:2]
-        area = shapely.Polygon([(x + 20, y + 15), (x + 110, y + 30), (x + 40, y + 100)])
-        assert made.complete and made.ground is not None
-    area = reading.aoi
-    for name in names:
-        whole, part = (jf.Raster.read(tmp_path / folder / f"{name}.tif") for folder in ("whole", "part"))
-        (left, bottom, right, top), (west, _, _, north) = part.bounds, whole.bounds
-        cut = whole.values[int(north - top) : int(north - bottom), int(left - west) : int(right - west)]
-        inside = shapely.intersects_xy(area, *np.meshgrid(*part.centres()))
-        assert 0.3 < inside.mean() < 0.7 and np.isfinite(cut[inside]).mean() > 0.9
-        np.testing.assert_array_equal(part.values[inside], cut[inside])
-        assert np.isnan(part.values[~inside]).all()
-    for path in (tmp_path / "part/classified").glob("*.laz"):
-        las = laspy.read(path)
-        assert shapely.intersects_xy(area.buffer(0.01), las.x, las.y).all()
 
 
 def test_the_side_of_cells_has_two_names_and_two_units(wood, tmp_path):
