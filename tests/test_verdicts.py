@@ -17,6 +17,7 @@ import shapely
 from commands import done, facts, run
 
 import jaxfilter as jf
+from jaxfilter.core.result import Call
 from jaxfilter.files.vectors import write_features
 from jaxfilter.reports.verdicts import HALO, RIM, read_verdicts, sites
 from jaxfilter.surveys import verdicts
@@ -60,31 +61,32 @@ def inside(xyz, *limits, by=0.0):
     return within(xyz[:, 0] - 500_000, xyz[:, 1] - 5_400_000, (x0 - by, y0 - by, x1 + by, y1 + by))
 
 
-def table(**places):
-    """Verdicts by name of a place."""
+def table(*boxes, **places):
+    """Verdicts by name of a place, or on other boxes."""
     shapes = {"house": box(*HOUSE), "hill": box(*HILL), "river": box(*RIVER) - box(*BRIDGE), "bridge": box(*BRIDGE)}
-    return geopandas.GeoDataFrame(
-        {"verdict": list(places.values())}, geometry=[shapes.get(k.rstrip("_")) for k in places], crs=UTM
-    )
+    found = [box(*one) for one in boxes] or [shapes.get(k.rstrip("_")) for k in places]
+    return geopandas.GeoDataFrame({"verdict": list(places.values())}, geometry=found, crs=UTM)
 
 
 def labelled(xyz, ground):
     """A result with these labels."""
-    cloud = jf.PointCloud.from_arrays(xyz, crs=UTM)
-    result = jf.FilterResult.of_labels(ground)
-    return dataclasses.replace(result, run=jf.OST(spacing=0.8)(cloud).run)
+    run = Call(jf.OST(spacing=0.8), jf.PointCloud.from_arrays(xyz, crs=UTM), seconds=0.0)
+    return dataclasses.replace(jf.FilterResult.of_labels(ground), run=run)
 
 
 @pytest.fixture(scope="module")
-def wrong(scene):
+def xyz(scene):
+    return scene[0]
+
+
+@pytest.fixture(scope="module")
+def wrong(xyz):
     """Labels with the hill as an object, and all else, roof, deck and stakes, as ground."""
-    xyz, _ = scene
     return ~(inside(xyz, *HILL) & (xyz[:, 2] > 50.3))
 
 
 @pytest.mark.parametrize("word", ["object", "bridge"])
-def test_an_object_is_no_ground_and_its_rim_is_judged_again(scene, wrong, word):
-    xyz, _ = scene
+def test_an_object_is_no_ground_and_its_rim_is_judged_again(xyz, wrong, word):
     made = jf.apply(labelled(xyz, wrong), table(house=word))
     house, near = inside(xyz, *HOUSE), inside(xyz, *HOUSE, by=RIM)
     assert not made.ground[house].any() and made.ground[near & ~house].all()
@@ -93,43 +95,32 @@ def test_an_object_is_no_ground_and_its_rim_is_judged_again(scene, wrong, word):
     assert (made.decision[house] == jf.Decision.SURFACE).all()
 
 
-def test_false_ground_beside_an_object_goes_with_it(scene, wrong):
+def test_false_ground_beside_an_object_goes_with_it(xyz, wrong):
     """The place is smaller than the house: the roof goes on in the rim, and there it does not pass again."""
-    xyz, _ = scene
     x0, y0, x1, y1 = HOUSE
-    small = table(house="object")
-    small.geometry = [box(x0 + 3, y0 + 3, x1 - 3, y1 - 3)]
-    made = jf.apply(labelled(xyz, wrong), small)
+    made = jf.apply(labelled(xyz, wrong), table((x0 + 3, y0 + 3, x1 - 3, y1 - 3), house="object"))
     house = inside(xyz, *HOUSE)
     assert not made.ground[house].any() and made.ground[~house & wrong].all()
 
 
-def test_an_object_takes_off_what_sticks_out_and_no_terrain(scene, wrong):
+def test_an_object_takes_off_what_sticks_out_and_no_terrain(xyz):
     """A roof at the edge of the data goes, though no point lies beyond it; a smooth hill does not, whatever is said."""
-    xyz, _ = scene
-    everywhere = np.ones(len(xyz), bool)
     cut = inside(xyz, 110, 80, WIDE, HIGH)  # the house is at the western edge of this part
     part, roof = xyz[cut], inside(xyz[cut], 110, 80, HOUSE[2], HOUSE[3])
-    places = table(house="object", hill="object")
-    places.geometry = [box(110, 78, 122, 102), box(*HILL)]
-    made = jf.apply(labelled(part, everywhere[cut]), places[:1])
+    made = jf.apply(labelled(part, np.ones(len(part), bool)), table((110, 78, 122, 102), roof="object"))
     assert not made.ground[roof].any() and made.ground[~roof].all()
-    assert jf.apply(labelled(xyz, everywhere), places[1:]).ground.all()
+    assert jf.apply(labelled(xyz, np.ones(len(xyz), bool)), table(hill="object")).ground.all()
 
 
-def test_ground_keeps_off_what_rises_more_steeply_than_terrain(scene, wrong):
+def test_ground_keeps_off_what_rises_more_steeply_than_terrain(xyz, wrong):
     """The place holds a shed: its ground is what lies around it."""
-    xyz, _ = scene
     shed, place = inside(xyz, 140, 20, 148, 28), inside(xyz, 134, 14, 154, 34)
-    xyz = xyz + np.outer(shed, [0, 0, 5])
-    places = table(house="ground")
-    places.geometry = [box(134, 14, 154, 34)]
-    made = jf.apply(labelled(xyz, wrong & ~place), places)
+    before = labelled(xyz + np.outer(shed, [0, 0, 5]), wrong & ~place)
+    made = jf.apply(before, table((134, 14, 154, 34), shed="ground"))
     np.testing.assert_array_equal(made.ground[place], ~shed[place])
 
 
-def test_ground_grows_from_the_lowest_points_of_a_place(scene, wrong):
-    xyz, _ = scene
+def test_ground_grows_from_the_lowest_points_of_a_place(xyz, wrong):
     hill = inside(xyz, *HILL)
     before = labelled(xyz, wrong)
     made = jf.apply(before, table(hill="ground"))
@@ -146,18 +137,15 @@ def test_what_stands_in_water_is_no_ground(scene, wrong):
     np.testing.assert_array_equal(made.deck, inside(xyz, *BRIDGE))
 
 
-def test_fine_places_keep_their_labels_in_the_rim_of_others(scene, wrong):
-    xyz, _ = scene
+def test_fine_places_keep_their_labels_in_the_rim_of_others(xyz, wrong):
     x0, y0, x1, y1 = HOUSE
-    places = table(house="bridge", fine="fine")
-    places.geometry = [box(x0, y0, x1 - 5, y1), box(x1 - 5, y0, x1, y1)]
+    places = table((x0, y0, x1 - 5, y1), (x1 - 5, y0, x1, y1), house="bridge", fine="fine")
     made = jf.apply(labelled(xyz, wrong), places)
     rest = inside(xyz, x1 - 4.9, y0, x1, y1)
     assert made.ground[rest].all() and not made.ground[inside(xyz, x0, y0, x1 - 5, y1)].any()
 
 
-def test_order_of_points_and_of_places_does_not_count(scene, wrong):
-    xyz, _ = scene
+def test_order_of_points_and_of_places_does_not_count(xyz, wrong):
     order = np.random.default_rng(2).permutation(len(xyz))
     places = table(house="object", hill="ground", river="water")
     made = jf.apply(labelled(xyz, wrong), places)
@@ -186,15 +174,14 @@ def test_places_are_read_back_in_a_crs_that_has_no_code(suffix, tmp_path, recwar
     assert len(said) == (suffix == ".geojson") and all("GeoJSON cannot state the CRS unknown" in text for text in said)
 
 
-def test_a_file_with_several_layers_of_shapes_is_refused(scene, wrong, tmp_path):
+def test_a_file_with_several_layers_of_shapes_is_refused(xyz, wrong, tmp_path):
     for layer in ("drafts", "final"):
         table(house="object").to_file(tmp_path / "list.gpkg", layer=layer, mode="a")
     with pytest.raises(jf.InputError, match=r"list\.gpkg: has the layers drafts, final: save the one"):
-        jf.apply(labelled(scene[0], wrong), tmp_path / "list.gpkg")
+        jf.apply(labelled(xyz, wrong), tmp_path / "list.gpkg")
 
 
-def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
-    xyz, _ = scene
+def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(xyz, wrong):
     places = table(house="Object ", hill="ground", hill_="object", bridge="road", river=None)
     flat = shapely.Polygon([(500_010, 5_400_010), (500_020, 5_400_010), (500_015, 5_400_010)])
     for shape in (box(900, 900, 950, 950), flat):
@@ -210,8 +197,7 @@ def test_what_cannot_be_carried_out_is_named_and_the_rest_is_done(scene, wrong):
     np.testing.assert_array_equal(made.ground, wrong & ~inside(xyz, *HOUSE))
 
 
-def test_places_in_another_crs_are_transformed_and_that_is_said(scene, wrong):
-    xyz, _ = scene
+def test_places_in_another_crs_are_transformed_and_that_is_said(xyz, wrong):
     places = table(house="object")
     with pytest.warns(jf.JaxfilterWarning, match="transformed from WGS 84 to ETRS89"):
         made = jf.apply(labelled(xyz, wrong), places.to_crs(4326))
@@ -224,8 +210,8 @@ def test_a_result_that_was_put_together_by_hand_is_refused(wrong):
 
 
 def test_places_whose_rims_meet_are_a_site():
-    shapes = [box(0, 0, 10, 10), box(17, 0, 20, 10), box(40, 0, 50, 10), box(90, 0, 99, 9)]
-    places = geopandas.GeoDataFrame({"verdict": ["object", "ground", "water", "fine"]}, geometry=shapes, crs=UTM)
+    boxes = (0, 0, 10, 10), (17, 0, 20, 10), (40, 0, 50, 10), (90, 0, 99, 9)
+    places = table(*boxes, a="object", b="ground", c="water", d="fine")
     found = sites(read_verdicts(places, UTM, (5e5, 5.4e6, 6e5, 5.5e6))[0], 1.0)
     assert [len(site.verdicts) for site in found] == [2, 1], "where all is fine there is nothing to do"
     np.testing.assert_allclose(found[1].touched, box(40, 0, 50, 10).buffer(RIM, join_style="mitre").bounds)
@@ -236,9 +222,9 @@ def test_places_whose_rims_meet_are_a_site():
 
 
 @pytest.fixture
-def survey(scene, wrong, tmp_path):
+def survey(xyz, wrong, tmp_path):
     """Four files of the scene with wrong classes; every fifth point, in the house as well, is vegetation for somebody."""
-    folder, (xyz, _) = tmp_path / "survey", scene
+    folder = tmp_path / "survey"
     folder.mkdir()
     classes = np.where(wrong, 2, 5).astype(np.uint8)
     classes[::37] = 20
@@ -265,8 +251,8 @@ def states(folder):
     return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in sorted(folder.glob("*.laz"))}
 
 
-def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, scene, tmp_path):
-    (xyz, _), places = scene, tmp_path / "places.gpkg"
+def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, xyz, tmp_path):
+    places = tmp_path / "places.gpkg"
     table(house="object", bridge="bridge", river="water").to_file(places, layer="review")
     before, old = states(survey), classes_of(survey, len(xyz))
     report = facts("apply", places, survey, "--bridge-class", "17")
@@ -284,8 +270,8 @@ def test_only_files_with_changes_are_written_and_nothing_is_done_twice(survey, s
     assert "0 verdicts carried out (none), 3 were before" in again and states(survey) == after
 
 
-def test_files_have_the_labels_of_memory(survey, scene, wrong, tmp_path):
-    (xyz, _), places = scene, table(house="object", hill="ground", river="water")
+def test_files_have_the_labels_of_memory(survey, xyz, wrong, tmp_path):
+    places = table(house="object", hill="ground", river="water")
     old = classes_of(survey, len(xyz))
     jf.apply_survey(places, survey, run=ONE)
     cloud = jf.PointCloud.from_arrays(xyz, crs=UTM, classification=old)
@@ -307,7 +293,7 @@ def test_the_limits_are_those_that_found_the_ground(survey, tmp_path, tile):
     assert other.method == "OST" and other.parameters["max_angle"] == jf.OST().max_angle
 
 
-def test_a_changed_file_has_its_verdicts_carried_out_again(survey, scene, tmp_path):
+def test_a_changed_file_has_its_verdicts_carried_out_again(survey, xyz, tmp_path):
     places = table(house="object", hill="ground")
     kept = shutil.copytree(survey, tmp_path / "kept")
     jf.apply_survey(places, survey, run=ONE)
@@ -343,23 +329,23 @@ def test_a_report_that_is_damaged_does_not_count(survey, text):
     assert jf.apply_survey(table(house="object"), survey).complete
 
 
-def test_who_goes_back_to_a_verdict_gets_it_again(survey, scene):
+def test_who_goes_back_to_a_verdict_gets_it_again(survey, xyz):
     """Another verdict on the same place was carried out in between."""
     for word in ("bridge", "ground", "bridge"):
         report = jf.apply_survey(table(house=word), survey, run=ONE)
         assert report.applied == {word: 1} and report.before == 0
-        on_roof = (classes_of(survey, len(scene[0]))[inside(scene[0], *HOUSE)] == 2).any()
+        on_roof = (classes_of(survey, len(xyz))[inside(xyz, *HOUSE)] == 2).any()
         assert on_roof == (word == "ground")
         (known,) = json.loads((survey / "verdicts.json").read_text())["verdicts"]
         assert known["verdict"] == word
 
 
-def test_verdicts_are_done_for_files_that_come_later(survey, scene):
+def test_verdicts_are_done_for_files_that_come_later(survey, xyz):
     """A place in two files, of which one is given first."""
-    places = geopandas.GeoDataFrame({"verdict": ["bridge"]}, geometry=[box(70, 20, 90, 30)], crs=UTM)
-    n = len(scene[0])
+    places = table((70, 20, 90, 30), deck="bridge")
+    n = len(xyz)
     jf.apply_survey(places, survey / "sw.laz", run=ONE)
-    deck, done = inside(scene[0], 70, 20, 90, 30), classes_of(survey, n)
+    deck, done = inside(xyz, 70, 20, 90, 30), classes_of(survey, n)
     assert (done[deck] == 2).any(), "the eastern part is in another file"
     for before, applied in enumerate(({"bridge": 1}, {})):
         report = jf.apply_survey(places, survey, run=ONE)
@@ -367,18 +353,18 @@ def test_verdicts_are_done_for_files_that_come_later(survey, scene):
         assert not (classes_of(survey, n)[deck] == 2).any()
 
 
-def test_what_was_undone_stays_known_as_undone(survey, scene, tmp_path, recwarn):
+def test_what_was_undone_stays_known_as_undone(survey, xyz, tmp_path, recwarn):
     """Another verdict on a changed file does not vouch for what was said of it before."""
     kept = shutil.copytree(survey, tmp_path / "kept")
     jf.apply_survey(table(house="object"), survey, run=ONE)
-    done = classes_of(survey, len(scene[0]))
+    done = classes_of(survey, len(xyz))
     shutil.copy(kept / "ne.laz", survey / "ne.laz")
     jf.apply_survey(table(hill="ground"), survey, run=ONE)
     assert sum("since verdicts" in str(one.message) for one in recwarn) == 1
     report = jf.apply_survey(table(house="object"), survey, run=ONE)
-    house = inside(scene[0], *HOUSE)
+    house = inside(xyz, *HOUSE)
     assert report.applied == {"object": 1}
-    np.testing.assert_array_equal(classes_of(survey, len(scene[0]))[house], done[house])
+    np.testing.assert_array_equal(classes_of(survey, len(xyz))[house], done[house])
 
 
 def test_the_command_says_what_it_leaves_out(survey, tmp_path):
