@@ -135,19 +135,16 @@ def test_presets_and_the_cloud_set_parameters(folder, scene, options, width):
         assert given[name] == value or float(given[name]) == value  # infinity is a string in JSON
 
 
-@pytest.mark.parametrize(
-    "target, arguments, words",
-    [
-        ("out.laz", ("--max-angle", "-1"), ("FPTD(max_angle=-1.0)", "must be > 0 and < 90")),
-        ("out.laz", ("--window", "nan"), ("window=nan",)),
-        ("out.laz", ("--units", "parsec"), ("parsec", "us-ft")),
-        ("out.laz", ("--returns", "second"), ("second", "intermediate")),
-        ("truth.laz", (), ("--overwrite",)),
-        ("scene.laz", (), ("--in-place",)),
-        ("no/out.laz", (), ("not a folder",)),
-        ("out.tif", (), ("suffix",)),
-    ],
-)
+@pytest.mark.parametrize("target, arguments, words", [
+    ("out.laz", ("--max-angle", "-1"), ("FPTD(max_angle=-1.0)", "must be > 0 and < 90")),
+    ("out.laz", ("--window", "nan"), ("window=nan",)),
+    ("out.laz", ("--units", "parsec"), ("parsec", "us-ft")),
+    ("out.laz", ("--returns", "second"), ("second", "intermediate")),
+    ("truth.laz", (), ("--overwrite",)),
+    ("scene.laz", (), ("--in-place",)),
+    ("no/out.laz", (), ("not a folder",)),
+    ("out.tif", (), ("suffix",)),
+])  # fmt: skip
 def test_wrong_usage_is_found_before_reading(folder, target, arguments, words):
     (folder / "scene.laz").write_bytes(b"not a point cloud")
     before = everything(folder)
@@ -406,28 +403,25 @@ def test_demo_runs_again_from_the_compilation_cache(tmp_path, private_folder):
         assert read(tmp_path / "demo" / name).crs.to_epsg() == 25832
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
-        (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
-        (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
-        (("compare", "in.laz"), "jf.compare"),
-        (("review", "in.laz"), "OUT is missing"),
-        (("ground", "fptd", "{scene}"), "OUT is missing"),
-        (("ground", "fptd", "nothing.laz", "out.laz"), "nothing.laz"),
-        (("ground", "nosuch", "{scene}", "out.laz"), "no method"),
-        (("ground", "fptd", "{scene}", "out.laz", "--nosuch", "3"), "--nosuch"),
-        (("ground", "fptd", "{scene}", "out.laz", "--max-rounds", "1.5"), "1.5"),
-        (("ground", "fptd", "{scene}", "out.laz", "--window", "none"), "none"),
-        (("ground", "spf", "{scene}", "out.laz", "--fill", "best"), "zero"),
-        (("ground", "ost", "{scene}", "out.laz", "--spacing", "nothing"), "nothing"),
-        (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
-        (("{scene}", "out.laz"), "ground {scene} OUT"),
-        (("demo", "{folder}"), "truth.laz): name another folder, or pass --overwrite"),
-        (("demo", "{folder}/demo", "--method", "nosuch"), "nosuch"),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("ground", "--method", "smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+    (("height", "in.laz", "out.laz", "--method", "smrf"), "--filter"),
+    (("ground", "smrf", "--resolution=2", "in.laz", "out.laz"), "--cell"),
+    (("compare", "in.laz"), "jf.compare"),
+    (("review", "in.laz"), "OUT is missing"),
+    (("ground", "fptd", "{scene}"), "OUT is missing"),
+    (("ground", "fptd", "nothing.laz", "out.laz"), "nothing.laz"),
+    (("ground", "nosuch", "{scene}", "out.laz"), "no method"),
+    (("ground", "fptd", "{scene}", "out.laz", "--nosuch", "3"), "--nosuch"),
+    (("ground", "fptd", "{scene}", "out.laz", "--max-rounds", "1.5"), "1.5"),
+    (("ground", "fptd", "{scene}", "out.laz", "--window", "none"), "none"),
+    (("ground", "spf", "{scene}", "out.laz", "--fill", "best"), "zero"),
+    (("ground", "ost", "{scene}", "out.laz", "--spacing", "nothing"), "nothing"),
+    (("smrf", "in.laz", "out.laz"), "ground smrf IN OUT"),
+    (("{scene}", "out.laz"), "ground {scene} OUT"),
+    (("demo", "{folder}"), "truth.laz): name another folder, or pass --overwrite"),
+    (("demo", "{folder}/demo", "--method", "nosuch"), "nosuch"),
+])  # fmt: skip
 def test_what_is_typed_first_gets_an_answer_that_leads_on(folder, arguments, words):
     names, before = {"scene": folder / "scene.laz", "folder": folder}, everything(folder)
     result = run(*(word.format(**names) for word in arguments))

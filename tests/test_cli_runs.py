@@ -79,25 +79,22 @@ def test_what_fails_is_named_and_the_exit_code_is_1(survey, tmp_path):
     assert len(list((tmp_path / "out").glob("*.laz"))) == 2
 
 
-@pytest.mark.parametrize(
-    "words, message",
-    [
-        (("smfr", "{survey}", "out"), "smfr: no such file or folder, and no method: choose one of agptd"),
-        (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
-        (("pmf", "{survey}", "out", "--bounds", 2, 0, 1, 1), "bounds=(2.0, 0.0, 1.0, 1.0)"),
-        (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
-        (("pmf", "{survey}", "out", "--memory", "4"), "is no number of bytes"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1.5 m"), "memory=1.5e+06 bytes do not suffice"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "0.002 gb"), "memory=2e+06 bytes do not suffice"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "2MiB"), "memory=2.1e+06 bytes do not suffice"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "3e6"), "memory=3e+06 bytes do not suffice"),
-        (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
-        (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1MB"), "memory=1e+06 bytes do not suffice"),
-        (("smfr", "out.laz"), "smfr: no such file or folder, and no method: choose one of agptd"),
-        (("pmf", "{survey}", "out.laz"), "out.laz: 2 files are written into a folder"),
-        (("absent.laz", "out.laz"), "absent.laz: no such file or folder"),
-    ],
-)
+@pytest.mark.parametrize("words, message", [
+    (("smfr", "{survey}", "out"), "smfr: no such file or folder, and no method: choose one of agptd"),
+    (("pmf", "{survey}", "nothing.laz", "out"), "nothing.laz: no such file"),
+    (("pmf", "{survey}", "out", "--bounds", 2, 0, 1, 1), "bounds=(2.0, 0.0, 1.0, 1.0)"),
+    (("pmf", "{survey}", "out", "--memory", "much"), "is no number of bytes"),
+    (("pmf", "{survey}", "out", "--memory", "4"), "is no number of bytes"),
+    (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1.5 m"), "memory=1.5e+06 bytes do not suffice"),
+    (("pmf", "{survey}/west.laz", "out.laz", "--memory", "0.002 gb"), "memory=2e+06 bytes do not suffice"),
+    (("pmf", "{survey}/west.laz", "out.laz", "--memory", "2MiB"), "memory=2.1e+06 bytes do not suffice"),
+    (("pmf", "{survey}/west.laz", "out.laz", "--memory", "3e6"), "memory=3e+06 bytes do not suffice"),
+    (("pmf", "{survey}", "out", "--slope", -1), "PMF(slope=-1.0)"),
+    (("pmf", "{survey}/west.laz", "out.laz", "--memory", "1MB"), "memory=1e+06 bytes do not suffice"),
+    (("smfr", "out.laz"), "smfr: no such file or folder, and no method: choose one of agptd"),
+    (("pmf", "{survey}", "out.laz"), "out.laz: 2 files are written into a folder"),
+    (("absent.laz", "out.laz"), "absent.laz: no such file or folder"),
+])  # fmt: skip
 def test_wrong_usage_ends_before_anything_is_written(survey, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     result = run("ground", *(str(word).format(survey=survey) for word in words))

@@ -153,26 +153,23 @@ def test_values_that_are_none_or_words_are_stored_as_words(folder):
     assert stored(folder)["spacing"].values.tolist() == ["none", "2"]
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
-        (("--axis", "slope="), ("slope", "empty")),
-        (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
-        (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
-        (("--axis", "slope"), ("'slope'", "FIELD=...")),
-        (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
-        (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
-        (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
-        (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
-        (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
-        (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
-        (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
-        (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
-        (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
-        (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("--axis", "steepness=1,2"), ("steepness", "slope, window")),
+    (("--axis", "slope="), ("slope", "empty")),
+    (("--axis", "slope=0.1,-1"), ("slope=-1.0", "must be > 0")),
+    (("--axis", "slope=0.1,steep"), ("slope=steep", "not a valid float")),
+    (("--axis", "slope"), ("'slope'", "FIELD=...")),
+    (("--axis", "slope=0.3:0.1:0.1"), ("slope=0.3:0.1:0.1", "START to STOP")),
+    (("--axis", "slope=0.1:0.3"), ("slope=0.1:0.3", "START:STOP:STEP")),
+    (("--axis", "slope=0.1:0.3:0"), ("slope=0.1:0.3:0",)),
+    (("--axis", "slope=0.1..0.3"), ("slope", "--design")),
+    (("--axis", "slope=0.1..", "--design", "random", "--size", 4), ("slope=0.1..", "LOW..HIGH")),
+    (("--axis", "cell=a..b", "--design", "random", "--size", 4), ("cell=a",)),
+    (("--axis", "slope=0.1", "--axis", "slope=0.2"), ("slope", "twice")),
+    (("--axis", "slope=0.1", "--set", "cell=0"), ("cell=0.0", "must be > 0")),
+    (("--axis", "slope=0.1", "--set", "cell"), ("'cell'",)),
+    (("--axis", "slope=0.1", "--preset", "samp99"), ("samp99", "recommended")),
+])  # fmt: skip
 def test_wrong_axes_are_usage_errors_found_before_reading(folder, arguments, words):
     (folder / "truth.laz").write_bytes(b"not a point cloud")
     assert_one_line(sweep(folder, axes=arguments), 2, *words)
@@ -270,15 +267,12 @@ def test_calibrate_prints_the_command_and_keeps_files(folder):
     assert calibrate(folder, *options, "--overwrite", "--quiet").stdout == ""
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
-        (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
-        (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
-        (("--out", "no/such/folder.json"), ("not a folder",)),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("--axis", "slope=0.1,0.2"), ("slope=0.1,0.2", "LOW..HIGH")),
+    (("--axis", "slope=-1..1"), ("slope=-1.0", "must be > 0")),
+    (("--bounds", 5, 0, 1, 9), ("bounds", "xmin < xmax")),
+    (("--out", "no/such/folder.json"), ("not a folder",)),
+])  # fmt: skip
 def test_wrong_searches_are_usage_errors_found_before_reading(folder, arguments, words):
     (folder / "patches.laz").write_bytes(b"not a point cloud")
     assert_one_line(calibrate(folder, *arguments), 2, *words)

@@ -194,18 +194,15 @@ def test_a_line_of_progress_of_the_command_is_understood(capsys):
     assert feedback.share == 42.0 and feedback.said == [("setProgressText", line)]
 
 
-@pytest.mark.parametrize(
-    "code, words",
-    [
-        (
-            "import sys; print('Usage: x'); print('Error: a.laz: no\\nfile', file=sys.stderr); sys.exit(2)",
-            "a.laz: no\nfile",
-        ),
-        ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
-        ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
-        ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
-    ],
-)
+@pytest.mark.parametrize("code, words", [
+    (
+        "import sys; print('Usage: x'); print('Error: a.laz: no\\nfile', file=sys.stderr); sys.exit(2)",
+        "a.laz: no\nfile",
+    ),
+    ("import sys; print('warning: one was left out'); sys.exit(1)", "warning: one was left out"),
+    ("import sys; sys.exit(3)", "it ended with code 3 and said nothing"),
+    ("import sys; sys.exit('Error: No such option: --progress-every')", "pip install --upgrade jaxfilter"),
+])  # fmt: skip
 def test_an_error_is_that_of_the_command(code, words):
     with pytest.raises(command.CommandError) as error:
         command.run(python(code), Feedback())

@@ -312,18 +312,15 @@ def test_the_command_filters_or_takes_the_classes(cloud, tmp_path):
     assert delivered["scores"]["total"] == [0.0]
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("page.pdf",), "suffix"),
-        (("page.html", "--filter", "no"), "no method 'no'"),
-        (("page.html", "--filter", "smrf", "--set", "slope=-1"), "slope"),
-        (("page.html", "--set", "slope=1"), "--filter"),
-        (("page.html", "--reference", "own"), "--filter"),
-        (("page.html", "--reference", "nowhere.laz"), "no such file"),
-        (("no/page.html",), "not a folder"),
-    ],
-)
+@pytest.mark.parametrize("arguments, words", [
+    (("page.pdf",), "suffix"),
+    (("page.html", "--filter", "no"), "no method 'no'"),
+    (("page.html", "--filter", "smrf", "--set", "slope=-1"), "slope"),
+    (("page.html", "--set", "slope=1"), "--filter"),
+    (("page.html", "--reference", "own"), "--filter"),
+    (("page.html", "--reference", "nowhere.laz"), "no such file"),
+    (("no/page.html",), "not a folder"),
+])  # fmt: skip
 def test_wrong_usage_is_found_before_reading(tmp_path, arguments, words):
     (tmp_path / "broken.laz").write_bytes(b"")
     wrong = run("report", tmp_path / "broken.laz", tmp_path / arguments[0], *arguments[1:])
