@@ -39,15 +39,6 @@ def done(survey, tmp_path_factory):
     return out, facts("ground", "pmf", survey, out, *PMF, "--quiet")
 
 
-def test_a_folder_is_classified_into_a_folder(survey, done):
-    out, report = done
-    assert sorted(path.name for path in out.glob("*.laz")) == ["east.laz", "west.laz"]
-    ground = sum(int((jf.read(path).classification == 2).sum()) for path in out.glob("*.laz"))
-    assert report["complete"] and report["method"] == "PMF" and report["parameters"]["max_window"] == 9
-    assert report["ground"] == ground == sum(r["points"] for r in report["classes"] if r["after"] == 2) > 1000
-    assert report["points"] == sum(len(jf.read(path)) for path in survey.glob("*.laz"))
-
-
 def test_a_folder_that_holds_something_is_refused_and_resumed(survey, done):
     words, report = ("ground", "pmf", survey, done[0], *PMF), done[1]
     refused = run(*words)

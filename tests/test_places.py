@@ -70,16 +70,6 @@ def test_what_is_a_cut_roof(roofs, how, count):
     assert len(cut(field(*roofs, **how))) == count
 
 
-def test_cells_that_touch_at_a_corner_are_one_place():
-    step = np.arange(12)
-    for beside, count in ((1, 1), (2, 0)):  # the second: each alone is too small
-        cell = np.column_stack([beside * step, step, beside * step, step]).reshape(-1, 2).astype(np.int32)
-        cell = np.unique(cell * [1, -1] + [-5, 3], axis=0)
-        ones = np.ones(len(cell), np.float32)
-        places = places_of(Suspects(cell, ones, ones, np.zeros(len(cell), np.int8), ones > 0), 1.0)
-        assert [len(place.cells) for place in places] == [12] * count
-
-
 def test_a_cliff_taken_as_an_object_is_the_first_place_and_one_that_is_ground_is_none():
     xyz = field(size=160.0, step=1.0)
     x, y = xyz.T[:2]
