@@ -1,6 +1,7 @@
 """Densification, as methods use it, against a plain loop that triangulates everything anew in every round."""
 
 import dataclasses
+import functools
 import itertools
 import signal
 import threading
@@ -22,7 +23,7 @@ from jaxfilter.engines.tin import ground as ground_module
 from jaxfilter.engines.tin import triangulation as tin_module
 from jaxfilter.engines.tin.facets import Rule
 from jaxfilter.engines.tin.ground import GroundTin
-from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Network, Outliers, Vertices
+from jaxfilter.engines.tin.growth import Adaptive, Growth, Mirror, Outliers, Vertices
 from jaxfilter.engines.tin.network import block_networks, border_positions
 from jaxfilter.engines.tin.triangulation import lattice
 
@@ -344,19 +345,16 @@ def test_adaptive_thresholds_see_the_distances_of_vertices_to_the_facets_next_to
     np.testing.assert_allclose(np.sort(angle), np.sort(expected[:, 1]), atol=0.05)
 
 
-@pytest.fixture(scope="module")
-def lawn():
-    """A network of 240 x 240 nodes, one in each square metre, that all pass in the first round."""
-    rng = np.random.default_rng(7)
-    k = 240 * 240
-    xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (k, 2)) / 1024
-    corners = [[-1, -1, 0], [241, -1, 0], [241, 241, 0], [-1, 241, 0]]
-    xyz = np.concatenate([np.column_stack([xy, rng.normal(0, 0.02, k)]), corners]).astype(np.float32)
-    seed = np.arange(k + 4) >= k
-    points = canonical_points(PointCloud.from_arrays(xyz[::1000]))
-    row, late = np.where(seed, -1, 0), np.zeros(k + 4, bool)
-    none = Outliers(np.zeros(len(points), bool), np.zeros(len(points), bool))
-    return Network(points, xyz, np.zeros(k + 4, np.int32), row, seed, ~seed, late, none)
+@pytest.fixture
+def lawn(monkeypatch):
+    """A call for 240 x 240 points, one in each square metre, that all pass in the first round, in small steps."""
+    rng, n = np.random.default_rng(7), 240 * 240
+    xy = np.indices((240, 240)).reshape(2, -1).T + rng.integers(0, 1000, (n, 2)) / 1024
+    cloud = PointCloud.from_arrays(np.column_stack([xy, rng.normal(0, 0.02, n)]))
+    filter_ = jf.PTD(max_angle=89.0, max_distance=99.0, seed_cell=240.0, low_clusters=False)
+    monkeypatch.setattr(tin_module, "CHUNK", 1024)
+    monkeypatch.setattr(tin_module, "_SHARE", 1024)
+    return functools.partial(filter_, cloud)
 
 
 STEPS = {"judge": (ground_module, "judge"), "locate": (walks, "locate"), "insert": (flips, "insert")}
@@ -369,10 +367,7 @@ STEPS = {"judge": (ground_module, "judge"), "locate": (walks, "locate"), "insert
 def test_an_interrupt_ends_densification_before_another_step_begins(step, workers, lawn, monkeypatch):
     """The signal comes in the fifth step. Other threads wait until its handler has run, and then until what raised it has
     cancelled the steps that wait: each may have one more at most, which it had begun to fetch."""
-    chunk = 1024
-    monkeypatch.setattr(tin_module, "CHUNK", chunk)
-    monkeypatch.setattr(tin_module, "_SHARE", chunk)
-    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)  # compiles
+    lawn(workers=workers)  # compiles
     place, name = STEPS[step]
     work, begun, later = getattr(place, name), itertools.count(1), []
     handled, cancelled = threading.Event(), threading.Event()
@@ -400,7 +395,7 @@ def test_an_interrupt_ends_densification_before_another_step_begins(step, worker
     before = signal.signal(signal.SIGUSR1, handler)
     try:
         with pytest.raises(KeyboardInterrupt):
-            densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
+            lawn(workers=workers)
     finally:
         signal.signal(signal.SIGUSR1, before)
         cancelled.set()
@@ -410,8 +405,6 @@ def test_an_interrupt_ends_densification_before_another_step_begins(step, worker
 @pytest.mark.parametrize("workers", [1, 3])
 def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
     """So an interrupt need not wait for long."""
-    monkeypatch.setattr(tin_module, "CHUNK", 1024)
-    monkeypatch.setattr(tin_module, "_SHARE", 1024)
     sizes = {name: [] for name in STEPS}
     measured = {
         "judge": lambda *given: given[-1].shape[-1],
@@ -419,18 +412,12 @@ def test_no_step_has_more_nodes_than_its_bound(workers, lawn, monkeypatch):
         "insert": lambda *given: len(given[7]) - given[12],
     }
 
-    def watched(name):
-        place, attribute = STEPS[name]
-        work = getattr(place, attribute)
+    def watched(name, work, *given, **named):
+        sizes[name].append(measured[name](*given))
+        return work(*given, **named)
 
-        def call(*given, **named):
-            sizes[name].append(measured[name](*given))
-            return work(*given, **named)
-
-        monkeypatch.setattr(place, attribute, call)
-
-    for name in STEPS:
-        watched(name)
-    densify(lawn, Growth(Rule(max_angle=90.0)), workers=workers)
+    for name, (place, attribute) in STEPS.items():
+        monkeypatch.setattr(place, attribute, functools.partial(watched, name, getattr(place, attribute)))
+    lawn(workers=workers)
     for name, bound in (("judge", ground_module._BATCH), ("locate", 1024), ("insert", 1024)):
         assert 0 < max(sizes[name]) <= bound and sum(sizes[name]) >= 50_000, name
