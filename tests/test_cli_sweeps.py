@@ -299,8 +299,9 @@ def test_labels_of_some_points_reach_all_that_coincide_with_them(folder, scene):
     np.savetxt(folder / "labels.txt", [*labels, [*xyz[0], 1]], fmt=("%.2f", "%.2f", "%.2f", "%d"))
     words = ("calibrate", "smrf", folder / "in.txt", *FEW, "--labels", folder / "labels.txt", "--units", "m")
     assert facts(*words)["labelled"] == {"ground": 199 + 4, "object": 200 + 5}
+    first, last = read(folder / "in.txt", units="m").coordinates()[[0, 399], 0]
     west = np.append(labels[labels[:, 0] < xyz[399, 0], 3], labels[1:10, 3])  # the eastern bound is outside
-    found = facts(*words, "--bounds", xyz[0, 0], 0, xyz[399, 0], 1e8)["labelled"]
+    found = facts(*words, "--bounds", first, 0, last, 1e8)["labelled"]
     assert found == {"ground": (west == 0).sum() - 1, "object": (west == 1).sum()} and len(west) < 409
 
 

