@@ -69,20 +69,17 @@ def test_cells_are_aligned_to_multiples_and_cover_the_cloud(rng, method):
 
 
 @LINEAR
-def test_linear_methods_are_exact_on_planes(rng, method):
+def test_linear_methods_are_exact_on_planes_and_levels(rng, method):
     raster = model(scattered(rng, plane), method=method)
-    inside = np.isfinite(raster.values)
-    assert inside.mean() > 0.9
+    inside, missing = np.isfinite(raster.values), np.isnan(raster.values).sum()
+    assert inside.mean() > 0.9 and repr(raster).startswith(
+        f"Raster(41 x 41 cells of 1, {missing} without height, bounds 44"
+    )
     # Coordinates are known to a quantum.
     np.testing.assert_allclose(raster.values[inside], plane(*at_centres(raster)[inside].T), rtol=0, atol=1.2 * QUANTUM)
-
-
-@LINEAR
-def test_a_level_is_exact_however_the_points_lie(method):
     lattice = np.stack(np.meshgrid(np.arange(0.0, 30.0, 0.5), np.arange(0.0, 20.0, 0.5)), axis=-1).reshape(-1, 2)
-    cloud = jf.PointCloud.from_arrays(np.column_stack([lattice, np.full(len(lattice), 7.25)]))
-    raster = model(cloud, cell=0.5, method=method)
-    np.testing.assert_array_equal(raster.values, np.full((39, 59), np.float32(7.25)))
+    level = jf.PointCloud.from_arrays(np.column_stack([lattice, np.full(len(lattice), 7.25)]))
+    np.testing.assert_array_equal(model(level, cell=0.5, method=method).values, np.full((39, 59), np.float32(7.25)))
 
 
 def test_tin_is_the_linear_interpolator_of_scipy(rng):
@@ -95,12 +92,6 @@ def test_tin_is_the_linear_interpolator_of_scipy(rng):
     assert (np.isfinite(raster.values) != np.isfinite(expected)).sum() <= 2  # within millimetres of the hull
     difference = np.abs(raster.values - expected)[both]
     assert np.quantile(difference, 0.99) < QUANTUM and difference.max() < 0.05  # slivers along the hull are steep
-
-
-def test_a_raster_shows_itself_in_a_line(rng):
-    raster = model(scattered(rng, n=50), cell=10.0)
-    missing = np.isnan(raster.values).sum()
-    assert repr(raster).startswith(f"Raster(5 x 5 cells of 10, {missing} without height, bounds 447310, 5301200, ")
 
 
 def test_many_cells_at_once_are_shared_between_threads(rng):
@@ -173,18 +164,16 @@ def test_no_height_outside_the_hull_unless_filled(rng, method):
 
 @EVERY
 def test_order_shift_and_threads_change_nothing(rng, method):
-    cloud = scattered(rng, n=700)
-    xyz = np.rint(cloud.coordinates() * 100) / 100
-    expected = model(jf.PointCloud.from_arrays(xyz), cell=0.8, method=method)
-    order = rng.permutation(len(xyz))
-    np.testing.assert_array_equal(
-        model(jf.PointCloud.from_arrays(xyz[order]), cell=0.8, method=method, workers=1).values, expected.values
-    )
-    moved = model(jf.PointCloud.from_arrays(xyz + [-440_000.0, 80_000.0, 0.0]), cell=0.8, method=method)
-    np.testing.assert_array_equal(moved.values, expected.values)
+    xyz = np.rint(scattered(rng, n=700).coordinates() * 100) / 100
+
+    def made(xyz, workers=None, **anchor):
+        return model(jf.PointCloud.from_arrays(xyz, **anchor), cell=0.8, method=method, workers=workers)
+
+    expected, moved = made(xyz), made(xyz + [-440_000.0, 80_000.0, 0.0])
+    for same in (moved, made(rng.permutation(xyz), workers=1)):
+        np.testing.assert_array_equal(same.values, expected.values)
     assert moved.bounds == pytest.approx(np.add(expected.bounds, [-440_000.0, 80_000.0] * 2), abs=1e-6)
-    anchored = model(jf.PointCloud.from_arrays(xyz, anchor=(0.13, 0.4)), cell=0.8, method=method)
-    assert anchored.bounds == expected.bounds
+    assert made(xyz, anchor=(0.13, 0.4)).bounds == expected.bounds
 
 
 def test_the_lowest_of_points_in_one_place_counts(rng):

@@ -430,7 +430,7 @@ def test_zigzag_lines_turn_and_parallel_lines_fly_back():
     assert (steps["parallel"] > 50).sum() > 100
 
 
-@pytest.mark.parametrize(("size", "density", "seed"), [(500, 1, 0), (150, 12, 1), (1400, 0.3, 2)])
+@pytest.mark.parametrize(("size", "density", "seed"), [(400, 1, 0), (150, 12, 1), (1000, 0.3, 2)])
 def test_benchmark_is_at_least_half_ground(size, density, seed):
     assert scenes.make("benchmark", size=size, density=density, seed=seed).truth.mean() >= 0.5
 
