@@ -419,20 +419,3 @@ def test_one_file_may_go_to_standard_output(survey, done, tmp_path):
 def test_wrong_products_are_refused_before_anything_is_done(survey, tmp_path, how, error, words):
     with pytest.raises(error, match=words):
         make(survey / "in", **({"out": tmp_path / "out"} | how))
-
-
-@pytest.mark.slow
-def test_a_tile_without_points_is_bridged_as_in_the_whole(tmp_path):
-    """A lake wider than a tile: the ground around it is within reach, so no tile may differ from the whole."""
-    x, y = (v.ravel() for v in np.meshgrid(np.arange(0.0, 300, 3.0), np.arange(0.0, 300, 3.0)))
-    dry = np.hypot(x - 150, y - 150) > 70
-    xyz = np.column_stack([x, y, 0.05 * x + np.sin(y / 40)])[dry]
-    classes = np.full(len(xyz), 2, np.uint8)
-    jf.write(tmp_path / "lake.laz", jf.PointCloud.from_arrays(xyz, crs="EPSG:25832", classification=classes), None)
-    made = make(tmp_path / "lake.laz", tmp_path / "tiles", tile=40.0, cell=5.0)
-    make(tmp_path / "lake.laz", tmp_path / "whole", cell=5.0)
-    assert made.rasters.uncertain == 0
-    for name in RASTERS:
-        a, b = (jf.Raster.read(tmp_path / folder / f"{name}.tif").values for folder in ("tiles", "whole"))
-        np.testing.assert_array_equal(a, b, err_msg=name)
-    assert np.isfinite(jf.Raster.read(tmp_path / "tiles/dtm.tif").values[1:, :-1]).all()
