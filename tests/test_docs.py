@@ -1,4 +1,4 @@
-"""Pages list parameters as they are declared; the skeleton of a filter is one; the site has all names and no dead link.
+"""Pages list parameters as they are declared; the skeleton of a filter is one; code and links of pages are sound.
 
 The code of the pages is run by conftest.py of the repository.
 """
